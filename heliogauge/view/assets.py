@@ -12,6 +12,8 @@ _SCRIPTS: dict[str, tuple[str, ...]] = {
     "page.js": ("map", "photo", "scene", "table", "chart"),
     "figure.js": ("map", "photo", "scene", "chart"),
     "chart.js": ("map", "chart"),
+    "map_data.js": ("map",),
+    "map_picture.js": ("map",),
     "map.js": ("map",),
     "table.js": ("table",),
     "photo.js": ("photo",),

@@ -1,22 +1,9 @@
 "use strict";
 // Maps: values with sigma and flags under the pointer, layers, colour range, sections, tilt and focus removed live.
 (() => {
-  // Those of the static figures: RdBu_r for signed values, viridis from low to high; both safe for the colour-blind.
-  const DIVERGING = ["#053061", "#2166ac", "#4393c3", "#92c5de", "#d1e5f0", "#f7f7f7", "#fddbc7", "#f4a582", "#d6604d",
-    "#b2182b", "#67001f"];
-  const SEQUENTIAL = ["#440154", "#471365", "#482475", "#463480", "#414487", "#3b528b", "#355f8d", "#2f6c8e", "#2a788e",
-    "#25848e", "#21918c", "#1e9c89", "#22a884", "#2fb47c", "#44bf70", "#5ec962", "#7ad151", "#9bd93c", "#bddf26", "#dfe318",
-    "#fde725"];
-  // Okabe and Ito: told apart by the colour-blind.
-  const FLAG_COLORS = ["#e69f00", "#56b4e9", "#009e73", "#f0e442", "#d55e00", "#cc79a7", "#0072b2", "#7f6b5d", "#b3b3ff",
-    "#882255"];
-  const STEPS = [1, 1.2, 1.5, 2, 2.5, 3, 4, 5, 6, 8, 10];
-  const SHADES = 512;
   const FLAGS = "flags";
   // A tall mirror fills at most this share of the screen.
   const MOST_HEIGHT = 0.56;
-  // Percentiles come from at most this many values.
-  const SAMPLES = 60000;
   const REMOVAL_NAMES = { nothing: "nothing", tilt: "tilt", focus: "tilt and focus", quadratic: "tilt, focus, twist" };
   const KEYS = "Pointer: value, sigma and flags. Drag moves; the wheel zooms once the map was clicked (or with Ctrl), two "
     + "fingers always; double click shows all. Section: press the button, or hold Shift, and drag a line. Keys: arrows move "
@@ -24,57 +11,13 @@
     + "flags, R removes the next of tilt, focus and quadratic, H and V cut a section along x and along y, S begins and ends "
     + "a section at the pointer, Escape removes it.";
 
-  const channels = (color) => [1, 3, 5].map((at) => parseInt(color.slice(at, at + 2), 16));
-  const packed = ([red, green, blue]) => (0xff000000 | (Math.round(blue) << 16) | (Math.round(green) << 8) | Math.round(red)) >>> 0;
-
-  function shade(stops, share) {
-    const place = Math.min(Math.max(share, 0), 1) * (stops.length - 1);
-    const low = Math.min(Math.floor(place), stops.length - 2);
-    const [from, to] = [channels(stops[low]), channels(stops[low + 1])];
-    return from.map((value, at) => value + (to[at] - value) * (place - low));
-  }
-
-  // Colour of a value; signed values have white at zero, also where the range is not symmetric.
-  function shareOf(value, low, high, diverging) {
-    if (!diverging) return (value - low) / (high - low);
-    if (low >= 0) return 0.5 + 0.5 * (value - low) / (high - low);
-    if (high <= 0) return 0.5 - 0.5 * (high - value) / (high - low);
-    return value < 0 ? 0.5 - 0.5 * value / low : 0.5 + 0.5 * value / high;
-  }
-
-  function niceCeiling(value) {
-    if (!Number.isFinite(value) || value <= 0) return 1;
-    const power = 10 ** Math.floor(Math.log10(value));
-    return Number((STEPS.find((step) => step >= value / power * (1 - 1e-9)) * power).toPrecision(6));
-  }
-
-  // Sorted values of an array at most; NaN left out.
-  function sample(values, change = (value) => value) {
-    const stride = Math.max(Math.ceil(values.length / SAMPLES), 1);
-    const kept = new Float64Array(Math.ceil(values.length / stride));
-    let count = 0;
-    for (let index = 0; index < values.length; index += stride) {
-      const value = change(values[index]);
-      if (Number.isFinite(value)) kept[count++] = value;
-    }
-    return kept.subarray(0, count).sort();
-  }
-
-  const percentile = (sorted, share) => sorted[Math.min(Math.round(share * (sorted.length - 1)), sorted.length - 1)];
   // A number for an input: no more digits than are seen.
   const rounded = (value) => Number(value.toPrecision(4));
 
   class MapOfLayers {
     constructor(place, spec) {
-      Object.assign(this, { place, spec, kept: new Map(), mode: "figure", removal: "nothing" });
-      this.columns = spec.x.length;
-      this.rows = spec.y.length;
-      this.stepX = this.columns > 1 ? (spec.x[this.columns - 1] - spec.x[0]) / (this.columns - 1) : 1;
-      this.stepY = this.rows > 1 ? (spec.y[this.rows - 1] - spec.y[0]) / (this.rows - 1) : 1;
+      Object.assign(this, { place, spec, mode: "figure" });
       this.unit = spec.axis_unit;
-      this.ends = { x: [spec.x[0] - this.stepX / 2, spec.x[this.columns - 1] + this.stepX / 2],
-        y: [spec.y[0] - this.stepY / 2, spec.y[this.rows - 1] + this.stepY / 2] };
-      this.removals = spec.removals.filter((one) => one.parts.length);
       this.pixels = [document.createElement("canvas"), document.createElement("canvas")];
       this.marked = new Set(); // bits that are painted on other layers
       this.unmarked = new Set(); // bits that are not painted on the layer of flags
@@ -82,12 +25,11 @@
 
     async begin() {
       const { spec } = this;
-      [this.codes, this.aperture] = await Promise.all([heliogauge.codes(spec.flags), heliogauge.codes(spec.aperture)]);
-      this.flags = this.countFlags();
+      this.data = await heliogauge.mapData(spec);
       this.buildControls();
       const orientation = spec.y_down ? "y down" : "seen from the front, y up";
       this.figure = await heliogauge.figure(this.body, `Map: ${spec.name}, x to the right, ${orientation}. Arrow keys read values.`, KEYS);
-      this.figure.leastSpan = Math.min(100 * 8 / Math.max(this.columns, this.rows), 100);
+      this.figure.leastSpan = Math.min(100 * 8 / Math.max(this.data.columns, this.data.rows), 100);
       this.readout = heliogauge.element("output", { class: "view-readout", "aria-live": "off" }, "Move the pointer over the map.");
       this.summary = heliogauge.element("p", { class: "view-note" });
       this.figure.root.after(this.readout, this.summary);
@@ -98,82 +40,15 @@
       await this.choose(spec.layers[0].key);
     }
 
-    // ---- numbers ----
-
-    array(place) {
-      if (!this.kept.has(place)) this.kept.set(place, heliogauge.numbers(this.spec.arrays[place]));
-      return this.kept.get(place);
-    }
-
-    // Values of a layer in its printed unit, what is to be removed taken out.
-    async valuesOf(layer) {
-      const set = this.removals.find((one) => [one.x, one.y, one.magnitude].includes(layer.key));
-      const part = set && this.removal !== "nothing" ? set.parts.find((one) => one.removal === this.removal) : null;
-      const stored = await this.array(layer.values.place);
-      const values = new Float32Array(stored.length);
-      if (!part) {
-        for (let index = 0; index < values.length; index++) values[index] = stored[index] * layer.factor;
-        return values;
-      }
-      const [alongX, alongY] = await Promise.all([set.x, set.y].map((key, axis) => this.withoutPart(set, part, key, axis)));
-      if (layer.key === set.x || layer.key === set.y) {
-        const left = layer.key === set.x ? alongX : alongY;
-        for (let index = 0; index < values.length; index++) values[index] = left[index] * layer.factor;
-      } else {
-        for (let index = 0; index < values.length; index++) values[index] = Math.hypot(alongX[index], alongY[index]) * layer.factor;
-      }
-      return values;
-    }
-
-    async withoutPart(set, part, key, axis) {
-      const stored = await this.array(this.spec.layers.find((one) => one.key === key).values.place);
-      const design = await this.array(set.design[axis].place);
-      const [one, alongX, alongY, alongDesign] = part.terms[axis];
-      const left = new Float64Array(stored.length);
-      for (let row = 0, index = 0; row < this.rows; row++) {
-        const start = one + alongY * (this.spec.y[row] - set.middle[1]);
-        for (let column = 0; column < this.columns; column++, index++) {
-          left[index] = stored[index] - start - alongX * (this.spec.x[column] - set.middle[0])
-            - alongDesign * (design[index] - set.mean[axis]);
-        }
-      }
-      return left;
-    }
-
-    countFlags() {
-      const counts = new Map();
-      const perCode = new Uint32Array(256);
-      let nodes = 0;
-      for (let index = 0; index < this.codes.length; index++) {
-        if (this.aperture[index]) {
-          perCode[this.codes[index]]++;
-          nodes++;
-        }
-      }
-      this.spec.reasons.forEach((reason, code) => {
-        for (const word of perCode[code] ? reason.words : []) counts.set(word, (counts.get(word) || 0) + perCode[code]);
-      });
-      const found = [...counts].sort((one, other) => other[1] - one[1]);
-      return found.map(([word, count], at) => ({ word, count, share: count / nodes, color: FLAG_COLORS[at % FLAG_COLORS.length] }));
-    }
-
-    node(column, row) {
-      return column >= 0 && column < this.columns && row >= 0 && row < this.rows ? row * this.columns + column : -1;
-    }
-
-    nodeAt(x, y) {
-      return [Math.round((x - this.spec.x[0]) / this.stepX), Math.round((y - this.spec.y[0]) / this.stepY)];
-    }
-
     // ---- controls ----
 
     buildControls() {
       const { spec } = this;
       const make = heliogauge.element;
-      const layers = [...spec.layers.map((one) => [one.key, one.name]), ...(this.flags.length ? [[FLAGS, "Flags"]] : [])];
+      const layers = [...spec.layers.map((one) => [one.key, one.name]), ...(this.data.flags.length ? [[FLAGS, "Flags"]] : [])];
       const option = ([value, name]) => make("option", { value }, name);
       this.layerSelect = make("select", { "aria-label": "Layer", change: () => this.choose(this.layerSelect.value) }, ...layers.map(option));
-      const words = [...new Set(this.removals.flatMap((one) => one.parts.map((part) => part.removal)))];
+      const words = [...new Set(this.data.removals.flatMap((one) => one.parts.map((part) => part.removal)))];
       this.removalSelect = make("select", { "aria-label": "Remove", change: () => this.remove(this.removalSelect.value) },
         ...words.map((word) => option([word, REMOVAL_NAMES[word] || word])));
       this.numbersLine = make("output", { class: "view-numbers", "aria-live": "polite" });
@@ -191,7 +66,7 @@
       this.colorsBar = make("div", { class: "view-bar" }, make("label", {}, "Colours", this.modeSelect),
         make("label", {}, "from", this.lowInput), make("label", {}, "to", this.highInput), this.unitText);
       // Beside a mirror that is not much wider than high there is room for its sections and flags.
-      const beside = this.ends.x[1] - this.ends.x[0] < 1.35 * (this.ends.y[1] - this.ends.y[0]);
+      const beside = this.data.ends.x[1] - this.data.ends.x[0] < 1.35 * (this.data.ends.y[1] - this.data.ends.y[0]);
       const side = make("div", {}, this.legendPlace, this.sectionPlace);
       this.place.append(
         make("p", { class: "view-title" }, spec.name),
@@ -205,111 +80,76 @@
     }
 
     get painted() {
-      const all = this.flags.map((one) => one.word);
+      const all = this.data.flags.map((one) => one.word);
       return new Set(all.filter((word) => this.key === FLAGS ? !this.unmarked.has(word) : this.marked.has(word)));
     }
 
     paintLegend() {
       const share = (one) => one.share >= 0.001 ? `${(100 * one.share).toFixed(1)} %` : `${one.count}`;
       const painted = this.painted;
-      const entries = this.flags.map((one) => ({ name: `${one.word}: ${share(one)}`, color: one.color, on: painted.has(one.word),
+      const entries = this.data.flags.map((one) => ({ name: `${one.word}: ${share(one)}`, color: one.color, on: painted.has(one.word),
         note: `${one.count} nodes of the mirror` }));
       const legend = heliogauge.legend(entries, (index, on) => {
         const set = this.key === FLAGS ? this.unmarked : this.marked;
-        if (on === (this.key === FLAGS)) set.delete(this.flags[index].word);
-        else set.add(this.flags[index].word);
+        if (on === (this.key === FLAGS)) set.delete(this.data.flags[index].word);
+        else set.add(this.data.flags[index].word);
         this.draw();
       }, "Flags painted on the map");
       const hatched = heliogauge.element("span", { class: "view-swatch view-hatched" });
-      if (this.flags.length) legend.prepend("Paint by flag:");
-      if (this.hasGaps) legend.prepend(heliogauge.element("span", {}, hatched, "no value there."));
+      if (this.data.flags.length) legend.prepend("Paint by flag:");
+      if (this.data.hasGaps) legend.prepend(heliogauge.element("span", {}, hatched, "no value there."));
       this.legendPlace.replaceChildren(legend);
     }
 
     showNumbers() {
-      const texts = this.removals.flatMap((set) => {
-        const part = set.parts.find((one) => one.removal === this.removal);
+      const texts = this.data.removals.flatMap((set) => {
+        const part = set.parts.find((one) => one.removal === this.data.removal);
         if (!part) return [];
         const numbers = part.numbers.map(([name, text]) => `${name} ${text}`).join("   ");
         return [`${set.name ? `${set.name}: ` : ""}${numbers}`];
       });
       this.numbersLine.replaceChildren(...texts.map((text) => heliogauge.element("span", {}, text)));
-      const part = this.removals[0]?.parts.find((one) => one.removal === this.removal);
+      const part = this.data.removals[0]?.parts.find((one) => one.removal === this.data.removal);
       this.numbersLine.title = part ? `removed: ${part.removed}; deviation from: ${part.reference}` : "";
     }
 
     // ---- choices ----
 
     async choose(key) {
-      this.key = key;
+      const layer = key === FLAGS ? this.layer : this.spec.layers.find((one) => one.key === key);
+      if (!(await this.data.take(layer))) return; // the reader has chosen another meanwhile
+      if (this.layer !== layer && this.mode === "hand") this.mode = "figure";
+      Object.assign(this, { key, layer });
       this.layerSelect.value = key;
-      const shown = key === FLAGS ? this.spec.layers[0] : this.spec.layers.find((one) => one.key === key);
-      if (this.layer !== shown && this.mode === "hand") this.mode = "figure";
-      this.layer = shown;
-      await this.load();
+      this.unitText.textContent = layer.unit;
+      this.colorsBar.hidden = key === FLAGS;
       this.paintLegend();
+      await this.renew();
     }
 
     async remove(removal) {
-      this.removal = removal;
+      this.data.removal = removal;
       this.removalSelect.value = removal;
       this.showNumbers();
-      await this.load();
+      if (await this.data.take(this.layer)) await this.renew();
     }
 
-    async load() {
-      const { layer } = this;
-      const turn = (this.turn = (this.turn || 0) + 1);
-      const [values, sigma] = await Promise.all([this.valuesOf(layer), layer.sigma ? this.array(layer.sigma.place) : null]);
-      if (turn !== this.turn) return; // the reader has chosen another meanwhile
-      this.values = values;
-      this.sigma = sigma;
-      this.hasGaps = values.some((value, node) => value !== value && this.aperture[node]);
-      this.unitText.textContent = layer.unit;
-      this.colorsBar.hidden = this.key === FLAGS;
-      await this.range();
+    async renew() {
       this.figure.hideTip();
-      this.draw();
+      await this.chooseMode(this.mode);
       if (this.pointer) this.show(this.pointer);
       if (this.section) await this.drawSection();
     }
 
     // Sets where the colours begin and end.
-    async range() {
-      const { layer, mode } = this;
-      this.modeSelect.value = mode;
-      if (mode === "hand") return;
-      const set = this.removal === "nothing" ? null : this.removals.find((one) => [one.x, one.y, one.magnitude].includes(layer.key));
-      if (mode === "figure" && !set) {
-        this.low = layer.low;
-        this.high = layer.high;
-      } else {
-        const share = mode === "figure" ? 0.99 : Number(mode);
-        const nice = mode === "figure" ? niceCeiling : (value) => value || 1;
-        if (layer.diverging) {
-          let limit = percentile(sample(this.values, Math.abs), share);
-          if (mode === "figure" && set) {
-            // One range for both components, so that they compare.
-            const other = this.spec.layers.find((one) => one.key === (layer.key === set.x ? set.y : set.x));
-            limit = Math.max(limit, percentile(sample(await this.valuesOf(other), Math.abs), share));
-          }
-          this.high = nice(limit);
-          this.low = -this.high;
-        } else {
-          const sorted = sample(this.values);
-          const begins = layer.low === 0 && (sorted[0] ?? 0) >= 0;
-          this.low = begins ? 0 : percentile(sorted, (1 - share) / 2);
-          this.high = begins ? nice(percentile(sorted, share)) : percentile(sorted, (1 + share) / 2);
-        }
-      }
-      if (!(this.high > this.low)) [this.low, this.high] = Number.isFinite(this.low) ? [this.low, this.low + 1] : [0, 1];
-      this.lowInput.value = rounded(this.low);
-      this.highInput.value = rounded(this.high);
-    }
-
     async chooseMode(mode) {
       this.mode = mode;
-      await this.range();
+      this.modeSelect.value = mode;
+      if (mode !== "hand") {
+        [this.low, this.high] = await this.data.range(mode);
+        this.lowInput.value = rounded(this.low);
+        this.highInput.value = rounded(this.high);
+      }
       this.draw();
     }
 
@@ -332,7 +172,7 @@
       const left = narrow ? 50 : 64;
       const right = narrow ? 66 : 86;
       const most = { width: width - left - right, height: Math.max(MOST_HEIGHT * innerHeight, 260) };
-      const size = { x: this.ends.x[1] - this.ends.x[0], y: this.ends.y[1] - this.ends.y[0] };
+      const size = { x: this.data.ends.x[1] - this.data.ends.x[0], y: this.data.ends.y[1] - this.data.ends.y[0] };
       const scale = Math.min(most.width / size.x, most.height / size.y); // pixels for each metre
       const box = { left, top: 8, width: Math.max(size.x * scale, 110), height: Math.max(size.y * scale, 110) };
       // Axes of a long trough leave room beside it rather than squeeze their labels.
@@ -340,13 +180,13 @@
         const spare = (pixels / scale - (high - low)) / 2;
         return [low - spare, high + spare];
       };
-      return { box, x: around(this.ends.x, box.width), y: around(this.ends.y, box.height), narrow };
+      return { box, x: around(this.data.ends.x, box.width), y: around(this.data.ends.y, box.height), narrow };
     }
 
     draw() {
-      if (!this.values || !this.figure.root.clientWidth) return;
+      if (!this.layer || !this.figure.root.clientWidth) return;
       const { box, x, y, narrow } = this.layout();
-      this.shades = this.shadesOf();
+      this.shades = heliogauge.mapPicture.shadesOf(this.layer, this.low, this.high);
       const color = heliogauge.colors();
       const root = this.figure.root;
       root.style.height = `${box.height + 54}px`;
@@ -373,28 +213,14 @@
       this.summarise();
     }
 
-    shadesOf() {
-      const stops = this.layer.diverging ? DIVERGING : SEQUENTIAL;
-      const shades = new Uint32Array(SHADES);
-      for (let index = 0; index < SHADES; index++) {
-        const value = this.low + (index + 0.5) / SHADES * (this.high - this.low);
-        shades[index] = packed(shade(stops, shareOf(value, this.low, this.high, this.layer.diverging)));
-      }
-      return shades;
-    }
-
     colorBar(api) {
-      const canvas = document.createElement("canvas");
-      [canvas.width, canvas.height] = [1, SHADES];
-      const image = new ImageData(1, SHADES);
-      new Uint32Array(image.data.buffer).set(this.shades.slice().reverse());
-      canvas.getContext("2d").putImageData(image, 0, 0);
       const [left, top] = api.coord([0, this.high]);
       const [right, bottom] = api.coord([1, this.low]);
-      return { type: "image", style: { image: canvas, x: left, y: top, width: right - left, height: bottom - top } };
+      const image = heliogauge.mapPicture.bar(this.shades);
+      return { type: "image", style: { image, x: left, y: top, width: right - left, height: bottom - top } };
     }
 
-    // What is seen of the map, one look-up for each pixel of the screen: as quick for a million nodes as for a thousand.
+    // What is seen of the map, painted anew for each place and size.
     picture() {
       const { box } = this.figure;
       const ratio = Math.min(devicePixelRatio || 1, 2);
@@ -403,65 +229,12 @@
       const canvas = this.pixels.reverse()[0];
       [canvas.width, canvas.height] = [width, height];
       const image = new ImageData(width, height);
-      this.paint(new Uint32Array(image.data.buffer), width, height, ratio);
+      const { low, high, shades } = this;
+      const look = { low, high, shades, seen: this.figure.seen(), plain: this.key === FLAGS,
+        ofCode: heliogauge.mapPicture.flagColors(this.data, this.painted) };
+      heliogauge.mapPicture.paint(this.data, look, new Uint32Array(image.data.buffer), width, height, ratio);
       canvas.getContext("2d").putImageData(image, 0, 0);
       return { type: "image", style: { image: canvas, x: box.left, y: box.top, width: box.width, height: box.height } };
-    }
-
-    paint(pixels, width, height, ratio) {
-      const { values, codes, aperture, columns, shades, low } = this;
-      const { x: [x0, x1], y: [y0, y1] } = this.figure.seen();
-      const places = (count, first, last, origin, step, nodes) => Int32Array.from({ length: count }, (_, at) => {
-        const node = Math.round((first + (at + 0.5) / count * (last - first) - origin) / step);
-        return node >= 0 && node < nodes ? node : -1;
-      });
-      const across = places(width, x0, x1, this.spec.x[0], this.stepX, columns);
-      const top = this.spec.y_down ? [y0, y1] : [y1, y0];
-      const down = places(height, ...top, this.spec.y[0], this.stepY, this.rows);
-      const color = heliogauge.colors();
-      const [missing, hatch, edge, plain] = [color.missing, color.hatch, color.faint, color.dark ? "#232b33" : "#eef1f4"]
-        .map((one) => packed(channels(one)));
-      const period = Math.round(8 * ratio);
-      const stroke = Math.max(Math.round(1.4 * ratio), 1);
-      const scale = SHADES / (this.high - this.low);
-      const ofCode = this.colorOfCode();
-      const flagsOnly = this.key === FLAGS;
-      for (let y = 0, pixel = 0; y < height; y++) {
-        const start = down[y] < 0 ? -1 : down[y] * columns;
-        const above = y > 0 && down[y - 1] >= 0 ? down[y - 1] * columns : -1;
-        let before = false;
-        for (let x = 0; x < width; x++, pixel++) {
-          const column = across[x];
-          const node = start < 0 || column < 0 ? -1 : start + column;
-          const inside = node >= 0 && aperture[node] !== 0;
-          const over = above >= 0 && column >= 0 && aperture[above + column] !== 0;
-          if (inside !== before && x > 0 || inside !== over && y > 0) pixels[pixel] = edge;
-          else if (inside) {
-            const mark = ofCode[codes[node]];
-            const value = values[node];
-            if (mark) pixels[pixel] = mark;
-            else if (value !== value) pixels[pixel] = (x + y) % period < stroke ? hatch : missing;
-            else if (flagsOnly) pixels[pixel] = plain;
-            else {
-              const at = (value - low) * scale;
-              pixels[pixel] = shades[at < 0 ? 0 : at >= SHADES ? SHADES - 1 : at | 0];
-            }
-          }
-          before = inside;
-        }
-      }
-    }
-
-    // Colour of each combination of flags; zero where none of its flags is painted.
-    colorOfCode() {
-      const painted = this.painted;
-      const colors = new Uint32Array(256);
-      this.spec.reasons.forEach((reason, code) => {
-        // The rarest flag shows: the common ones would hide it.
-        const shown = this.flags.filter((one) => painted.has(one.word) && reason.words.includes(one.word)).pop();
-        if (shown) colors[code] = packed(channels(shown.color));
-      });
-      return colors;
     }
 
     // Pointer and section over the picture.
@@ -494,35 +267,17 @@
     summarise() {
       clearTimeout(this.waiting);
       this.waiting = setTimeout(() => {
-        const { x, y } = this.figure.seen();
-        const [first, low] = this.nodeAt(x[0] + this.stepX / 2, y[0] + this.stepY / 2).map((at) => Math.max(at, 0));
-        const [last, high] = this.nodeAt(x[1] - this.stepX / 2, y[1] - this.stepY / 2);
-        let [count, sum, squares, least, most, beyond] = [0, 0, 0, Infinity, -Infinity, 0];
-        for (let row = low; row <= Math.min(high, this.rows - 1); row++) {
-          for (let column = first; column <= Math.min(last, this.columns - 1); column++) {
-            const node = row * this.columns + column;
-            const value = this.values[node];
-            if (value !== value || !this.aperture[node]) continue;
-            count++;
-            sum += value;
-            squares += value * value;
-            if (value < least) least = value;
-            if (value > most) most = value;
-            if (value < this.low || value > this.high) beyond++;
-          }
-        }
-        const rms = Math.sqrt(squares / count);
+        const { count, mean, rms, least, most, beyond } = this.data.numbersWithin(this.figure.seen(), [this.low, this.high]);
         // All with the decimals of the RMS: a mean of zero is zero.
         const places = Math.min(Math.max(2 - Math.floor(Math.log10(rms || 1)), 0), 12);
         const number = (value) => value.toFixed(places).replace(/^-(?=[0.]*$)/, "").replace("-", "\u2212");
         const unit = this.layer.unit ? ` ${this.layer.unit}` : "";
-        const share = beyond / count;
-        const cut = beyond ? `; ${share < 0.001 ? "<0.1" : (100 * share).toFixed(1)} % beyond the colours` : "";
-        const thinned = this.columns < this.spec.nodes[0] || this.rows < this.spec.nodes[1]
-          ? ` Shown: ${this.columns} \u00d7 ${this.rows} of ${this.spec.nodes[0]} \u00d7 ${this.spec.nodes[1]} nodes.` : "";
+        const cut = beyond ? `; ${beyond < 0.001 ? "<0.1" : (100 * beyond).toFixed(1)} % beyond the colours` : "";
+        const thinned = this.data.columns < this.spec.nodes[0] || this.data.rows < this.spec.nodes[1]
+          ? ` Shown: ${this.data.columns} \u00d7 ${this.data.rows} of ${this.spec.nodes[0]} \u00d7 ${this.spec.nodes[1]} nodes.` : "";
         this.summary.textContent = this.key === FLAGS ? `Each colour is a flag; hatched: no value.${thinned}`
           : count === 0 ? `No value in view.${thinned}`
-            : `In view: mean ${number(sum / count)}${unit}, RMS ${number(rms)}${unit}, from ${number(least)} to `
+            : `In view: mean ${number(mean)}${unit}, RMS ${number(rms)}${unit}, from ${number(least)} to `
               + `${number(most)}${unit}${cut}.${thinned}`;
       }, 120);
     }
@@ -539,7 +294,7 @@
           this.over();
           this.drawSectionSoon();
         } else if (within && event.buttons === 0 || event.pointerType === "touch") {
-          this.show(this.nodeAt(...this.figure.toData(left, top)), event.pointerType === "mouse" ? [left, top] : null);
+          this.show(this.data.nodeAt(...this.figure.toData(left, top)), event.pointerType === "mouse" ? [left, top] : null);
         }
       };
       const down = (event) => {
@@ -574,20 +329,20 @@
 
     // Shows the values of a node; tip: where the tip stands, none for the keyboard.
     show([column, row], tip = null) {
-      const node = this.node(column, row);
+      const node = this.data.node(column, row);
       if (node < 0) {
         this.figure.hideTip();
         return;
       }
       this.pointer = [column, row];
       const { layer } = this;
-      const reason = this.spec.reasons[this.codes[node]];
-      const value = this.values[node];
-      const sigma = this.sigma && this.sigma[node] * layer.factor;
+      const reason = this.spec.reasons[this.data.codes[node]];
+      const value = this.data.values[node];
+      const sigma = this.data.sigma && this.data.sigma[node] * layer.factor;
       const { number } = heliogauge;
       const place = `x ${number(this.spec.x[column])} ${this.unit}, y ${number(this.spec.y[row])} ${this.unit}`;
       const what = Number.isFinite(value) ? heliogauge.withSigma(value, sigma, layer.unit) : "no value";
-      const why = this.aperture[node] ? reason.words.join(", ") : "outside the mirror";
+      const why = this.data.aperture[node] ? reason.words.join(", ") : "outside the mirror";
       this.readout.replaceChildren(
         heliogauge.element("span", {}, place), heliogauge.element("strong", {}, `${layer.name}: ${what}`),
         heliogauge.element("span", {}, why || "no flag"),
@@ -610,7 +365,7 @@
       const by = shiftKey ? 10 : 1;
       const [column, row] = this.pointer || this.middle();
       const next = this.pointer
-        ? [Math.min(Math.max(column + by * steps[key][0], 0), this.columns - 1), Math.min(Math.max(row + by * steps[key][1], 0), this.rows - 1)]
+        ? [Math.min(Math.max(column + by * steps[key][0], 0), this.data.columns - 1), Math.min(Math.max(row + by * steps[key][1], 0), this.data.rows - 1)]
         : [column, row];
       this.readout.setAttribute("aria-live", "polite");
       this.figure.hideTip();
@@ -621,8 +376,8 @@
 
     middle() {
       const { x, y } = this.figure.seen();
-      const at = this.nodeAt((x[0] + x[1]) / 2, (y[0] + y[1]) / 2);
-      return [Math.min(Math.max(at[0], 0), this.columns - 1), Math.min(Math.max(at[1], 0), this.rows - 1)];
+      const at = this.data.nodeAt((x[0] + x[1]) / 2, (y[0] + y[1]) / 2);
+      return [Math.min(Math.max(at[0], 0), this.data.columns - 1), Math.min(Math.max(at[1], 0), this.data.rows - 1)];
     }
 
     chosen(key) {
@@ -636,10 +391,10 @@
       };
       const actions = {
         "+": () => zoom(1.5), "=": () => zoom(1.5), "-": () => zoom(1 / 1.5), 0: () => this.figure.reset(),
-        f: () => this.flags.length && this.choose(this.key === FLAGS ? this.layer.key : FLAGS),
+        f: () => this.data.flags.length && this.choose(this.key === FLAGS ? this.layer.key : FLAGS),
         r: () => this.nextRemoval(),
-        h: () => cut([[this.ends.x[0], y], [this.ends.x[1], y]]),
-        v: () => cut([[x, this.ends.y[0]], [x, this.ends.y[1]]]),
+        h: () => cut([[this.data.ends.x[0], y], [this.data.ends.x[1], y]]),
+        v: () => cut([[x, this.data.ends.y[0]], [x, this.data.ends.y[1]]]),
         s: () => {
           if (this.begun) cut([this.begun, [x, y]]);
           this.begun = this.begun ? null : [x, y];
@@ -655,7 +410,7 @@
 
     nextRemoval() {
       const words = [...this.removalSelect.options].map((one) => one.value);
-      if (words.length > 1) this.remove(words[(words.indexOf(this.removal) + 1) % words.length]);
+      if (words.length > 1) this.remove(words[(words.indexOf(this.data.removal) + 1) % words.length]);
     }
 
     // ---- sections ----
@@ -671,25 +426,6 @@
       this.drawing = requestAnimationFrame(() => { this.drawing = 0; this.drawSection(); });
     }
 
-    // Values of the nodes nearest to the line, one for each step of the grid.
-    sectionValues() {
-      const [[x0, y0], [x1, y1]] = this.section;
-      const length = Math.hypot(x1 - x0, y1 - y0);
-      const count = Math.min(Math.max(Math.ceil(length / Math.min(this.stepX, this.stepY)), 2), 4000) + 1;
-      const found = { x: new Float64Array(count), y: new Float64Array(count).fill(NaN), sigma: new Float64Array(count).fill(NaN), nodes: [] };
-      for (let index = 0; index < count; index++) {
-        const share = index / (count - 1);
-        const place = this.nodeAt(x0 + share * (x1 - x0), y0 + share * (y1 - y0));
-        const node = this.node(...place);
-        found.x[index] = share * length;
-        found.nodes.push(place);
-        if (node < 0) continue;
-        found.y[index] = this.values[node];
-        if (this.sigma) found.sigma[index] = this.sigma[node] * this.layer.factor;
-      }
-      return found;
-    }
-
     async drawSection() {
       if (!this.section) {
         this.sectionChart = null;
@@ -697,11 +433,11 @@
         return;
       }
       const { layer } = this;
-      const found = this.sectionValues();
+      const found = this.data.sectionValues(this.section);
       this.sectionNodes = found.nodes;
       const point = ([x, y]) => `(${heliogauge.number(x, 3)}, ${heliogauge.number(y, 3)})`;
       const title = `${layer.name} from ${point(this.section[0])} to ${point(this.section[1])} ${this.unit}`;
-      const series = [{ name: layer.name, x: found.x, y: found.y, sigma: this.sigma ? found.sigma : null, color: "#1b6ca8", mark: "line", size: 1.5 }];
+      const series = [{ name: layer.name, x: found.x, y: found.y, sigma: this.data.sigma ? found.sigma : null, color: "#1b6ca8", mark: "line", size: 1.5 }];
       const unit = layer.unit ? ` [${layer.unit}]` : "";
       const content = { name: title, x_label: `along the section [${this.unit}]`, y_label: `${layer.name}${unit}`, series };
       if (this.sectionChart) {
@@ -710,7 +446,7 @@
         return;
       }
       this.sectionTitle = heliogauge.element("span", {}, title);
-      const band = this.sigma ? "band: \u00b1 1 sigma" : "";
+      const band = this.data.sigma ? "band: \u00b1 1 sigma" : "";
       const close = heliogauge.element("button", { type: "button", click: () => { this.section = null; this.over(); this.drawSection(); } }, "Close");
       const place = heliogauge.element("div");
       this.sectionPlace.replaceChildren(
@@ -718,7 +454,7 @@
       this.sectionChart = heliogauge.drawChart(place, content, (index) => {
         if (index === null) return;
         this.pointer = this.sectionNodes[index];
-        if (this.node(...this.pointer) >= 0) this.over();
+        if (this.data.node(...this.pointer) >= 0) this.over();
         else this.pointer = null;
       });
       await this.sectionChart;

@@ -25,7 +25,7 @@ def facet() -> SlopeMap:
     x_m, y_m = np.linspace(-0.6, 0.6, 61), np.linspace(-0.4, 0.4, 41)
     x, y = np.meshgrid(x_m, y_m)
     hole = (x - 0.3) ** 2 + (y - 0.1) ** 2 < 0.005
-    waves = 4e-4 * np.sin(9 * x) * np.cos(7 * y)
+    waves = 4e-4 * np.sin(9 * x + 4 * y) * np.cos(7 * y)  # of no symmetry
     slope_x = x / 20 * 1.02 + 8e-4 + waves + rng.normal(0, 2e-5, x.shape)
     slope_y = y / 20 * 1.02 - 5e-4 + 0.5 * waves + 4e-4 * x
     return SlopeMap(
@@ -300,3 +300,64 @@ def test_a_drag_moves_what_is_seen(open_map: Any) -> None:
     moved = pointer_at(page)
     page.mouse.up()
     assert (moved[0] - before[0], moved[1] - before[1]) == pytest.approx((40, 25), abs=12)
+
+
+def test_the_picture_shows_each_value_where_it_belongs(open_map: Any, facet: SlopeMap) -> None:
+    page = open_map()
+    nodes = [(8, 33), (52, 33), (8, 6), (52, 6), (27, 20)]
+    limit = float(page.get_by_label("Colours to").input_value())
+    for (column, row), place in zip(nodes, places_of(page, *nodes), strict=True):
+        color = page.evaluate(
+            """([left, top]) => { const canvas = document.querySelector('.view-canvas canvas');
+            const box = canvas.getBoundingClientRect(); const ratio = canvas.width / box.width;
+            return Array.from(canvas.getContext('2d').getImageData(
+              (left - box.left) * ratio, (top - box.top) * ratio, 1, 1).data.slice(0, 3)); }""",
+            place,
+        )
+        value = 1e3 * facet.slope_error_x[row, column]
+        expected = mpl.colormaps["RdBu_r"](0.5 + 0.5 * value / limit, bytes=True)[:3]
+        assert np.abs(np.array(color) - np.array(expected, dtype=int)).max() <= 6
+
+
+def test_a_finger_draws_a_section(open_map: Any) -> None:
+    page = open_map(viewport=PHONE, has_touch=True, is_mobile=True)
+    page.get_by_role("button", name="Section").tap()
+    box = page.locator(".view-figure").first.bounding_box()
+    session = page.context.new_cdp_session(page)
+
+    def touch(kind: str, *points: tuple[float, float]) -> None:
+        touches = [{"x": box["x"] + x * box["width"], "y": box["y"] + y * box["height"]} for x, y in points]
+        session.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": touches})
+
+    touch("touchStart", (0.3, 0.3))
+    for share in (0.35, 0.45, 0.6):
+        touch("touchMove", (share, share))
+    touch("touchEnd")
+    page.wait_for_selector(".view-section .view-canvas canvas")
+    assert page.get_by_role("button", name="Section").get_attribute("aria-pressed") == "false"
+    assert "In view" in page.locator(f"{MAP} .view-note", has_text="In view").inner_text()
+
+
+def test_a_pinch_zooms(open_map: Any) -> None:
+    page = open_map(viewport=PHONE, has_touch=True, is_mobile=True)
+    note = page.locator(f"{MAP} .view-note", has_text="In view")
+    whole = note.inner_text()
+    box = page.locator(".view-figure").first.bounding_box()
+    session = page.context.new_cdp_session(page)
+    page.touchscreen.tap(box["x"] + box["width"] * 0.4, box["y"] + box["height"] * 0.4)
+
+    def touch(kind: str, apart: float) -> None:
+        places = [(0.45 - apart, 0.4), (0.45 + apart, 0.4)] if apart else []
+        touches = [
+            {"x": box["x"] + x * box["width"], "y": box["y"] + y * box["height"], "id": index}
+            for index, (x, y) in enumerate(places)
+        ]
+        session.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": touches})
+
+    touch("touchStart", 0.05)
+    for apart in (0.08, 0.12, 0.16, 0.2):
+        touch("touchMove", apart)
+    touch("touchEnd", 0)
+    changed = "(whole) => ![...document.querySelectorAll('.view-note')].some((one) => one.textContent === whole)"
+    page.wait_for_function(changed, arg=whole)
+    assert page.evaluate("visualViewport.scale") == 1
