@@ -170,7 +170,7 @@
       const width = this.figure.root.clientWidth;
       const narrow = width < 480;
       const left = narrow ? 50 : 64;
-      const right = narrow ? 66 : 86;
+      const right = narrow ? 72 : 92;
       const most = { width: width - left - right, height: Math.max(MOST_HEIGHT * innerHeight, 260) };
       const size = { x: this.data.ends.x[1] - this.data.ends.x[0], y: this.data.ends.y[1] - this.data.ends.y[0] };
       const scale = Math.min(most.width / size.x, most.height / size.y); // pixels for each metre
@@ -204,7 +204,7 @@
       option.grid.push({ left: box.left + box.width + 12, top: box.top, width: 14, height: box.height, show: false });
       option.xAxis.push({ gridIndex: 1, type: "value", min: 0, max: 1, show: false });
       option.yAxis.push(heliogauge.axis(this.layer.unit ? `[${this.layer.unit}]` : "", { gridIndex: 1, position: "right", show: bar, min: this.low, max: this.high,
-        ...(even ? { interval } : {}), nameGap: narrow ? 34 : 44, splitLine: { show: false }, axisLine: { show: false },
+        interval: even ? interval : null, nameGap: narrow ? 38 : 50, splitLine: { show: false }, axisLine: { show: false },
         axisLabel: { color: color.ink, formatter: heliogauge.tick, showMinLabel: even, showMaxLabel: even } }));
       const custom = (axis, renderItem) => ({ type: "custom", xAxisIndex: axis, yAxisIndex: axis, data: [[0, 0]], silent: true, clip: true, renderItem });
       option.series = [custom(0, () => this.picture()), ...(bar ? [custom(1, (_, api) => this.colorBar(api))] : [])];
@@ -453,9 +453,7 @@
         heliogauge.element("div", { class: "view-bar" }, heliogauge.element("strong", {}, this.sectionTitle), band, close), place);
       this.sectionChart = heliogauge.drawChart(place, content, (index) => {
         if (index === null) return;
-        this.pointer = this.sectionNodes[index];
-        if (this.data.node(...this.pointer) >= 0) this.over();
-        else this.pointer = null;
+        this.show(this.sectionNodes[index]);
       });
       await this.sectionChart;
     }
