@@ -46,6 +46,7 @@ METHOD = {
         "adjust",
         "slopes",
         "sunlight",
+        "files",
         "images",
         "measurement",
         "results",

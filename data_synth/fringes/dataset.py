@@ -4,7 +4,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
-from zipfile import BadZipFile
 
 import numpy as np
 
@@ -12,6 +11,7 @@ from data_synth.fringes.knowledge import Knowledge, measurement_content, respons
 from data_synth.fringes.scene import FringeScene, SyntheticFringes, render_fringes
 from data_synth.fringes.truth import PIXEL_ARRAYS, FringeTruth, PixelTruth, facet_from_json
 from heliogauge.errors import InputError
+from heliogauge.files.arrays import read_arrays
 from heliogauge.images.photos import write_image
 from heliogauge.measurement.writer import write_measurement
 from heliogauge.results.json_file import read_json, write_json
@@ -78,14 +78,10 @@ def read_truth(folder: Path) -> FringeTruth:
     """
     parameters = read_json(folder / TRUTH_FILE)
     arrays = folder / TRUTH_ARRAYS_FILE
+    pixels = PixelTruth(*read_arrays(arrays, ("facet_index", *PIXEL_ARRAYS)).values())
     try:
-        # A file object of our own: numpy leaves its own open when the archive is damaged.
-        with arrays.open("rb") as file, np.load(file) as stored:
-            pixels = PixelTruth(stored["facet_index"], *(stored[name] for name in PIXEL_ARRAYS))
         facets = tuple(facet_from_json(facet) for facet in parameters["facets"])
-    except (OSError, ValueError, BadZipFile) as error:
-        raise InputError(f"{arrays}: cannot be read ({error})") from error
-    except KeyError as error:
+    except (KeyError, TypeError) as error:
         raise InputError(
             f"{folder}: the truth lacks {error}; write it again with `heliogauge deflectometry synth`"
         ) from error

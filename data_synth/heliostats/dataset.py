@@ -6,7 +6,6 @@ from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias
-from zipfile import BadZipFile
 
 import numpy as np
 import numpy.typing as npt
@@ -23,6 +22,7 @@ from data_synth.heliostats.presets import FREE_SETS, HeliostatScene, PhotoPlan
 from heliogauge.camera.distortion import BrownDistortion
 from heliogauge.camera.model import Camera
 from heliogauge.errors import InputError
+from heliogauge.files.arrays import read_arrays
 from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.geometry.sun import angles_from_direction
 from heliogauge.images.photos import write_image
@@ -132,15 +132,7 @@ def read_heliostat_truth(folder: Path) -> HeliostatTruth:
     """Read the truth of a synthetic measurement of heliostats."""
     parameters = read_json(folder / TRUTH_FILE)
     file = folder / TRUTH_ARRAYS_FILE
-    try:
-        with file.open("rb") as opened, np.load(opened) as stored:
-            return HeliostatTruth(parameters, *(stored[name] for name in _ARRAYS))
-    except (OSError, ValueError, BadZipFile) as error:
-        raise InputError(f"{file}: cannot be read ({error})") from error
-    except KeyError as error:
-        raise InputError(
-            f"{folder}: the truth lacks {error}; write it again with `heliogauge heliostat synth`"
-        ) from error
+    return HeliostatTruth(parameters, *read_arrays(file, _ARRAYS).values())
 
 
 def heliostat_content(scene: HeliostatScene, corners_px: Mapping[str, FloatArray]) -> dict[str, Any]:

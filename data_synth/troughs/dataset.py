@@ -6,7 +6,6 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
-from zipfile import BadZipFile
 
 import cv2
 import numpy as np
@@ -24,6 +23,7 @@ from data_synth.troughs.presets import DISTANCE_SIGMA_M, UNCODED
 from data_synth.troughs.receiver import TubeAxis
 from data_synth.troughs.scene import TroughScene, TroughView
 from heliogauge.errors import InputError
+from heliogauge.files.arrays import read_arrays
 from heliogauge.images.photos import write_image
 from heliogauge.measurement.load import MEASUREMENT_FILE
 from heliogauge.measurement.writer import dump_toml, write_text
@@ -148,15 +148,7 @@ def read_trough_truth(folder: Path) -> TroughTruth:
     parameters = read_json(folder / TRUTH_FILE)
     arrays = folder / TRUTH_ARRAYS_FILE
     names = ("x_m", "y_m", *_MAPS, "absorber_y_m", "absorber_x_m", "absorber_z_m")
-    try:
-        with arrays.open("rb") as file, np.load(file) as stored:
-            return TroughTruth(**{name: stored[name] for name in names}, parameters=parameters)
-    except (OSError, ValueError, BadZipFile) as error:
-        raise InputError(f"{arrays}: cannot be read ({error})") from error
-    except KeyError as error:
-        raise InputError(
-            f"{folder}: the truth lacks {error}; write it again with `heliogauge observer synth`"
-        ) from error
+    return TroughTruth(**read_arrays(arrays, names), parameters=parameters)
 
 
 def observer_content(scene: TroughScene, suffix: str) -> dict[str, Any]:

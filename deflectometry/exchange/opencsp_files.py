@@ -5,7 +5,6 @@ Conventions of these files, all converted here: rotations are rotation vectors n
 the x fringes; each period has four frames a quarter of a period apart.
 """
 
-import json
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,6 +15,8 @@ import numpy as np
 import numpy.typing as npt
 
 from heliogauge.errors import InputError
+from heliogauge.files.hdf5 import is_hdf5, open_hdf5
+from heliogauge.files.texts import read_json
 from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.validate import FloatArray, float_array, positive
 
@@ -184,15 +185,10 @@ def read_opencsp_file(path: Path) -> OpencspFile:
 
     InputError: Not readable, nothing recognised, or a part missing.
     """
-    if not path.is_file():
-        raise InputError(f"{path}: no such file")
-    if h5py.is_hdf5(path):
-        try:
-            with h5py.File(path, "r") as file:
-                records = tuple(_hdf5_records(path.name, file))
-                is_result = "DataSofastCalculation" in file
-        except OSError as error:
-            raise InputError(f"{path}: damaged or cut off ({error}); copy the file again") from None
+    if is_hdf5(path):
+        with open_hdf5(path) as file:
+            records = tuple(_hdf5_records(path.name, file))
+            is_result = "DataSofastCalculation" in file
     else:
         records, is_result = tuple(_json_records(path)), False
     if not records:
@@ -414,9 +410,9 @@ _READERS: dict[str, Callable[[_Node], Record]] = {
 
 def _json_records(path: Path) -> Iterator[Record]:
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
-        raise InputError(f"{path.name}: neither HDF5 nor JSON ({error})") from error
+        content = read_json(path)
+    except InputError as error:
+        raise InputError(f"{error} (it is no HDF5 file either)") from error
     if not isinstance(content, dict):
         return
     try:
@@ -433,7 +429,7 @@ def _json_records(path: Path) -> Iterator[Record]:
             if len(vectors) != len(origins):
                 raise InputError(f"{path.name}: {len(origins)} facet locations, but {len(vectors)} facet rotations")
             yield EnsembleRecord(_placements(vectors, origins), _vectors(path, content["v_centroid_ensemble"])[0])
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, IndexError, AttributeError, OverflowError) as error:
         message = f"{path.name}: a facet or ensemble definition, but a part is missing or wrong ({error!r})"
         raise InputError(message) from error
 

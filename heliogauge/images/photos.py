@@ -25,6 +25,9 @@ import numpy.typing as npt
 
 from heliogauge.doubts import Doubt
 from heliogauge.errors import InputError
+from heliogauge.files.image_headers import ImageHeader, image_header
+from heliogauge.files.memory import refuse_large
+from heliogauge.files.regular import MOST_IMAGE_BYTES, read_regular
 from heliogauge.images.video import read_frame
 from heliogauge.images.video_names import video_of
 from heliogauge.running.progress import Progress, SilentProgress
@@ -33,6 +36,9 @@ Image = npt.NDArray[np.uint8] | npt.NDArray[np.uint16] | npt.NDArray[np.float32]
 
 #: Weights of red, green and blue in the luminance (ITU-R BT.709); they add up to 1, so grey keeps its value.
 LUMINANCE_WEIGHTS = (0.2126, 0.7152, 0.0722)
+
+#: Largest raster that is read: nearly twice the largest sensor of a camera that is sold (151 million).
+MOST_PIXELS = 268_000_000
 
 # OpenCV takes some of these for TIFF and returns the preview they carry.
 _CAMERA_RAW = frozenset({".dng", ".cr2", ".cr3", ".nef", ".arw", ".raf", ".rw2", ".orf", ".pef", ".srw"})
@@ -67,7 +73,7 @@ class Frames:
 def read_image(path: Path) -> Image:
     """Read one photograph as grey values.
 
-    path: JPEG, PNG, TIFF or another format OpenCV reads; 8 or 16 bit, mono or colour. Or a frame of a video, such
+    path: JPEG, PNG, TIFF or BMP; 8 or 16 bit, mono or colour. Or a frame of a video, such
         as ``pass.mp4#00012`` (`heliogauge.images.video`).
     Returns (height, width): Grey values in the file's depth; float32 luminance of a photograph in colour [DN].
         Luminance of a frame is rounded to uint8: a video holds no more.
@@ -131,6 +137,7 @@ def read_frames(
     if not paths:
         raise InputError("images: at least one file is needed")
     threads = jobs or min(os.cpu_count() or 1, 8)
+    _check_sum(paths)
     images: list[Image] = []
     orientations: list[int] = []
     with (progress or SilentProgress()).stage(stage, len(paths)) as running, ThreadPoolExecutor(threads) as pool:
@@ -149,6 +156,18 @@ def read_frames(
     _refuse_mixture(paths, [f"{depth.bit_length()} bit" for depth in depths], "depth")
     stack = _stack([_grey(image) for image in images])
     return Frames(stack, depths[0], tuple(paths), tuple(_orientation_doubts(paths, orientations)))
+
+
+def _check_sum(paths: Sequence[Path]) -> None:
+    """Check that all photographs have room side by side, judged by the first: they are of one size."""
+    if video_of(paths[0]) != paths[0]:
+        return
+    header = image_header(_read_bytes(paths[0]))
+    if header is not None:
+        # As they are decoded, and once more in one array.
+        each = header.pixels * (header.depth_bytes if header.channels == 1 else 3 * header.depth_bytes + 4)
+        what = f"{len(paths)} images of {header.width_px} x {header.height_px} px"
+        refuse_large(str(paths[0].parent), 2 * len(paths) * each, what)
 
 
 def _orientation_doubts(paths: Sequence[Path], orientations: Sequence[int]) -> Iterator[Doubt]:
@@ -194,12 +213,7 @@ def write_image(path: Path, image: npt.NDArray[np.uint8] | npt.NDArray[np.uint16
 
 
 def _read_bytes(path: Path) -> bytes:
-    try:
-        content = path.read_bytes()
-    except FileNotFoundError:
-        raise InputError(f"{path}: there is no such image; check the name and the folder") from None
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}); an image file is needed") from error
+    content = read_regular(path, "an image", MOST_IMAGE_BYTES)
     if not content:
         raise InputError(f"{path}: the file is empty (0 bytes); copy it again from the camera")
     return content
@@ -217,15 +231,40 @@ def _decode(path: Path, content: bytes, how: int = cv2.IMREAD_UNCHANGED) -> npt.
     fault = _fault(content)
     if fault:
         raise InputError(f"{path}: {fault}; copy the file again from the camera")
+    _check_size(path, content)
     # Unchanged: depth and values as in the file, no rotation by an orientation tag.
     try:
         image = cv2.imdecode(np.frombuffer(content, dtype=np.uint8), how)
-    except cv2.error as error:
-        raise InputError(f"{path}: cannot be decoded ({error.err}); JPEG, PNG or TIFF is needed") from None
+    except (cv2.error, MemoryError) as error:
+        text = getattr(error, "err", "") or "not enough memory"
+        raise InputError(f"{path}: cannot be decoded ({text}); JPEG, PNG or TIFF is needed") from None
     if image is None:
         raise InputError(f"{path}: cannot be decoded ({len(content)} bytes); an undamaged JPEG, PNG or TIFF is needed")
     _full_scale(path, image)
     return np.asarray(image)
+
+
+def _check_size(path: Path, content: bytes) -> ImageHeader:
+    """Check what the header says before anything is decoded: a file of 5 MB can hold a raster of 10 GB."""
+    header = image_header(content)
+    if header is None:
+        raise InputError(f"{path}: cannot be decoded ({len(content)} bytes); an undamaged JPEG, PNG or TIFF is needed")
+    size = f"{header.width_px} x {header.height_px} px"
+    if not header.pixels or header.stored_share < 1:
+        raise InputError(f"{path}: says {size}, which {len(content)} bytes cannot hold; copy it again from the camera")
+    if header.pixels > MOST_PIXELS:
+        raise InputError(
+            f"{path}: {size} are {header.pixels / 1e6:.0f} million; at most {MOST_PIXELS / 1e6:.0f} million are read: "
+            "reduce the image, or cut it into parts"
+        )
+    refuse_large(str(path), header.pixels * _bytes_per_pixel(header), size)
+    return header
+
+
+def _bytes_per_pixel(header: ImageHeader) -> int:
+    """Return the memory that decoding and the luminance take at their peak: colours twice, and two of float32."""
+    decoded = header.channels * header.depth_bytes
+    return decoded if header.channels == 1 else 2 * decoded + 9
 
 
 def _full_scale(path: Path, image: npt.NDArray[Any]) -> int:

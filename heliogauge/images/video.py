@@ -17,8 +17,15 @@ import numpy.typing as npt
 
 from heliogauge.doubts import Doubt, Severity
 from heliogauge.errors import InputError
+from heliogauge.files.regular import open_regular
 from heliogauge.images.video_names import FRAME
 
+#: Largest frame that is read; 8K video has 33 million pixels.
+MOST_FRAME_PIXELS = 134_000_000
+
+_BOXES = frozenset({b"ftyp", b"moov", b"mdat", b"free", b"wide", b"skip", b"pnot"})
+_NEEDED = "an undamaged MP4, MOV, AVI, MKV or MPEG file is needed, or photos"
+_MATROSKA, _MPEG, _TRANSPORT_BYTES = b"\x1a\x45\xdf\xa3", (b"\0\0\1\xba", b"\0\0\1\xb3"), 188
 #: Each thread reads on from where it was; it comes to its frames in ascending order.
 _OWN = threading.local()
 
@@ -106,14 +113,30 @@ def read_frame(path: Path) -> npt.NDArray[np.uint8]:
     return reader.latest
 
 
+def _is_container(content: bytes) -> bool:
+    """Return whether a file begins as those do that hold frames themselves."""
+    is_avi = content.startswith(b"RIFF") and content[8:12] == b"AVI "
+    is_stream = content[:1] == b"G" and content[_TRANSPORT_BYTES:] == b"G"
+    return is_avi or is_stream or content[4:8] in _BOXES or content.startswith((_MATROSKA, *_MPEG))
+
+
 def _open(video: Path) -> Any:
-    if not video.is_file():
-        raise InputError(f"{video}: there is no such video")
-    capture = cv2.VideoCapture(str(video))
+    with open_regular(video, "a video") as file:
+        beginning = file.read(_TRANSPORT_BYTES + 1)
+    if not _is_container(beginning):
+        # The decoder also takes lists of other files and addresses, and follows them.
+        raise InputError(f"{video}: cannot be opened as a video ({video.stat().st_size} bytes); {_NEEDED}")
+    try:
+        capture = cv2.VideoCapture(str(video), cv2.CAP_FFMPEG)
+    except cv2.error as error:
+        raise InputError(f"{video}: cannot be opened as a video ({error.err})") from None
     if not capture.isOpened():
+        raise InputError(f"{video}: cannot be opened as a video ({video.stat().st_size} bytes); {_NEEDED}")
+    width, height = (int(capture.get(one)) for one in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT))
+    if not 0 < width * height <= MOST_FRAME_PIXELS:
+        capture.release()
         raise InputError(
-            f"{video}: cannot be opened as a video ({video.stat().st_size} bytes); an undamaged MP4, MOV or AVI is "
-            "needed, or photos"
+            f"{video}: frames of {width} x {height} px; at most {MOST_FRAME_PIXELS / 1e6:.0f} million pixels are read"
         )
     capture.set(cv2.CAP_PROP_ORIENTATION_AUTO, 0)
     return capture

@@ -1,10 +1,12 @@
 """Images that a measurement.toml names, in the order in which people count."""
 
+import os
 import re
 from collections.abc import Sequence
 from pathlib import Path
 
 from heliogauge.errors import InputError
+from heliogauge.files.own_folder import refuse_leading_out
 
 
 def natural_order(name: str) -> list[tuple[int, int | str]]:
@@ -30,12 +32,18 @@ def image_files(folder: Path, key: str, named: str | Sequence[str]) -> tuple[Pat
     if isinstance(named, str):
         if Path(named).is_absolute() or not any(sign in named for sign in "*?["):
             raise InputError(f"{file}: {key} = {named!r}: give a list of files, or a pattern such as 'photo_*.png'")
-        found = sorted(folder.glob(named), key=lambda path: natural_order(str(path.relative_to(folder))))
+        try:
+            found = sorted(folder.glob(named), key=lambda path: natural_order(str(path.relative_to(folder))))
+        except (OSError, ValueError, NotImplementedError, RuntimeError) as error:
+            raise InputError(f"{file}: {key} = {named!r}: is no pattern of files ({error})") from None
         if not found:
             raise InputError(f"{file}: {key} = {named!r}: no file in {folder} matches")
+        refuse_leading_out(folder, found)
         return tuple(found)
-    missing = [text for text in named if not (folder / text).is_file()]
+    missing = [text for text in named if not os.path.isfile(folder / text)]
     if missing:
         others = f" (and {len(missing) - 1} more)" if len(missing) > 1 else ""
         raise InputError(f"{file}: {key}: there is no file {missing[0]!r}{others} in {folder}")
-    return tuple(folder / text for text in named)
+    files = tuple(folder / text for text in named)
+    refuse_leading_out(folder, files)
+    return files

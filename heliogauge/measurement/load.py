@@ -4,7 +4,7 @@ The reader of an instrument (``keys``) is the border: whatever it returns is com
 exist. Everything else ends as one `InputError` that names file, key, value and remedy.
 """
 
-import tomllib
+import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, TypeVar, get_args
@@ -12,6 +12,9 @@ from typing import Any, TypeVar, get_args
 from pydantic import ValidationError
 
 from heliogauge.errors import InputError
+from heliogauge.files.own_folder import refuse_leading_out
+from heliogauge.files.regular import refuse_silent
+from heliogauge.files.texts import read_toml
 from heliogauge.instruments import Kind, every_kind, near_match, resolve
 from heliogauge.measurement.faults import fault_lines
 from heliogauge.measurement.models import MeasurementModel
@@ -48,7 +51,7 @@ def kind_of(folder: Path) -> Kind:
 
     InputError: No such folder or file, not TOML, or a kind that no instrument measures.
     """
-    if not (folder / MEASUREMENT_FILE).exists():
+    if not os.path.lexists(folder / MEASUREMENT_FILE):
         for kind in every_kind().values():
             if kind.recognises and resolve(kind.recognises)(folder):
                 return kind
@@ -92,9 +95,10 @@ def refuse_missing(file: Path, paths: Sequence[Path]) -> None:
     file: The measurement.toml.
     InputError: Some do not exist; all of them are named.
     """
-    missing = [str(path.relative_to(file.parent)) for path in dict.fromkeys(paths) if not path.is_file()]
+    missing = [str(path.relative_to(file.parent)) for path in dict.fromkeys(paths) if not os.path.isfile(path)]
     if missing:
         raise InputError(f"{file}: there is no file {', '.join(missing)} in {file.parent}")
+    refuse_leading_out(file.parent, paths)
 
 
 def _validated(content: dict[str, Any], model_type: type[_ModelT], file: Path) -> _ModelT:
@@ -108,19 +112,14 @@ def _validated(content: dict[str, Any], model_type: type[_ModelT], file: Path) -
 
 def _read_toml(folder: Path, kind: str = "") -> dict[str, Any]:
     file = folder / MEASUREMENT_FILE
-    if not folder.is_dir():
+    refuse_silent(folder)
+    if not os.path.isdir(folder):
         raise InputError(f"{folder}: there is no such folder; give a folder with {MEASUREMENT_FILE} and its images")
-    if not file.is_file():
+    if not os.path.lexists(file):
         command = every_kind()[kind].init_command(str(folder)) if kind else f"INSTRUMENT init {folder}"
         raise InputError(f"{file}: there is no such file; write one with `heliogauge {command}` and fill it in")
-    try:
-        return tomllib.loads(file.read_bytes().decode("utf-8-sig"))
-    except UnicodeDecodeError as error:
-        raise InputError(f"{file}: byte {error.start} is not UTF-8; save the file as UTF-8 text") from None
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(f"{file}: not valid TOML: {error}; correct that line") from None
-    except OSError as error:
-        raise InputError(f"{file}: cannot be read ({error.strerror}); check its permissions") from None
+    refuse_leading_out(folder, [file])
+    return read_toml(file)
 
 
 def _kind(content: dict[str, Any], file: Path) -> Kind:

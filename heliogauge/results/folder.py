@@ -12,6 +12,7 @@ from typing import Any
 from heliogauge import __version__
 from heliogauge.doubts import Doubt, doubt_content, read_doubt
 from heliogauge.errors import InputError
+from heliogauge.files.regular import open_regular
 from heliogauge.results.json_file import read_json, write_json
 from heliogauge.results.slope_map_file import (
     ASSEMBLED,
@@ -252,11 +253,11 @@ def _relative_name(path: Path, root: Path | None) -> str:
 
 
 def _hash_file(path: Path) -> str:
-    try:
-        with path.open("rb") as file:
+    with open_regular(path) as file:
+        try:
             return hashlib.file_digest(file, "sha256").hexdigest()
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror or error})") from error
+        except OSError as error:
+            raise InputError(f"{path}: cannot be read ({error.strerror or error})") from error
 
 
 class ResultFolder(WholeFolder):

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from heliogauge.errors import InputError
+from heliogauge.files import texts
 
 
 def write_json(path: Path, content: Mapping[str, Any]) -> None:
@@ -27,12 +28,7 @@ def write_json(path: Path, content: Mapping[str, Any]) -> None:
 
 def read_json(path: Path) -> dict[str, Any]:
     """Read a JSON file that holds an object."""
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror or error})") from error
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"{path}: not valid JSON ({error})") from error
+    content = texts.read_json(path)
     if not isinstance(content, dict):
         raise InputError(f"{path}: a JSON object is needed, not a {type(content).__name__}")
     return content

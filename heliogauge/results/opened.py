@@ -1,6 +1,7 @@
 """The results of any instrument as one view of their folder."""
 
 import html
+import io
 import os
 import shutil
 import weakref
@@ -11,6 +12,8 @@ from typing import TYPE_CHECKING, Any
 
 from heliogauge.doubts import Doubt
 from heliogauge.errors import InputError
+from heliogauge.files.hdf5 import read_netcdf
+from heliogauge.files.regular import read_regular
 from heliogauge.results.folder import SUMMARY_FILE, ResultFolder, Summary, read_summary
 from heliogauge.short_repr import shortened
 
@@ -36,7 +39,11 @@ class Tables(Mapping[str, Any]):
             raise InputError(f"table {name!r} is not among the results; there are: {', '.join(self._files) or 'none'}")
         import pandas
 
-        return pandas.read_csv(self._files[name])
+        content = read_regular(self._files[name], "a CSV file")
+        try:
+            return pandas.read_csv(io.BytesIO(content))
+        except (ValueError, OverflowError, RecursionError) as error:
+            raise InputError(f"{self._files[name]}: cannot be read as CSV ({str(error)[:200]})") from error
 
     def __contains__(self, name: object) -> bool:
         """Return whether there is a table of this name, without reading it."""
@@ -150,9 +157,7 @@ class Result:
         """The slope map; of several facets the assembled one."""
         if not self._has_map():
             raise InputError(f"{self.folder}: results of the kind {self.kind!r} have no slope map ({SLOPE_MAP_FILE})")
-        import xarray
-
-        return xarray.load_dataset(self.folder / SLOPE_MAP_FILE, engine="h5netcdf")
+        return read_netcdf(self.folder / SLOPE_MAP_FILE)
 
     @cached_property
     def angles(self) -> "xarray.Dataset":
@@ -185,7 +190,7 @@ class Result:
         result["flag"] = slopes["flag"]
         own = self.folder / "angles.nc"
         if own.is_file():
-            more = xarray.load_dataset(own, engine="h5netcdf")
+            more = read_netcdf(own)
             result = result.assign({name: (("y", "x"), one.values, one.attrs) for name, one in more.items()})
             result.attrs |= more.attrs
         return result

@@ -18,6 +18,7 @@ import numpy.typing as npt
 
 from heliogauge import __version__
 from heliogauge.errors import InputError
+from heliogauge.files.hdf5 import open_hdf5
 from heliogauge.flags import FLAG_TEXTS, SampleFlag
 from heliogauge.slopes.map import CommonModes, SlopeMap, no_common_modes
 
@@ -180,23 +181,20 @@ def read_pixels(path: Path) -> dict[str, npt.NDArray[Any]]:
         return {name: file[name][...] for name in file if name in PIXEL_VARIABLES}
 
 
-def open_file(path: Path) -> Any:
-    """Open a NetCDF-4 file of results.
+@contextmanager
+def open_file(path: Path) -> Iterator[Any]:
+    """Open a NetCDF-4 file of results for reading.
 
-    Returns: Open for reading; to be closed by the caller.
+    InputError: As `heliogauge.files.hdf5.open_hdf5`; or written by another program, or a later version.
     """
-    try:
-        file = h5py.File(path, "r")
-    except OSError as error:
-        raise InputError(f"{path}: not a readable NetCDF-4 file ({error})") from error
-    schema = int(file.attrs.get("heliogauge_schema", 0))
-    if not 1 <= schema <= SLOPE_MAP_SCHEMA:
-        file.close()
-        raise InputError(
-            f"{path}: heliogauge_schema {schema} is not one this version reads (1 to {SLOPE_MAP_SCHEMA}); "
-            "a results file of heliogauge is needed, of this version or older"
-        )
-    return file
+    with open_hdf5(path) as file:
+        schema = int(file.attrs.get("heliogauge_schema", 0))
+        if not 1 <= schema <= SLOPE_MAP_SCHEMA:
+            raise InputError(
+                f"{path}: heliogauge_schema {schema} is not one this version reads (1 to {SLOPE_MAP_SCHEMA}); "
+                "a results file of heliogauge is needed, of this version or older"
+            )
+        yield file
 
 
 def _group_name(name: str) -> str:

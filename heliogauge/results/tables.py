@@ -1,6 +1,5 @@
 """Points, cameras and poses on disk: ``points.csv``, ``camera.json``, ``cameras.json`` and other small tables."""
 
-import csv
 import operator
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -13,6 +12,7 @@ import numpy.typing as npt
 from heliogauge.camera.distortion import BrownDistortion, DistortionDirection
 from heliogauge.camera.model import PARAMETER_NAMES, Camera
 from heliogauge.errors import InputError
+from heliogauge.files.texts import read_csv
 from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.results.json_file import read_json, write_json
 from heliogauge.validate import FloatArray, covariance_matrix, float_array
@@ -150,14 +150,11 @@ def read_table_csv(path: Path, needed: Sequence[str] = ()) -> dict[str, list[str
 
     needed: Columns that must be there.
     """
-    try:
-        with path.open(encoding="utf-8-sig", newline="") as file:
-            rows = list(csv.reader(file))
-    except UnicodeDecodeError as error:
-        raise InputError(f"{path}: cannot be read as CSV ({error}); save it as UTF-8") from error
-    except (OSError, csv.Error) as error:
-        raise InputError(f"{path}: cannot be read as CSV ({error})") from error
-    header = [name.strip() for name in rows[0]] if rows else []
+    rows = read_csv(path)
+    header = [name.strip() for name in rows[0][1]] if rows else []
+    twice = next((name for name in needed if header.count(name) > 1), None)
+    if twice is not None:
+        raise InputError(f"{path}: the column {twice!r} is there {header.count(twice)} times; keep one")
     missing = [name for name in needed if name not in header]
     if missing:
         other = next((sign for sign in (";", "\t") if len(header) == 1 and sign in header[0]), None)
@@ -165,7 +162,7 @@ def read_table_csv(path: Path, needed: Sequence[str] = ()) -> dict[str, list[str
             f"{path}: the columns {', '.join(missing)} are missing; there are: {', '.join(header) or 'none'}"
             + ("" if other is None else f"; cells are parted by {other!r}: save it with commas and decimal points")
         )
-    body = [(number, row) for number, row in enumerate(rows[1:], start=2) if row]
+    body = rows[1:]
     for number, row in body:
         if len(row) != len(header):
             raise InputError(f"{path}, line {number}: {len(header)} cells are needed, not {len(row)}")

@@ -5,6 +5,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 from heliogauge.errors import InputError
+from heliogauge.files.regular import read_regular
 
 THUMBNAIL_FOLDER = "photos"
 #: Thumbnails in one folder of results: 60 of 15 kB are 0.9 MB.
@@ -53,8 +54,8 @@ def read_thumbnails(folder: Path, photos: Iterable[str]) -> dict[str, bytes]:
             status = path.lstat()
             if not stat.S_ISREG(status.st_mode) or status.st_size > _MOST_BYTES:
                 continue
-            data = path.read_bytes()
-        except (OSError, ValueError):
+            data = read_regular(path, "a JPEG file", _MOST_BYTES)
+        except (OSError, ValueError, InputError):
             continue
         if data.startswith(_JPEG_SIGNATURE):
             found[name] = data

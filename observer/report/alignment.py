@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from heliogauge.files.regular import read_regular
 from heliogauge.reporting import page
 from heliogauge.reporting.html import FirstScreen, Html, join, wrap
 from heliogauge.reporting.verdict import verdict_of
@@ -135,7 +136,7 @@ def inputs(results: AlignmentResults) -> Html:
 
 
 def _image(path: Path, note: str) -> Html:
-    data = base64.b64encode(path.read_bytes()).decode("ascii")
+    data = base64.b64encode(read_regular(path)).decode("ascii")
     words = html.escape(note, quote=True)
     image = Html(f'<figure class="wide"><img alt="{words}" src="data:image/png;base64,{data}"></figure>')
     return join(wrap('<div class="figures">', [image], "</div>"), Html(f'<p class="caption">{html.escape(note)}</p>'))

@@ -11,6 +11,8 @@ import numpy as np
 from heliogauge.camera.formats import COLMAP_MODELS, from_colmap, to_colmap
 from heliogauge.camera.model import Camera
 from heliogauge.errors import InputError
+from heliogauge.files.regular import read_regular
+from heliogauge.files.texts import read_text
 from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.measurement.writer import write_text
 from heliogauge.validate import FloatArray, IntArray, float_array
@@ -167,10 +169,7 @@ def _image(where: str, name: str, numbers: Sequence[float], camera: int, keypoin
 
 def _rows(file: Path) -> Iterator[tuple[int, str]]:
     """Yield the lines of a text file that are no comments, with their numbers."""
-    try:
-        lines = file.read_text(encoding="utf-8").splitlines()
-    except UnicodeDecodeError as error:
-        raise InputError(f"{file}: is not text ({error})") from error
+    lines = read_text(file).splitlines()
     yield from ((number, line.strip()) for number, line in enumerate(lines, 1) if not line.startswith("#"))
 
 
@@ -225,7 +224,7 @@ class _Bytes:
     """A binary file, read from left to right."""
 
     def __init__(self, file: Path) -> None:
-        self._file, self._content, self._place = file, file.read_bytes(), 0
+        self._file, self._content, self._place = file, read_regular(file, "a COLMAP file"), 0
 
     def take(self, form: str) -> tuple[Any, ...]:
         self._need(struct.calcsize("<" + form))

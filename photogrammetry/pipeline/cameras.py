@@ -11,6 +11,7 @@ from heliogauge.camera.distortion import BrownDistortion, DistortionDirection
 from heliogauge.camera.millimetres import LensForm, PrincipalOrigin, Sensor, SensorParameters
 from heliogauge.camera.model import Camera
 from heliogauge.errors import InputError
+from heliogauge.files.regular import open_regular
 from heliogauge.images.exif import EXIF_BYTES, focal_length_35mm
 from heliogauge.results.folder import read_camera_json
 from heliogauge.validate import FloatArray
@@ -140,9 +141,9 @@ def _film_focal_length(measurement: PhotogrammetryMeasurement, camera: str, name
 
 def _beginning(path: Path) -> bytes:
     try:
-        with path.open("rb") as file:
+        with open_regular(path) as file:
             return file.read(EXIF_BYTES)
-    except OSError:
+    except (OSError, InputError):
         return b""
 
 

@@ -1,7 +1,5 @@
 """A user's own ring codes from a file, CSV or TOML, and dictionaries by name or file."""
 
-import csv
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
@@ -9,11 +7,14 @@ from pathlib import Path
 from typing import Any
 
 from heliogauge.errors import InputError
+from heliogauge.files.texts import csv_rows, read_text, read_toml
 from photogrammetry.targets.coded_targets import RingDictionary, ring_dictionary
 from photogrammetry.targets.ring_codes import RingRadii, Sense
 
 #: Keys of the print, in CSV as comment lines before the table: ``# bits = 12``.
 _KEYS = ("name", "bits", "sense", "inner_radius", "outer_radius")
+#: A dictionary of 20 bit has 52,487 words at most.
+MOST_CODES_BYTES = 8 << 20
 _SUFFIXES = (".csv", ".toml")
 
 
@@ -61,13 +62,7 @@ def read_ring_codes(path: Path) -> RingDictionary:
         a text of its bits, highest first.
     Returns: The dictionary, under the file's name.
     """
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except FileNotFoundError:
-        raise InputError(f"{path}: there is no such file; it should hold the words of your ring codes") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: cannot be read as text: {error}") from None
-    says, names, words = _from_toml(path, text) if path.suffix.lower() == ".toml" else _from_csv(path, text)
+    says, names, words = _from_toml(path) if path.suffix.lower() == ".toml" else _from_csv(path)
     bits = _number(path, says, "bits", None)
     if bits != int(bits):
         raise InputError(f"{path}: bits = {bits:g}: a whole number is needed")
@@ -86,11 +81,8 @@ def read_ring_codes(path: Path) -> RingDictionary:
 Content = tuple[Mapping[str, Any], Sequence[str], Sequence[Any]]
 
 
-def _from_toml(path: Path, text: str) -> Content:
-    try:
-        says = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(f"{path}: is not TOML: {error}") from None
+def _from_toml(path: Path) -> Content:
+    says = read_toml(path)
     words, codes = says.pop("words", None), says.pop("codes", None)
     _check_keys(path, says, (*_KEYS, "words", "codes"))
     if (words is None) == (codes is None):
@@ -104,10 +96,10 @@ def _from_toml(path: Path, text: str) -> Content:
     return says, list(codes), list(codes.values())
 
 
-def _from_csv(path: Path, text: str) -> Content:
+def _from_csv(path: Path) -> Content:
     says: dict[str, Any] = {}
     lines = []
-    for line in text.splitlines():
+    for line in read_text(path, "a CSV file", MOST_CODES_BYTES).splitlines():
         if not line.lstrip().startswith("#"):
             lines.append(line)
             continue
@@ -115,7 +107,8 @@ def _from_csv(path: Path, text: str) -> Content:
         if equals:
             says[key.strip()] = value.strip().strip('"')
     _check_keys(path, says, _KEYS)
-    rows = [[cell.strip() for cell in row] for row in csv.reader(lines) if any(cell.strip() for cell in row)]
+    stripped = ([cell.strip() for cell in row] for _, row in csv_rows(lines, str(path)))
+    rows = [row for row in stripped if any(row)]
     if not rows or "word" not in rows[0]:
         raise InputError(f"{path}: a column word is needed (and name, if the words are not the names)")
     strangers = set(rows[0]) - {"name", "word"}

@@ -34,7 +34,7 @@ DESCRIPTIONS = frozenset(
 DEMONSTRATION = "heliogauge.running.demo"
 
 #: Rooms of the kernel that open files or talk to people; numeric modules do without.
-KERNEL_BORDER = ("images", "measurement", "results", "reporting", "view", "running")
+KERNEL_BORDER = ("files", "images", "measurement", "results", "reporting", "view", "running")
 #: Modules of those rooms that hold values alone.
 KERNEL_VALUES = frozenset({"heliogauge.running.progress", "heliogauge.running.threads"})
 
@@ -43,13 +43,13 @@ BORDER_LIBRARIES = {
     "pathlib": "files belong to images, measurement, results, files, report, pipeline and cli",
     "os": "files and processes belong to the border",
     "shutil": "files belong to the border",
-    "tomllib": "measurement files belong to heliogauge.measurement",
+    "tomllib": "files belong to heliogauge.files",
     "logging": "the core neither logs nor prints; it returns values and raises errors",
     "matplotlib": "figures belong to the report rooms",
     "plotly": "figures belong to the report rooms",
     "rich": "the core never imports the terminal",
     "typer": "commands belong to cli modules",
-    "h5py": "files belong to heliogauge.results and the exchange rooms",
+    "h5py": "files belong to heliogauge.files and heliogauge.results",
     "h5netcdf": "files belong to heliogauge.results",
     "xarray": "files belong to heliogauge.results",
     "pydantic": "validated files belong to keys",

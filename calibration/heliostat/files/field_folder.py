@@ -10,6 +10,8 @@ from types import TracebackType
 from typing import Any, TextIO
 
 from heliogauge.errors import InputError
+from heliogauge.files.regular import read_regular
+from heliogauge.files.texts import parse_json
 from heliogauge.results.folder import SUMMARY_FILE
 
 #: What is finished, one line each; it is gone when the whole field is.
@@ -122,13 +124,14 @@ class FieldFolder:
 def _read_journal(folder: Path) -> dict[str, tuple[str, dict[str, Any]]]:
     finished: dict[str, tuple[str, dict[str, Any]]] = {}
     try:
-        lines = (folder / JOURNAL_FILE).read_text(encoding="utf-8").splitlines()
-    except FileNotFoundError:
+        lines = read_regular(folder / JOURNAL_FILE).decode("utf-8", "replace").splitlines()
+    except InputError:
+        # None: nothing is finished.
         return finished
     for line in lines:
         # The last line may be half: its heliostat is then done again.
-        with contextlib.suppress(ValueError, KeyError, TypeError):
-            entry = json.loads(line)
+        with contextlib.suppress(InputError, KeyError, TypeError):
+            entry = parse_json(line, JOURNAL_FILE)
             finished[entry["name"]] = (entry["digest"], entry["row"])
     return finished
 

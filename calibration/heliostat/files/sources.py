@@ -4,7 +4,6 @@ A task holds everything that is needed for one heliostat, so that it can be work
 machine; tasks are made one at a time, so that a field of any size fits into memory.
 """
 
-import csv
 import hashlib
 import math
 from array import array
@@ -28,14 +27,18 @@ from calibration.heliostat.files.store_paint import (
 from calibration.heliostat.keys import HeliostatMeasurement, HeliostatTargetSection, SiteSection
 from calibration.heliostat.kinematic_model.design import PlaneTarget
 from calibration.heliostat.observations.plant import Plant
-from calibration.heliostat.observations.rows import NUMBER_COLUMNS, TEXT_COLUMNS, check_header
+from calibration.heliostat.observations.rows import NUMBER_COLUMNS, TEXT_COLUMNS, check_header, split_line
 from heliogauge.errors import InputError
+from heliogauge.files.regular import open_regular
+from heliogauge.files.texts import read_text
 from heliogauge.geometry.geodesy import enu_from_geodetic
 from heliogauge.geometry.sun import Site
 from heliogauge.results.json_file import read_json
 from heliogauge.results.tables import read_table_csv
 from heliogauge.validate import FloatArray
 
+#: Longest line of a table of observations, and largest record of one: real ones have some 100 B and 2 KiB.
+_LONGEST_LINE, _MOST_RECORD_BYTES = 1 << 20, 16 << 20
 _POSITION = ("e_m", "n_m", "u_m")
 _GEODETIC = ("lat_deg", "lon_deg", "alt_m")
 
@@ -120,7 +123,7 @@ class _TableSource:
         return _index_lines(self._observations, self.header, only)
 
     def tasks(self, names: tuple[str, ...]) -> Iterator[HeliostatTask]:
-        with self._observations.open("rb") as file:
+        with open_regular(self._observations, "a CSV file") as file:
             for name in names:
                 places = self._index.get(name, array("Q"))
                 records = []
@@ -167,12 +170,13 @@ def _read_heliostats(file: Path) -> dict[str, dict[str, str]]:
 
 
 def _read_header(file: Path) -> tuple[str, ...]:
+    with open_regular(file, "a CSV file") as opened:
+        line = opened.readline(_LONGEST_LINE)
     try:
-        with file.open(encoding="utf-8-sig", newline="") as opened:
-            first = opened.readline()
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{file}: cannot be read as CSV ({error})") from error
-    header = tuple(name.strip() for name in next(csv.reader([first]), []))
+        first = line.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise InputError(f"{file}: cannot be read as CSV ({error}); save it as UTF-8") from error
+    header = tuple(name.strip() for name in split_line(first))
     if len(header) == 1 and (";" in first or "\t" in first):
         raise InputError(f"{file}: columns are separated by ';' or tabs; commas are needed")
     check_header(header, str(file), (*TEXT_COLUMNS, *NUMBER_COLUMNS))
@@ -202,8 +206,11 @@ def _index_lines(file: Path, header: tuple[str, ...], only: str | None) -> "dict
     column = header.index("heliostat") if "heliostat" in header else -1
     index: dict[str, array[int]] = {}
     offset = 0
-    with file.open("rb") as opened:
-        for number, line in enumerate(opened, start=1):
+    with open_regular(file, "a CSV file") as opened:
+        lines = iter(lambda: opened.readline(_LONGEST_LINE), b"")
+        for number, line in enumerate(lines, start=1):
+            if len(line) == _LONGEST_LINE:
+                raise InputError(f"{file}, line {number}: longer than {_LONGEST_LINE} bytes; is it a CSV file?")
             if number > 1 and line.strip():
                 name = str(only) if column < 0 else _cell(line, column, file, number)
                 index.setdefault(name, array("Q")).extend((offset, number))
@@ -217,10 +224,10 @@ def _cell(line: bytes, column: int, file: Path, number: int) -> str:
             cells = line.split(b",", column + 1)
             name = cells[column].decode("utf-8").strip()
         else:
-            name = next(csv.reader([line.decode("utf-8")]))[column].strip()
+            name = split_line(line.decode("utf-8"))[column].strip()
     except UnicodeDecodeError:
         raise InputError(f"{file}, line {number}: not UTF-8; save the file as UTF-8 text") from None
-    except (IndexError, StopIteration):
+    except IndexError:
         name = ""
     if not name:
         raise InputError(f"{file}, line {number}: the heliostat's name is missing")
@@ -286,9 +293,9 @@ def _site(section: SiteSection) -> Site:
 
 def _text(file: Path, faults: list[str]) -> str:
     try:
-        return file.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        faults.append(f"{file}: cannot be read ({error})")
+        return read_text(file, "a JSON file", _MOST_RECORD_BYTES)
+    except InputError as error:
+        faults.append(str(error))
         return ""
 
 

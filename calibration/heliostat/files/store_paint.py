@@ -5,7 +5,6 @@ and ``first_joint_translation_e``, ``axis_1_motor_position`` and ``Axis1MotorPos
 ``B_axis_1``. In all of them the sun's azimuth is 0 in the south and positive to the east, its elevation as seen.
 """
 
-import json
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -19,6 +18,7 @@ from calibration.heliostat.kinematic_model.design import HeliostatDesign, PlaneT
 from calibration.heliostat.observations.rows import NO_TIME, Rows, Verdicts, parse_times, rows_of
 from heliogauge.doubts import Doubt
 from heliogauge.errors import InputError
+from heliogauge.files.texts import parse_json
 from heliogauge.geometry.geodesy import enu_from_geodetic, geodetic_from_enu
 from heliogauge.measurement.files import natural_order
 from heliogauge.results.json_file import read_json
@@ -227,10 +227,7 @@ def parse_properties(text: str, where: str) -> PaintProperties:
 
 
 def _parsed(text: str, where: str) -> dict[str, Any]:
-    try:
-        content = json.loads(text)
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"{where}: not valid JSON ({error}); is the file whole?") from error
+    content = parse_json(text, where, nan=True)
     if not isinstance(content, dict):
         raise InputError(f"{where}: a JSON object is needed, not a {type(content).__name__}")
     return content

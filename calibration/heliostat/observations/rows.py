@@ -167,8 +167,16 @@ def _cells(lines: Sequence[str]) -> list[list[str]]:
     """Split each line by itself: a quotation mark that is never closed must not swallow the rows below it."""
     whole = [line.rstrip("\r\n").replace("\r", " ") for line in lines]
     if not any('"' in line for line in whole):
-        return list(csv.reader(whole))
-    return [next(csv.reader([line]), []) for line in whole]
+        return [line.split(",") if line else [] for line in whole]
+    return [split_line(line) for line in whole]
+
+
+def split_line(line: str) -> list[str]:
+    """Split one line of CSV by itself; no cells where it cannot be split."""
+    try:
+        return next(csv.reader([line]), [])
+    except csv.Error:
+        return []
 
 
 def _numbers(name: str, cells: Sequence[str], verdicts: Verdicts) -> FloatArray:

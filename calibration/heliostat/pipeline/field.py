@@ -30,6 +30,7 @@ from calibration.heliostat.pipeline.one_heliostat import calibrate_one
 from calibration.heliostat.pipeline.writing import write_result
 from heliogauge import __version__
 from heliogauge.doubts import Doubt
+from heliogauge.files.regular import read_regular
 from heliogauge.results.folder import Summary, hash_files, write_summary
 from heliogauge.results.frame import add_report, into_folder
 from heliogauge.running.progress import Progress, SilentProgress
@@ -206,4 +207,4 @@ def _finish(shared: Shared, task: HeliostatTask) -> _Finished:
             result, durations_s={"calibrate": result.duration_s}, input_sha256={"task": task.digest("")}
         )
         write_result(result, shared, folder, summary)
-        return _Finished(field_row(result), {file.name: file.read_bytes() for file in folder.iterdir()})
+        return _Finished(field_row(result), {file.name: read_regular(file) for file in folder.iterdir()})

@@ -9,6 +9,7 @@ import numpy as np
 
 from calibration.heliostat.report import figures_residuals as figures
 from calibration.heliostat.report.results import FieldReport, HeliostatReport
+from heliogauge.files.regular import read_regular
 from heliogauge.reporting import page
 from heliogauge.reporting.html import Html, join, show, table
 from heliogauge.reporting.notation import number_text
@@ -94,7 +95,7 @@ def beam_section(report: HeliostatReport) -> Html:
     files = sorted(report.folder.glob("beam_*.png"))
     if not files:
         return Html("")
-    data = [base64.b64encode(file.read_bytes()).decode("ascii") for file in files]
+    data = [base64.b64encode(read_regular(file)).decode("ascii") for file in files]
     images = [
         f'<figure><img alt="{file.stem}" src="data:image/png;base64,{text}"></figure>'
         for file, text in zip(files, data, strict=True)

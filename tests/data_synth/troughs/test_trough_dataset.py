@@ -342,7 +342,7 @@ def test_impossible_scenes_are_refused(tmp_path: Path) -> None:
         TubeAxis.straight(3.0)
     with pytest.raises(InputError, match="jpeg_quality"):
         TroughOptions(jpeg_quality=0)
-    with pytest.raises(InputError, match="cannot be read"):
+    with pytest.raises(InputError, match="there is no such file"):
         (tmp_path / "truth.json").write_text("{}", encoding="utf-8")
         read_trough_truth(tmp_path)
     heights = HeightGrid(np.linspace(-3, 3, 5), np.linspace(-4, 4, 5), np.zeros((5, 5)))

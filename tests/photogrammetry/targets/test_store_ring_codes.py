@@ -82,7 +82,7 @@ def test_faults_are_named_with_the_file(tmp_path: Path, text: str, message: str)
 def test_files_that_are_not_there_and_toml_that_is_none(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no such file"):
         load_dictionary("codes.csv", tmp_path)
-    with pytest.raises(InputError, match="is not TOML"):
+    with pytest.raises(InputError, match="not valid TOML"):
         read_ring_codes(written(tmp_path, "bits 12", "a.toml"))
     with pytest.raises(InputError, match="one of both"):
         read_ring_codes(written(tmp_path, "bits = 12\n", "a.toml"))

@@ -1,0 +1,123 @@
+"""Files are opened in one guarded way: `heliogauge.files` checks kind, size and content of what others wrote."""
+
+import ast
+
+import pytest
+
+from tests.architecture.source_tree import Module, all_modules
+
+HOME = "heliogauge.files"
+#: Modules that do open or decode something themselves, with the reason.
+ALLOWED = {
+    "heliogauge.images.photos": ("cv2.imdecode", "np.frombuffer"),  # bytes whose header was checked
+    "heliogauge.images.video": ("cv2.VideoCapture",),  # a file whose beginning was checked
+    "heliogauge.results.slope_map_file": ("h5py.File", "json.loads"),  # writes in memory; attributes of an open file
+    "heliogauge.results.json_file": ("json.loads",),  # the name of a key that it writes
+    "heliogauge.results.opened": ("pandas.read_csv",),  # bytes that were read
+    "photogrammetry.exchange.colmap_files": ("np.frombuffer",),  # bytes that were read
+    "calibration.heliostat.observations.rows": ("csv.reader",),  # one line of text
+    "calibration.heliostat.files.store_heliostat": ("json.loads",),  # a text that was checked when it was read
+}
+#: Calls that open, decode or parse files. A method is looked for on any value.
+CALLS = frozenset(
+    {
+        "open",
+        "io.open",
+        "os.open",
+        "json.load",
+        "json.loads",
+        "tomllib.load",
+        "tomllib.loads",
+        "h5py.File",
+        "h5py.is_hdf5",
+        "xarray.open_dataset",
+        "xarray.load_dataset",
+        "xarray.open_datatree",
+        "xarray.open_mfdataset",
+        "xarray.open_dataarray",
+        "cv2.imread",
+        "cv2.imdecode",
+        "cv2.imreadmulti",
+        "cv2.VideoCapture",
+        "cv2.FileStorage",
+        "np.load",
+        "np.genfromtxt",
+        "np.loadtxt",
+        "np.fromfile",
+        "np.memmap",
+        "np.frombuffer",
+        "csv.reader",
+        "csv.DictReader",
+        "pandas.read_csv",
+        "pandas.read_json",
+        "pandas.read_hdf",
+        "zipfile.ZipFile",
+        "pickle.load",
+        "pickle.loads",
+        "runpy.run_path",
+    }
+)
+METHODS = frozenset({"read_text", "read_bytes"})
+_SHORT = {"numpy": "np", "xr": "xarray", "pd": "pandas"}
+
+
+def opened(tree: ast.Module) -> list[tuple[int, str]]:
+    """Return line and name of each call that opens a file for reading."""
+    found = []
+    for node in ast.walk(tree):
+        if not isinstance(node, ast.Call):
+            continue
+        name = ast.unparse(node.func)
+        first, _, rest = name.partition(".")
+        name = ".".join(filter(None, (_SHORT.get(first, first), rest)))
+        method = name.rpartition(".")[2]
+        # Files of the package itself are opened by importlib.resources.
+        is_resource = "files(" in name
+        modes = [one.value for one in [*node.args, *(k.value for k in node.keywords)] if isinstance(one, ast.Constant)]
+        writes = any(isinstance(mode, str) and mode[:1] in ("w", "a", "x") for mode in modes)
+        if name in CALLS or ("." in name and method in METHODS and not is_resource):
+            found.append((node.lineno, name if name in CALLS else method))
+        elif method == "open" and "." in name and not writes and node.args:
+            found.append((node.lineno, "open"))
+    return found
+
+
+@pytest.mark.parametrize(
+    "module", [one for one in all_modules() if one.room != HOME and not one.name.startswith(HOME)], ids=str
+)
+def test_files_are_opened_in_the_guarded_room_only(module: Module) -> None:
+    breaches = [
+        f"{module.path}:{line}: {name}: use heliogauge.files"
+        for line, name in opened(module.tree)
+        if name not in ALLOWED.get(module.name, ())
+    ]
+    assert not breaches, "\n".join(breaches)
+
+
+def test_every_exception_is_used() -> None:
+    unused = [
+        f"{module.name}: {name}"
+        for module in all_modules()
+        for name in ALLOWED.get(module.name, ())
+        if name not in {found for _, found in opened(module.tree)}
+    ]
+    assert not unused
+    assert set(ALLOWED) <= {module.name for module in all_modules()}
+
+
+@pytest.mark.parametrize(
+    ("source", "names"),
+    [
+        ("json.loads(text)", ["json.loads"]),
+        ("x = path.read_text(encoding='utf-8')", ["read_text"]),
+        ("with open(path) as f: pass", ["open"]),
+        ("with path.open('rb') as f: pass", ["open"]),
+        ("with path.open('w') as f: pass", []),
+        ("numpy.load(path)", ["np.load"]),
+        ("xr.open_dataset(path)", ["xarray.open_dataset"]),
+        ("files(home).joinpath(name).read_text()", []),
+        ("read_text(path)", []),
+    ],
+)
+def test_the_search_itself(source: str, names: list[str]) -> None:
+    assert [name for _, name in opened(ast.parse(source))] == names
