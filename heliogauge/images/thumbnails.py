@@ -2,8 +2,10 @@
 
 import cv2
 import numpy as np
+import numpy.typing as npt
 
 from heliogauge.errors import InputError
+from heliogauge.files.image_headers import image_header
 from heliogauge.images.photos import Image
 
 #: Longer side and size of a file: on a page of 60 photos a few hundred pixels show what was found where.
@@ -14,6 +16,21 @@ MOST_BYTES = 15_000
 _SPREAD_PERCENT = (0.5, 99.8)
 _QUALITIES = (80, 65, 50, 35)
 _SMALLEST_SIDE_PX = 16
+
+
+def decode_thumbnail(content: bytes) -> npt.NDArray[np.uint8] | None:
+    """Return the grey values of a thumbnail; None where it is damaged or larger than thumbnails are.
+
+    Returns (height, width): Grey values [DN].
+    """
+    header = image_header(content)
+    if header is None or max(header.width_px, header.height_px) > LONGER_SIDE_PX:
+        return None
+    try:
+        image = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_GRAYSCALE)
+    except cv2.error:
+        return None
+    return None if image is None else np.asarray(image, dtype=np.uint8)
 
 
 def make_thumbnail(image_dn: Image) -> bytes:

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from heliogauge.files.texts import parse_json
 from heliogauge.reporting.html import in_page
 
 if TYPE_CHECKING:
@@ -91,7 +92,7 @@ def _tags(cell: dict[str, Any]) -> Sequence[str]:
 
 def read_notebook(text: str) -> Notebook:
     """Return the notebook that a file's text holds, without outputs."""
-    content = copy.deepcopy(json.loads(text))
+    content = copy.deepcopy(parse_json(text, "the notebook of the report"))
     for cell in content["cells"]:
         if cell["cell_type"] == "code":
             cell.update(execution_count=None, outputs=[])

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from heliogauge.camera.distortion import BrownDistortion, DistortionDirection
 from heliogauge.camera.model import PARAMETER_NAMES, Camera
 from heliogauge.errors import InputError
-from heliogauge.files.texts import read_csv
+from heliogauge.files.texts import MOST_CSV_BYTES, read_csv, read_text
 from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.results.json_file import read_json, write_json
 from heliogauge.validate import FloatArray, covariance_matrix, float_array
@@ -203,10 +203,7 @@ def _quick_columns(
     path: Path, texts: Sequence[str], numbers: Sequence[str]
 ) -> tuple[dict[str, list[str]], dict[str, FloatArray]] | None:
     """Return columns of a table without quotes and gaps; None where the table is not so plain."""
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError):
-        return None
+    text = read_text(path, "a CSV file", MOST_CSV_BYTES)
     header, _, body = text.partition("\n")
     rows = body.rstrip("\n").split("\n")
     names, commas = header.split(","), header.count(",")

@@ -137,9 +137,10 @@ def say_ending(result: Ended, out: Path, *, quiet: bool, as_json: bool = False, 
     """
     say_doubts(result.doubts)
     if as_json:
+        from heliogauge.files.texts import read_text
         from heliogauge.results.folder import SUMMARY_FILE
 
-        typer.echo((out / SUMMARY_FILE).read_text(encoding="utf-8").rstrip())
+        typer.echo(read_text(out / SUMMARY_FILE).rstrip())
     elif not quiet:
         typer.echo(result.headline())
         typer.echo(f"results: {out}{hint}")

@@ -2,9 +2,9 @@
 
 from collections import defaultdict
 
-import cv2
 import numpy as np
 
+from heliogauge.images.thumbnails import decode_thumbnail
 from heliogauge.reporting.canvas import LINE_X, LINE_Y
 from heliogauge.results.folder import read_table_csv
 from heliogauge.results.thumbnails import read_thumbnails
@@ -37,13 +37,13 @@ def photo_view(results: NetworkResults) -> PhotoView | None:
             used, thinning = _used_marks(results, rows, most)
             marks.insert(0, used)
             note = f"{len(rows)} image points, RMS residual {pose.residual_rms_px or 0.0:.4f} px{thinning}"
-        image = cv2.imdecode(np.frombuffer(thumbnails[name], np.uint8), 0) if name in thumbnails else None
+        image = decode_thumbnail(thumbnails[name]) if name in thumbnails else None
         photos.append(
             Photo(
                 name,
                 camera.width_px,
                 camera.height_px,
-                None if image is None else np.asarray(image, dtype=np.uint8),
+                image,
                 tuple(marks),
                 note=note,
                 mark=results.photo_marks[name],

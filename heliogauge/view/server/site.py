@@ -10,6 +10,7 @@ from pathlib import Path
 from urllib.parse import quote
 
 from heliogauge.errors import InputError
+from heliogauge.files.regular import read_regular
 from heliogauge.reporting.build import REPORT_HTML, REPORT_NOTEBOOK
 from heliogauge.reporting.notebook import ShownCell
 from heliogauge.reporting.page_frame import page_frame
@@ -190,10 +191,7 @@ def _file(place: Path) -> Answer:
     shown = kind.startswith(SHOWN_TYPES)
     name = quote(place.name)
     headers = {} if shown else {"Content-Disposition": f"attachment; filename*=UTF-8''{name}"}
-    try:
-        return Answer(place.read_bytes(), kind, headers=headers)
-    except OSError as error:
-        raise InputError(f"{place}: cannot be read ({error.strerror or error})") from error
+    return Answer(read_regular(place), kind, headers=headers)
 
 
 def _stamp(files: Sequence[Path]) -> str:

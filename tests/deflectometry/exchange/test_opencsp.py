@@ -180,7 +180,7 @@ def test_fixed_pattern_and_foreign_files_are_refused_in_words(files: dict[str, P
     with pytest.raises(InputError, match="nothing of a fringe measurement"):
         read_opencsp_file(foreign)
     (tmp_path / "text.json").write_text("no json")
-    with pytest.raises(InputError, match="not valid JSON .*it is no HDF5 file either"):
+    with pytest.raises(InputError, match=r"not valid JSON .*it is no HDF5 file either"):
         read_opencsp_file(tmp_path / "text.json")
     with pytest.raises(InputError, match="no such file"):
         read_opencsp_file(tmp_path / "absent.h5")
