@@ -7,7 +7,7 @@ import stat
 import threading
 from collections.abc import Callable
 from pathlib import Path
-from typing import BinaryIO, TypeVar
+from typing import TypeVar
 
 from heliogauge.errors import InputError
 from heliogauge.files.memory import MIB, refuse_large
@@ -78,7 +78,7 @@ def refuse_silent(path: Path) -> None:
     _answered(path, look)
 
 
-def open_regular(path: Path, kind: str = "a file", most_bytes: int | None = None) -> BinaryIO:
+def open_regular(path: Path, kind: str = "a file", most_bytes: int | None = None) -> io.BufferedReader:
     """Open a regular file for reading.
 
     path: The file; to be closed by the caller.
@@ -111,7 +111,7 @@ def read_regular(path: Path, kind: str = "a file", most_bytes: int = MOST_IMAGE_
     return _explained(path, kind, lambda: _answered(path, read))
 
 
-def _opened(path: Path, kind: str, most_bytes: int | None) -> BinaryIO:
+def _opened(path: Path, kind: str, most_bytes: int | None) -> io.BufferedReader:
     # Without waiting for a writer of a pipe; on a regular file it changes nothing.
     number = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
     try:
@@ -124,7 +124,7 @@ def _opened(path: Path, kind: str, most_bytes: int | None) -> BinaryIO:
                 f"{path}: {status.st_size / MIB:.1f} MiB; {kind} of at most {most_bytes / MIB:g} MiB is read: is it "
                 "the file that is meant?"
             )
-        return io.open(number, "rb")  # noqa: UP020
+        return io.BufferedReader(io.FileIO(number, "rb"))
     except BaseException:
         os.close(number)
         raise
