@@ -115,8 +115,9 @@ def csv_rows(lines: list[str], where: str) -> Iterator[tuple[int, list[str]]]:
             if row:
                 yield rows.line_num, row
     except csv.Error as error:
-        hint = "; is a quotation mark missing?" if "field" in str(error) or "unexpected" in str(error) else ""
-        raise InputError(f"{where}, line {rows.line_num}: cannot be read as CSV ({error}){hint}") from error
+        raise InputError(
+            f"{where}, line {rows.line_num}: cannot be read as CSV ({error}); is a quotation mark missing?"
+        ) from error
 
 
 def _decoded(path: Path, content: bytes, kind: str) -> str:
