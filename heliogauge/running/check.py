@@ -1,10 +1,10 @@
 """Everything that can be found wrong with a measurement folder before it is measured; nothing is written."""
 
-import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from heliogauge.files.texts import read_toml
 from heliogauge.instruments import Kind, resolve
 from heliogauge.measurement.files import image_files
 from heliogauge.measurement.findings import Findings, read_photos
@@ -45,7 +45,7 @@ def _images(folder: Path, measurement: Any, findings: Findings) -> Iterator[Path
         yield from (folder / text for key in _SINGLE if (text := getattr(section, key, None)) is not None)
         return
     file = folder / MEASUREMENT_FILE
-    content = tomllib.loads(file.read_bytes().decode("utf-8-sig")) if file.is_file() else {}
+    content = (findings.attempt(read_toml, file) or {}) if file.is_file() else {}
     section = content.get("images")
     named = section if isinstance(section, dict) else {}
     for key in _SEVERAL:

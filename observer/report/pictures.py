@@ -3,10 +3,10 @@
 from collections import defaultdict
 from typing import TYPE_CHECKING, Literal
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 
+from heliogauge.images.thumbnails import decode_thumbnail
 from heliogauge.reporting.canvas import (
     FAINT,
     INK,
@@ -69,9 +69,11 @@ def photo_view(results: TroughResults) -> PhotoView | None:
     if thumbnails:
         targets, refused = _target_marks(results), _refused_targets(results)
         for name, data in thumbnails.items():
-            image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_GRAYSCALE)
+            image = decode_thumbnail(data)
+            if image is None:
+                continue
             marks = (*_edge_marks(results, name), *targets.get(name, ()), *refused.get(name, ()))
-            found.append(_with_marks(results, name, np.asarray(image, dtype=np.uint8), marks))
+            found.append(_with_marks(results, name, image, marks))
     if not found:
         return None
     figures = [overlay_figure(results)] if has_overlay else []
