@@ -1,0 +1,218 @@
+"""Draw cases, run each in a process of its own with limits, and say what went wrong."""
+
+import contextlib
+import os
+import random
+import resource
+import shutil
+import signal
+import time
+import traceback
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from tests.fuzz.damage import copy_of, spoil
+from tests.fuzz.targets import SEEDS, TARGETS, Target, main, quiet
+
+#: A case that takes longer hangs: undamaged, the slowest takes 6 s on one core.
+HANG_S = 60.0
+MOST_MEMORY_BYTES = 2 * 10**9
+_ADDRESSES_BYTES = 12 * 2**30
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What came of a case.
+
+    fault: Empty where it ended in results or one message; otherwise what went wrong, with the traceback.
+    """
+
+    number: int
+    target: Target
+    damage: str
+    fault: str
+    seconds: float
+    peak_bytes: int
+
+    def __str__(self) -> str:
+        cost = f"{self.seconds:.1f} s, {self.peak_bytes / 1e6:.0f} MB"
+        return f"case {self.number}: {self.target}\n  {self.damage}: {self.fault} ({cost})"
+
+
+def make_seeds(place: Path, names: set[str]) -> dict[str, Path]:
+    """Make undamaged folders, and those that they are made of."""
+    folders = {name: place / name for name in (*SEEDS, "opencsp")}
+    needed = set(names)
+    for name, words in reversed(SEEDS.items()):
+        if name in needed:
+            needed |= {one for one in SEEDS if f"{{{one}}}" in words}
+    for name, words in SEEDS.items():
+        if name in needed and not folders[name].exists():
+            _in_process(lambda words=words: main([word.format(**folders) for word in words]), 600)
+            if not folders[name].is_dir():
+                raise RuntimeError(f"{name} could not be made: {' '.join(words)}")
+    if "opencsp" in needed and not folders["opencsp"].exists():
+        write_opencsp(folders["opencsp"])
+    return folders
+
+
+def run_cases(place: Path, cases: int, seed: int, targets: tuple[Target, ...] = TARGETS) -> Iterator[Outcome]:
+    """Draw damaged folders and run what reads them."""
+    seeds = make_seeds(place / "seeds", {one.seed for one in targets})
+    # What every case needs is imported once: cases are copies of this process.
+    with contextlib.suppress(SystemExit):
+        quiet(lambda: main(["--help"]))
+    _import_all()
+    weights = [one.weight for one in targets]
+    for number in range(cases):
+        yield run_case(place, number, seed, seeds, random.Random(f"{seed}-{number}").choices(targets, weights)[0])
+
+
+def run_case(place: Path, number: int, seed: int, seeds: dict[str, Path], target: Target) -> Outcome:
+    """Run one case in a process of its own."""
+    folder, out = place / "in", place / "out"
+    _remove(place, "in", "out")
+    copy_of(seeds[target.seed], folder)
+    damage = spoil(folder, random.Random(f"{seed}-{number}-damage"))
+    begin = time.monotonic()
+    fault, peak = _in_process(lambda: target.run(folder, out), HANG_S)
+    left = [one.name for one in place.iterdir() if one.name not in {"in", "out", "seeds"}]
+    if left and not fault:
+        fault = f"left behind: {', '.join(left)}"
+    _remove(place, "in", "out", *left)
+    if not fault and peak > MOST_MEMORY_BYTES:
+        fault = "took more than 2 GB of memory"
+    return Outcome(number, target, damage, fault, time.monotonic() - begin, peak)
+
+
+def _in_process(work, limit_s: float) -> tuple[str, int]:
+    """Return what went wrong in a copy of this process (empty: nothing), and its peak of memory."""
+    reading, writing = os.pipe()
+    child = os.fork()
+    if child == 0:
+        _child(work, writing, reading)
+    os.close(writing)
+    os.set_blocking(reading, False)
+    said, end = b"", time.monotonic() + limit_s
+    pause = 0.002
+    while True:
+        with contextlib.suppress(BlockingIOError):
+            while part := os.read(reading, 65536):
+                said += part
+        pid, status, used = os.wait4(child, os.WNOHANG)
+        if pid:
+            break
+        if time.monotonic() > end:
+            os.killpg(child, signal.SIGKILL)
+            _, status, used = os.wait4(child, 0)
+            said = f"hangs: more than {limit_s:.0f} s".encode()
+            break
+        time.sleep(pause)
+        pause = min(pause * 1.5, 0.05)
+    with contextlib.suppress(BlockingIOError):
+        while part := os.read(reading, 65536):
+            said += part
+    os.close(reading)
+    if not said and os.WIFSIGNALED(status):
+        said = f"killed by signal {os.WTERMSIG(status)}".encode()
+    return said.decode("utf-8", "replace"), used.ru_maxrss * 1024
+
+
+def _child(work, writing: int, reading: int) -> None:
+    """Run the work and leave; everything unforeseen goes into the pipe."""
+    said = ""
+    try:
+        os.close(reading)
+        os.setsid()
+        resource.setrlimit(resource.RLIMIT_AS, (_ADDRESSES_BYTES, _ADDRESSES_BYTES))
+        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+        null = os.open(os.devnull, os.O_RDWR)
+        for one in (0, 1, 2):
+            os.dup2(null, one)
+        try:
+            _, err = quiet(work)
+        except SystemExit as end:
+            code = end.code if isinstance(end.code, int) else (0 if end.code is None else 1)
+            said = "" if code in (0, 2) else f"exit code {end.code}"
+        else:
+            said = err if "Traceback" in err else ""
+    except BaseException:
+        said = traceback.format_exc(limit=-6)
+    with contextlib.suppress(OSError):
+        os.set_blocking(writing, True)
+        os.write(writing, said.encode("utf-8", "replace")[-20_000:])
+    os._exit(0)
+
+
+def _remove(place: Path, *names: str) -> None:
+    for name in names:
+        path = place / name
+        if path.is_dir() and not path.is_symlink():
+            shutil.rmtree(path)
+        else:
+            path.unlink(missing_ok=True)
+
+
+def _import_all() -> None:
+    import importlib
+
+    import cv2
+
+    cv2.setNumThreads(1)
+    names = ("deflectometry", "photogrammetry", "observer", "calibration.camera", "calibration.heliostat")
+    for name in (
+        *(f"{one}.cli" for one in names),
+        "matplotlib.pyplot",
+        "pandas",
+        "xarray",
+        "h5netcdf",
+        "scipy.optimize",
+    ):
+        importlib.import_module(name)
+
+
+def write_opencsp(folder: Path) -> None:
+    """Write small files of OpenCSP with every part that an import needs."""
+    import json
+
+    import h5py
+    import numpy as np
+
+    rng = np.random.default_rng(5)
+    content = {
+        "measurement": {
+            "MeasurementSofastFringe/fringe_images": rng.integers(0, 255, (6, 8, 12), dtype=np.uint8),
+            "MeasurementSofastFringe/mask_images": rng.integers(0, 255, (6, 8, 2), dtype=np.uint8),
+            "MeasurementSofastFringe/fringe_periods_x": [0.9, 4.0],
+            "MeasurementSofastFringe/fringe_periods_y": [0.8],
+            "MeasurementSofastFringe/dist_optic_screen": 9.5,
+            "MeasurementSofastFringe/v_measure_point_facet": [0.0, 0.1, 0.0],
+            "MeasurementSofastFringe/name": "made here",
+            "MeasurementSofastFringe/date": "2024-02-03T04:05:06",
+        },
+        "camera": {
+            "Camera/intrinsic_mat": np.array([[700.0, 0, 4.0], [0, 690.0, 3.0], [0, 0, 1.0]]),
+            "Camera/distortion_coef": [[-0.1, 0.2, 1e-4, 2e-4]],
+            "Camera/image_shape_xy": [8, 6],
+            "Camera/name": "small",
+        },
+        "display": {
+            "DisplayShape/screen_model": "distorted2D",
+            "DisplayShape/name": "wall",
+            "DisplayShape/xy_screen_fraction": [[0.0, 1.0, 0.5], [0.0, 0.0, 0.9]],
+            "DisplayShape/xy_screen_coords": [[-2.0, 2.1, 0.0], [-1.0, -1.1, 0.8]],
+        },
+        "orientation": {
+            "SpatialOrientation/r_cam_screen": [-0.1, 0.3, -0.05],
+            "SpatialOrientation/v_cam_screen_cam": [[1.0], [0.2], [0.3]],
+        },
+    }
+    folder.mkdir(parents=True)
+    for name, parts in content.items():
+        with h5py.File(folder / f"{name}.h5", "w") as file:
+            for key, value in parts.items():
+                file[key] = value
+    corners = {"x": [0.5, -0.5, -0.5, 0.5], "y": [-0.4, -0.4, 0.4, 0.4], "z": [0.0] * 4}
+    facet = {"v_facet_corners": corners, "v_centroid_facet": {"x": [0.01], "y": [0.02], "z": [0.0]}}
+    (folder / "f.json").write_text(json.dumps(facet))
