@@ -13,6 +13,10 @@ class EstimationError(MetrologyError):
     """The data are valid but do not determine the answer; the message gives the numbers and the remedy."""
 
 
+class SweptWarning(UserWarning):
+    """What a killed run had left beside results was removed, or put back."""
+
+
 class ReportWarning(UserWarning):
     """A report could not be made; the results it would have shown are complete on disk."""
 

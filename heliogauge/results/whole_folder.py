@@ -2,13 +2,13 @@
 
 import contextlib
 import errno
-import secrets
 import shutil
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 
 from heliogauge.errors import InputError
+from heliogauge.results.left_over import EARLIER, PARTIAL, hidden_beside, sweep
 
 #: The disk says no, not the program: full, over quota, read-only, worn out.
 _DISK_FAULTS = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EIO, errno.EFBIG})
@@ -51,9 +51,13 @@ class WholeFolder:
 
     def __enter__(self) -> Path:
         """Check the target and make the temporary folder."""
-        self._check_target()
         parent = self._target.parent
-        self._working = parent / f".{self._target.name}.{secrets.token_hex(4)}.partial"
+        try:
+            sweep(self._target)
+        except OSError as error:
+            raise InputError(f"{parent}: cannot be read ({error.strerror or error})") from error
+        self._check_target()
+        self._working = hidden_beside(self._target, PARTIAL)
         try:
             parent.mkdir(parents=True, exist_ok=True)
             self._working.mkdir()
@@ -113,7 +117,7 @@ class WholeFolder:
 
     def _move_into_place(self) -> None:
         self._check_target()
-        earlier = self._target.parent / f".{self._target.name}.{secrets.token_hex(4)}.earlier"
+        earlier = hidden_beside(self._target, EARLIER)
         try:
             had_earlier = self._target.exists()
             if had_earlier:

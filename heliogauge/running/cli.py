@@ -22,7 +22,7 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 from heliogauge import __version__
-from heliogauge.errors import MetrologyError, ReportWarning
+from heliogauge.errors import MetrologyError, ReportWarning, SweptWarning
 from heliogauge.instruments import Instrument, instruments, resolve
 from heliogauge.running.commands import (
     AsJson,
@@ -298,7 +298,7 @@ def _show_warning(
 ) -> None:
     text = (
         f"warning: {message}\n"
-        if issubclass(category, ReportWarning)
+        if issubclass(category, ReportWarning | SweptWarning)
         else warnings.formatwarning(message, category, filename, lineno, line)
     )
     (file or sys.stderr).write(text)
@@ -315,6 +315,7 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
     os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")
     warnings.showwarning = _show_warning
     warnings.simplefilter("always", ReportWarning)
+    warnings.simplefilter("always", SweptWarning)
     try:
         typer.main.get_command(app).main(args=arguments, prog_name="heliogauge")
     except MetrologyError as error:

@@ -327,6 +327,8 @@ BY_SUFFIX: dict[str, tuple[Damage, ...]] = {
     ".jpg": (odd_image,),
     ".tif": (odd_image,),
 }
+# What nothing reads back: truths, and results in the form of other programs.
+_UNREAD = ("truth", "image_points_true", "camera_opencv", "cameras_colmap")
 _TEXTS = frozenset({".json", ".toml", ".csv", ".txt"})
 
 
@@ -335,7 +337,7 @@ def spoil(folder: Path, rng: random.Random) -> str:
 
     Returns: What was done to which, for the list of failures.
     """
-    every = sorted(one for one in folder.rglob("*") if one.is_file() and not one.name.startswith("."))
+    every = sorted(one for one in folder.rglob("*") if one.is_file() and not one.name.startswith(_UNREAD))
     suffix = rng.choice(sorted({one.suffix for one in every}))
     path = rng.choice([one for one in every if one.suffix == suffix])
     own = BY_SUFFIX.get(suffix, ())

@@ -2,7 +2,6 @@
 
 import contextlib
 import json
-import secrets
 import shutil
 from collections.abc import Mapping
 from pathlib import Path
@@ -13,6 +12,7 @@ from heliogauge.errors import InputError
 from heliogauge.files.regular import read_regular
 from heliogauge.files.texts import parse_json
 from heliogauge.results.folder import SUMMARY_FILE
+from heliogauge.results.left_over import EARLIER, hidden_beside, sweep
 
 #: What is finished, one line each; it is gone when the whole field is.
 JOURNAL_FILE = "field_progress.jsonl"
@@ -42,10 +42,11 @@ class FieldFolder:
 
     def __enter__(self) -> "FieldFolder":
         """Check the folder, and read what is finished in it."""
-        self._check()
         try:
+            sweep(self.path)
+            self._check()
             if self._force and self.path.exists() and any(self.path.iterdir()):
-                self._earlier = self.path.parent / f".{self.path.name}.{secrets.token_hex(4)}.earlier"
+                self._earlier = hidden_beside(self.path, EARLIER)
                 self.path.rename(self._earlier)
             self.path.mkdir(parents=True, exist_ok=True)
             self.before = _read_journal(self.path)
