@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+from tests.architecture.source_tree import PACKAGES
 from tests.fuzz.damage import copy_of, spoil
 from tests.fuzz.targets import SEEDS, TARGETS, Target, main, quiet
 
@@ -156,19 +157,16 @@ def _remove(place: Path, *names: str) -> None:
 
 def _import_all() -> None:
     import importlib
+    import pkgutil
 
     import cv2
 
     cv2.setNumThreads(1)
-    names = ("deflectometry", "photogrammetry", "observer", "calibration.camera", "calibration.heliostat")
-    for name in (
-        *(f"{one}.cli" for one in names),
-        "matplotlib.pyplot",
-        "pandas",
-        "xarray",
-        "h5netcdf",
-        "scipy.optimize",
-    ):
+    for package in PACKAGES:
+        for one in pkgutil.walk_packages(importlib.import_module(package).__path__, f"{package}."):
+            if not one.name.endswith("__main__"):
+                importlib.import_module(one.name)
+    for name in ("matplotlib.pyplot", "pandas", "xarray", "h5netcdf", "scipy.optimize"):
         importlib.import_module(name)
 
 
