@@ -5,9 +5,16 @@ measurement, `synth` makes one with known truth, and `report` builds report.html
 (deflectometry, photogrammetry, observer, calibration) have faces of their own.
 """
 
-from typing import TYPE_CHECKING
+# isort: off
+from heliogauge.working_folder import forget_working_folder
 
-from heliogauge.faces import lazy_face
+# Before anything else is imported that a file of the same name could stand for.
+forget_working_folder()
+
+from typing import TYPE_CHECKING  # noqa: E402
+
+from heliogauge.faces import lazy_face  # noqa: E402
+# isort: on
 
 if TYPE_CHECKING:
     from heliogauge.camera.model import Camera as Camera

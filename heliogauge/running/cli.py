@@ -14,6 +14,7 @@ import signal
 import sys
 import warnings
 from collections.abc import Sequence
+from importlib import import_module
 from pathlib import Path
 from types import FrameType
 from typing import Annotated, Any, NoReturn, TextIO
@@ -304,6 +305,17 @@ def _show_warning(
     (file or sys.stderr).write(text)
 
 
+def _read_no_style_here() -> None:
+    """Keep a ``matplotlibrc`` among data out of figures: matplotlib reads the one in the working folder first."""
+    if os.path.lexists("matplotlibrc"):
+        here = os.getcwd()
+        os.chdir(os.path.dirname(__file__))
+        try:
+            import_module("matplotlib")
+        finally:
+            os.chdir(here)
+
+
 def main(arguments: Sequence[str] | None = None) -> NoReturn:
     """Run the command line and leave the process.
 
@@ -313,6 +325,7 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
     signal.signal(signal.SIGTERM, _terminate)
     # One message for one fault: OpenCV's own remarks on a damaged file would stand beside ours. The user's wish counts.
     os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")
+    _read_no_style_here()
     warnings.showwarning = _show_warning
     warnings.simplefilter("always", ReportWarning)
     warnings.simplefilter("always", SweptWarning)

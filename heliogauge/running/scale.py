@@ -20,6 +20,7 @@ from typing import Any, Generic, TypeVar
 from heliogauge import __version__
 from heliogauge.errors import InputError, MetrologyError
 from heliogauge.running.environment import environment
+from heliogauge.working_folder import paths_without_working_folder
 
 _ContextT = TypeVar("_ContextT")
 _TaskT = TypeVar("_TaskT")
@@ -28,7 +29,9 @@ _ResultT = TypeVar("_ResultT")
 #: Tasks under way for each worker: enough that none waits for the next one, few enough that memory stays flat.
 _AHEAD = 4
 #: Threads of a worker's own linear algebra would fight over the cores that other workers have.
-_ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+_OF_WORKERS = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+# Python would look for modules in the working folder first, for its own ones, too.
+_OF_WORKERS["PYTHONSAFEPATH"] = "1"
 _CONNECT_S = 10
 
 
@@ -133,15 +136,18 @@ def _work(task: Any) -> Any:
 
 @contextmanager
 def _main_unseen() -> Iterator[None]:
-    """Start processes that do not run the caller's script again: what they work on is in modules."""
+    """Start processes that run neither the caller's script again nor what lies in the working folder."""
     main = sys.modules["__main__"]
     names: tuple[str, ...] = ("__file__", "__spec__")
     hidden = {name: main.__dict__[name] for name in names if name in main.__dict__}
     main.__dict__.pop("__file__", None)
     main.__spec__ = None
+    paths = list(sys.path)
+    sys.path[:] = paths_without_working_folder()
     try:
         yield
     finally:
+        sys.path[:] = paths
         main.__dict__.update(hidden)
 
 
@@ -164,7 +170,7 @@ def _in_processes(
     function: Callable[[_ContextT, _TaskT], _ResultT], context: _ContextT, tasks: Iterable[_TaskT], processes: int
 ) -> Iterator[Done[_TaskT, _ResultT]]:
     waiting = iter(tasks)
-    with environment(_ONE_THREAD):
+    with environment(_OF_WORKERS):
         while True:
             running: dict[Future[Any], Any] = {}
             try:

@@ -33,6 +33,7 @@ BORDER_ROOMS = frozenset(
 #: Modules of other rooms at the border, one reason each.
 BORDER_MODULES = {
     "heliogauge": "opens measurements and results by their path",
+    "heliogauge.working_folder": "says where modules are looked for",
     "heliogauge.instruments": "finds the instruments by name",
     "deflectometry.pipeline.write_patterns": "writes the frames to display and the tables that describe them",
     "photogrammetry.targets.target_sheets": "writes printable sheets",
