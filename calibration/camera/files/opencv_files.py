@@ -11,6 +11,7 @@ from calibration.camera.files.result_folder import colmap_text, opencv_yaml
 from heliogauge.camera.formats import from_opencv
 from heliogauge.camera.model import PARAMETER_NAMES, Camera
 from heliogauge.errors import InputError
+from heliogauge.files.texts import read_text
 from heliogauge.measurement.imported import IMPORTED, write_imported
 from heliogauge.measurement.writer import write_text
 from heliogauge.results.tables import read_camera_json, write_cameras_json
@@ -126,14 +127,7 @@ def export_camera(result: Path, out: Path, form: str, *, name: str | None = None
 
 
 def _open(file: Path) -> Any:
-    try:
-        if file.stat().st_size > _MOST_BYTES or not file.is_file():
-            raise InputError(f"{file}: no file with the numbers of a camera; OpenCV's YAML, XML or JSON is needed")
-        text = file.read_text(encoding="utf-8-sig")
-    except FileNotFoundError:
-        raise InputError(f"{file}: there is no such file") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{file}: cannot be read as text; OpenCV's YAML, XML or JSON is needed") from error
+    text = read_text(file, "a file of OpenCV's YAML, XML or JSON", _MOST_BYTES)
     if text.startswith("%YAML 1"):
         # Other programs write a space where OpenCV expects a colon.
         text = text.replace("%YAML 1", "%YAML:1", 1)
