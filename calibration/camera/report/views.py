@@ -1,11 +1,11 @@
 """Views of a calibration: maps over the image, photos with their residuals, the radial profile, the network."""
 
-import cv2
 import numpy as np
 from matplotlib.figure import Figure
 
 from calibration.camera.files.result import PhotoResult, Result
 from calibration.camera.report import figures
+from heliogauge.images.thumbnails import decode_thumbnail
 from heliogauge.reporting.canvas import FAINT, LINE_X, LINE_Y
 from heliogauge.results.thumbnails import MOST_THUMBNAILS
 from heliogauge.validate import FloatArray
@@ -103,13 +103,13 @@ def photo_view(result: Result) -> PhotoView:
     for name, mark in photo_marks(result).items():
         photo = own.get(name)
         data = result.thumbnails.get(name)
-        image = None if data is None else cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_GRAYSCALE)
+        image = None if data is None else decode_thumbnail(data)
         shown.append(
             Photo(
                 name,
                 result.camera.width_px,
                 result.camera.height_px,
-                None if image is None else np.asarray(image, dtype=np.uint8),
+                image,
                 () if photo is None else _marks(result, photo),
                 note=f"left out: {result.left_out.get(name, '')}" if photo is None else _note(photo),
                 mark=mark,
