@@ -23,14 +23,10 @@ def explain_faults(path: Path, needed: str) -> Iterator[None]:
     """Turn what taking the content of a file apart raises into a message that names the file.
 
     needed: What the file should be.
-    InputError: Something was raised in the ``with``; an `InputError` gets the file's name in front.
+    InputError: One of `CONTENT_FAULTS` was raised in the ``with``.
     """
     try:
         yield
-    except InputError as error:
-        if str(path) in str(error):
-            raise
-        raise InputError(f"{path}: {error}") from error
     except CONTENT_FAULTS as error:
         text = f"lacks {error}" if isinstance(error, KeyError) else str(error)[:200] or type(error).__name__
         raise InputError(f"{path}: damaged or changed by hand ({text}); {needed} is needed") from error
