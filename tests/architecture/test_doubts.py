@@ -142,7 +142,7 @@ def test_numbers_of_doubts_name_their_unit() -> None:
 
 
 def test_no_warnings_are_raised() -> None:
-    """A doubt that is raised as a warning is in no result; only a missing report and swept folders are said beside it."""
+    """A doubt raised as a warning is in no result; only a missing report and swept folders are said beside it."""
     wrong = [
         f"{module.path}:{node.lineno}"
         for module in all_modules()
