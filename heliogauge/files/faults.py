@@ -1,5 +1,6 @@
 """What goes wrong while the content of a file is taken apart is the file's fault, and says so."""
 
+import traceback
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -28,5 +29,8 @@ def explain_faults(path: Path, needed: str) -> Iterator[None]:
     try:
         yield
     except CONTENT_FAULTS as error:
-        text = f"lacks {error}" if isinstance(error, KeyError) else str(error)[:200] or type(error).__name__
-        raise InputError(f"{path}: damaged or changed by hand ({text}); {needed} is needed") from error
+        last = traceback.extract_tb(error.__traceback__)[-1]
+        text = f"{type(error).__name__}: {str(error)[:200]}, {Path(last.filename).name}:{last.lineno}"
+        raise InputError(
+            f"{path}: damaged or changed by hand ({text}); {needed} is needed. If nobody changed it, report these words"
+        ) from error

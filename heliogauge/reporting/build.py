@@ -8,6 +8,7 @@ import os
 from pathlib import Path
 
 from heliogauge.errors import InputError
+from heliogauge.files.faults import explain_faults
 from heliogauge.instruments import instruments, read_resource
 from heliogauge.reporting.html import FirstScreen, Shown
 from heliogauge.reporting.notebook import Notebook, read_notebook
@@ -15,6 +16,7 @@ from heliogauge.reporting.page_frame import page_frame
 from heliogauge.results.folder import SUMMARY_FILE, Summary, read_summary
 from heliogauge.view.arrays import PAGE, ArrayStore
 
+_NEEDED = "a folder of results as heliogauge wrote it"
 REPORT_HTML = "report.html"
 REPORT_NOTEBOOK = "report.ipynb"
 
@@ -44,7 +46,8 @@ def run_report(folder: Path, store: ArrayStore) -> tuple[Summary, Notebook]:
     """
     summary, notebook = _open(folder)
     try:
-        notebook.run(folder, store)
+        with explain_faults(folder, _NEEDED):
+            notebook.run(folder, store)
     except InputError as error:
         raise InputError(f"{folder}: no report can be made: {error}") from error
     return summary, notebook
@@ -56,9 +59,10 @@ def first_picture(folder: Path) -> Shown | None:
     InputError: No results in the folder, results of a kind without a report, or a file is missing or damaged.
     """
     _, notebook = _open(folder)
-    for _, value in notebook.values(folder):
-        if isinstance(value, FirstScreen):
-            return value.picture
+    with explain_faults(folder, _NEEDED):
+        for _, value in notebook.values(folder):
+            if isinstance(value, FirstScreen):
+                return value.picture
     return None
 
 

@@ -182,7 +182,11 @@ def read_summary(path: Path) -> Summary:
     path = path / SUMMARY_FILE if path.is_dir() else path
     content = read_json(path)
     schema = content.get("schema_version")
-    if content.get("software") != "heliogauge" or schema not in range(1, SUMMARY_SCHEMA + 1):
+    if (
+        content.get("software") != "heliogauge"
+        or not isinstance(schema, int)
+        or schema not in range(1, SUMMARY_SCHEMA + 1)
+    ):
         raise InputError(f"{path}: schema_version {schema} is not one this version reads (1 to {SUMMARY_SCHEMA})")
     renamed = {"version": "software_version"}
     keys = {item.name: renamed.get(item.name, item.name) for item in fields(Summary)}
@@ -192,9 +196,37 @@ def read_summary(path: Path) -> Summary:
     values = {name: content[key] for name, key in keys.items()}
     try:
         doubts = tuple(read_doubt(one) for one in values.pop("doubts"))
-    except (TypeError, KeyError, ValueError) as error:
+    except (TypeError, KeyError, ValueError, AttributeError, OverflowError) as error:
         raise InputError(f"{path}: doubts cannot be read ({error}); code, text, numbers, severity are needed") from None
+    for name in ("kind", "name", "version"):
+        if not isinstance(values[name], str):
+            raise InputError(f"{path}: {keys[name]} = {values[name]!r:.60}: a text is needed")
+    for name in ("texts", "not_determined", "input_sha256"):
+        _check_values(path, keys[name], values[name], str, "texts")
+    for name in ("numbers", "durations_s"):
+        _check_values(path, keys[name], values[name], int | float | None, "numbers")
+    _check_values(path, "facets", values["facets"], dict, "tables of numbers")
+    for facet, own in values["facets"].items():
+        _check_values(path, f"facets.{facet}", own, int | float | None, "numbers")
+    if not isinstance(values["geometry_m"], dict):
+        raise InputError(f"{path}: geometry_m: a table of points is needed")
+    for key in (*values["numbers"], *(key for own in values["facets"].values() for key in own)):
+        try:
+            unit_of(key)
+        except InputError as error:
+            raise InputError(f"{path}: {error}") from None
     return Summary(**values, doubts=doubts)
+
+
+def _check_values(path: Path, key: str, value: Any, kind: Any, what: str) -> None:
+    """Refuse a table whose values are of another kind than they should be."""
+    if not isinstance(value, dict):
+        raise InputError(f"{path}: {key}: a table of {what} is needed, not {value!r:.60}")
+    for name, one in value.items():
+        if not isinstance(one, kind) or isinstance(one, bool):
+            raise InputError(f"{path}: {key}.{name} = {one!r:.60}: {what} are needed here")
+        if isinstance(one, float) and not math.isfinite(one):
+            raise InputError(f"{path}: {key}.{name} = {one}: finite {what} are needed here")
 
 
 def _finite_or_reason(

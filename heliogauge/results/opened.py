@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from heliogauge.doubts import Doubt
 from heliogauge.errors import InputError
+from heliogauge.files.faults import explain_faults
 from heliogauge.files.hdf5 import read_netcdf
 from heliogauge.files.regular import read_regular
 from heliogauge.results.folder import SUMMARY_FILE, ResultFolder, Summary, read_summary
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 SLOPE_MAP_FILE = "slope_map.nc"
+_NEEDED = "a folder of results as heliogauge wrote it"
 #: Numbers and doubts that a notebook shows at once; the others are in `Result.summary` and `Result.doubts`.
 _MOST_NUMBERS, _MOST_DOUBTS = 12, 5
 
@@ -166,6 +168,10 @@ class Result:
         The same for all instruments: ``angle_x`` is positive where the mirror rises too much towards +x, as the slope
         error is, and SDx is its RMS. Troughs add theta_r, theta_a and theta_ra of the Observer, whose sign is theirs.
         """
+        with explain_faults(self.folder, _NEEDED):
+            return self._angles()
+
+    def _angles(self) -> "xarray.Dataset":
         import numpy as np
         import xarray
 
@@ -239,6 +245,10 @@ class Result:
 
     def _picture(self) -> Any:
         """Return the view that shows the result best; None where its kind has none."""
+        with explain_faults(self.folder, _NEEDED):
+            return self._view()
+
+    def _view(self) -> Any:
         if self._has_map():
             from heliogauge.results.slope_map_file import read_slope_map
             from heliogauge.view.maps import slope_map_view

@@ -242,7 +242,7 @@ def plain_value(value: Any) -> Any:
     if isinstance(value, str) and value[:1] in ("{", "["):
         try:
             return json.loads(value)
-        except ValueError:
+        except (ValueError, RecursionError):
             return value
     return value.item() if isinstance(value, np.generic) else value
 

@@ -12,6 +12,7 @@ import numpy.typing as npt
 from heliogauge.camera.distortion import BrownDistortion, DistortionDirection
 from heliogauge.camera.model import PARAMETER_NAMES, Camera
 from heliogauge.errors import InputError
+from heliogauge.files.faults import explain_faults
 from heliogauge.files.texts import MOST_CSV_BYTES, read_csv, read_text
 from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.results.json_file import read_json, write_json
@@ -88,14 +89,15 @@ def write_points_csv(path: Path, points: PointTable) -> None:
 
 def read_points_csv(path: Path) -> PointTable:
     """Read ``points.csv``."""
-    texts, values = read_columns_csv(path, _POINT_COLUMNS[:1], _POINT_COLUMNS[1:])
-    return PointTable(
-        ids=tuple(texts["id"]),
-        xyz_m=np.column_stack([values["x_m"], values["y_m"], values["z_m"]]),
-        sigma_m=np.column_stack([values["sigma_x_m"], values["sigma_y_m"], values["sigma_z_m"]]),
-        n_rays=values["n_rays"].astype(np.int64),
-        flags=values["flag"].astype(np.uint32),
-    )
+    with explain_faults(path, "a points.csv of heliogauge"):
+        texts, values = read_columns_csv(path, _POINT_COLUMNS[:1], _POINT_COLUMNS[1:])
+        return PointTable(
+            ids=tuple(texts["id"]),
+            xyz_m=np.column_stack([values["x_m"], values["y_m"], values["z_m"]]),
+            sigma_m=np.column_stack([values["sigma_x_m"], values["sigma_y_m"], values["sigma_z_m"]]),
+            n_rays=values["n_rays"].astype(np.int64),
+            flags=values["flag"].astype(np.uint32),
+        )
 
 
 def write_table_csv(path: Path, columns: Mapping[str, Sequence[Any] | npt.NDArray[Any]]) -> None:
@@ -257,16 +259,17 @@ def read_camera_json(path: Path, name: str | None = None) -> Camera:
 
     name: Name of the camera; not needed where the file holds one only.
     """
-    content = read_json(path)
-    if "cameras" not in content:
-        return _read_camera(path, content)
-    cameras = content["cameras"]
-    if name is None and len(cameras) != 1:
-        raise InputError(f"{path}: holds {len(cameras)} cameras ({', '.join(cameras)}); one must be named")
-    chosen = next(iter(cameras)) if name is None else name
-    if chosen not in cameras:
-        raise InputError(f"{path}: no camera {chosen!r}; there are: {', '.join(cameras)}")
-    return _read_camera(path, cameras[chosen])
+    with explain_faults(path, "a camera.json or cameras.json of heliogauge"):
+        content = read_json(path)
+        if "cameras" not in content:
+            return _read_camera(path, content)
+        cameras = content["cameras"]
+        if name is None and len(cameras) != 1:
+            raise InputError(f"{path}: holds {len(cameras)} cameras ({', '.join(cameras)}); one must be named")
+        chosen = next(iter(cameras)) if name is None else name
+        if chosen not in cameras:
+            raise InputError(f"{path}: no camera {chosen!r}; there are: {', '.join(cameras)}")
+        return _read_camera(path, cameras[chosen])
 
 
 def read_cameras_json(path: Path) -> tuple[dict[str, Camera], dict[str, PhotoPose]]:
@@ -274,12 +277,13 @@ def read_cameras_json(path: Path) -> tuple[dict[str, Camera], dict[str, PhotoPos
 
     Returns: Cameras by name, poses by photo.
     """
-    content = read_json(path)
-    for key in ("cameras", "poses"):
-        if key not in content:
-            raise InputError(f"{path}: the key {key} is missing; a cameras.json written by heliogauge is needed")
-    cameras = {name: _read_camera(path, camera) for name, camera in content["cameras"].items()}
-    return cameras, {name: _read_pose(path, pose) for name, pose in content["poses"].items()}
+    with explain_faults(path, "a cameras.json of heliogauge"):
+        content = read_json(path)
+        for key in ("cameras", "poses"):
+            if key not in content:
+                raise InputError(f"{path}: the key {key} is missing; a cameras.json written by heliogauge is needed")
+        cameras = {name: _read_camera(path, camera) for name, camera in content["cameras"].items()}
+        return cameras, {name: _read_pose(path, pose) for name, pose in content["poses"].items()}
 
 
 def _camera_content(camera: Camera) -> dict[str, Any]:

@@ -11,6 +11,7 @@ import numpy as np
 from heliogauge.camera.formats import COLMAP_MODELS, from_colmap, to_colmap
 from heliogauge.camera.model import Camera
 from heliogauge.errors import InputError
+from heliogauge.files.faults import explain_faults
 from heliogauge.files.regular import read_regular
 from heliogauge.files.texts import read_text
 from heliogauge.geometry.rigid import RigidTransform
@@ -85,10 +86,8 @@ def read_colmap(folder: Path) -> ColmapModel:
         keypoint of a point that is not in the model, or a model without images or points.
     """
     suffix = _suffix(folder)
-    try:
+    with explain_faults(folder, "a model as COLMAP wrote it"):
         model = _read_binary(folder) if suffix == ".bin" else _read_text(folder)
-    except OSError as error:
-        raise InputError(f"{folder}: cannot be read ({error.strerror or error})") from error
     _check(folder, model)
     return model
 

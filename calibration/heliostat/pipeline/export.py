@@ -14,6 +14,7 @@ from calibration.heliostat.kinematic_model.aiming import aim
 from calibration.heliostat.kinematic_model.design import Driven, HeliostatDesign, LinearActuator, RotaryDrive, Turn
 from calibration.heliostat.kinematic_model.store_design import design_from
 from heliogauge.errors import InputError
+from heliogauge.files.faults import explain_faults
 from heliogauge.geometry.rigid import rotation_from_vector
 from heliogauge.geometry.sun import Site, angles_from_direction, sun_directions
 from heliogauge.results.folder import write_json, write_table_csv
@@ -74,7 +75,8 @@ def run(result: Path, out: Path, form: str, options: ExportOptions | None = None
     if not 0.1 <= options.step_minutes <= 240:
         raise InputError(f"step_minutes={options.step_minutes:g}: between 0.1 and 240 minutes are needed")
     with WholeFolder(out, EXPORT, force=options.force) as folder:
-        _FORMS[form](folder, read_results(result), options, result)
+        with explain_faults(result, "a folder of results as heliogauge wrote it"):
+            _FORMS[form](folder, read_results(result), options, result)
         (folder / "README.txt").write_text(_READMES[form], encoding="utf-8")
         return sorted(file.name for file in folder.iterdir())
 
