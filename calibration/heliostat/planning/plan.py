@@ -23,6 +23,7 @@ from calibration.heliostat.planning.measurement_plan import (
 )
 from calibration.heliostat.planning.schedule import Need, Schedule, ScheduleOptions, propose_schedule
 from heliogauge.errors import EstimationError, InputError
+from heliogauge.files.faults import explain_faults
 from heliogauge.geometry.sun import Site, angles_from_direction
 from heliogauge.results.folder import write_json, write_table_csv
 from heliogauge.results.tables import read_table_csv
@@ -102,13 +103,14 @@ def run(result: Path, out: Path, options: NextOptions | None = None) -> list[str
     InputError: No results there, the folder cannot be used, or no such target.
     """
     options = options or NextOptions()
-    contents = list(read_results(result))
-    site = stored_site(contents[0])
-    targets = {name: _target(name, one) for name, one in contents[0]["targets"].items()}
-    aim_point = _aim_point(targets, options.target)
-    suns = sun_positions_of_year(site, int(str(options.dates[0])[:4]), per_day=_PER_DAY_OF_YEAR)[0]
-    planned = [_planned(content, site, targets, (suns, aim_point), options) for content in contents]
-    planned += [_never(name, reason) for name, reason in _failed(result)]
+    with explain_faults(result, "a folder of results as heliogauge wrote it"):
+        contents = list(read_results(result))
+        site = stored_site(contents[0])
+        targets = {name: _target(name, one) for name, one in contents[0]["targets"].items()}
+        aim_point = _aim_point(targets, options.target)
+        suns = sun_positions_of_year(site, int(str(options.dates[0])[:4]), per_day=_PER_DAY_OF_YEAR)[0]
+        planned = [_planned(content, site, targets, (suns, aim_point), options) for content in contents]
+        planned += [_never(name, reason) for name, reason in _failed(result)]
     planned.sort(key=lambda one: (-one.error_rad, one.name))
     schedule = _scheduled(planned, site, tuple(targets), options)
     with WholeFolder(out, PLAN, force=options.force) as folder:
