@@ -7,6 +7,7 @@ import numpy as np
 
 from heliogauge.reporting.html import Html, table
 from heliogauge.reporting.notation import number_text
+from heliogauge.reporting.page import headline_numbers
 from heliogauge.results.folder import Summary, unit_of
 from heliogauge.validate import FloatArray
 from heliogauge.view.tables import TableColumn, TableView
@@ -89,7 +90,7 @@ def number_table(summary: Summary) -> Html:
         for key in summary.numbers
         if not (key.startswith("sigma_") and key.removeprefix("sigma_") in summary.numbers)
     ]
-    return table(("", "value"), rows, numbers=(1,))
+    return headline_numbers(rows)
 
 
 def text_table(summary: Summary) -> Html:

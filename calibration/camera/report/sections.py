@@ -1,6 +1,5 @@
 """Parts of a calibration's report, from the files of its results."""
 
-import html
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -8,7 +7,7 @@ import numpy as np
 
 from calibration.camera.files.result import Result
 from calibration.camera.files.result_folder import open_calibration
-from calibration.camera.files.summary import comparison_lines, verdict_text
+from calibration.camera.files.summary import verdict_text
 from calibration.camera.report import figures, views
 from calibration.camera.start_values.intrinsics import tilt_and_roll
 from heliogauge.reporting import page
@@ -131,7 +130,7 @@ def headline(report: CalibrationReport) -> Html:
         ("Residuals over what the pixels' noise lets expect", f"{quality.sigma_factor_ratio:.2f}"),
         ("Image points used, rejected", f"{sum(int(p.used.sum()) for p in result.photos)}, {len(quality.rejected)}"),
     ]
-    return table(("", ""), rows, numbers=(1,))
+    return page.headline_numbers(rows)
 
 
 def _pair(*values: tuple[float, float]) -> str:
@@ -257,8 +256,21 @@ def comparison_section(report: CalibrationReport) -> Html:
     drawn = views.comparison_map(report.result)
     if drawn is None or report.result.comparison is None:
         return Html("<p>No other calibration was given (<code>--compare cameras.json</code>).</p>")
-    lines = html.escape("\n".join(comparison_lines(report.result.comparison)))
-    return join(Html(f"<p>{html.escape(verdict_text(report.result.comparison))}</p><pre>{lines}</pre>"), drawn)
+    one = report.result.comparison
+    rows = [
+        (name, *(f"{1e3 * value:.2g}" for value in values))
+        for name, values in (
+            ("best rotation taken out", (one.rms_rad, one.largest_rad, one.expected_rad)),
+            ("with the rotation", (one.raw_rms_rad, one.raw_largest_rad, one.raw_expected_rad)),
+        )
+    ]
+    head = ("angle between lines of sight [mrad]", "RMS", "largest", "RMS expected from both sigmas")
+    said = f"The difference is {verdict_text(one)}"
+    if np.isfinite(one.chance):
+        said = f"{said}: chi-square {one.chi_square:.3g} for {one.freedom} degrees of freedom, probability {one.chance:.2g}"
+    else:
+        said = verdict_text(one).capitalize()
+    return join(Html(f"<p>{said}.</p>"), table(head, rows, numbers=(1, 2, 3)), drawn)
 
 
 def unused_section(report: CalibrationReport) -> Html:
