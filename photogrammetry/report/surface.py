@@ -4,6 +4,8 @@ import html
 from typing import TYPE_CHECKING
 
 import numpy as np
+from matplotlib import colormaps
+from matplotlib.colors import to_hex
 
 from heliogauge.reporting.canvas import (
     DIVERGING,
@@ -15,11 +17,14 @@ from heliogauge.reporting.canvas import (
     robust_limit,
     set_equal_limits,
 )
-from heliogauge.reporting.html import Html, join, show, table
+from heliogauge.reporting.html import Html, join, table_under_name
 from heliogauge.reporting.notation import number_text
 from heliogauge.results.folder import facet_names, read_slope_map, read_table_csv
 from heliogauge.validate import FloatArray
+from heliogauge.view.scenes import SceneGroup, SceneView
+from heliogauge.view.tables import TableColumn, TableView
 from photogrammetry.report.network import NetworkResults
+from photogrammetry.report.tables import MOST_ROWS, digits_for, number_column
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -36,6 +41,30 @@ def surface(results: NetworkResults) -> Html:
     pieces = [section(results) for section in (_deviations, _slopes, _canting, _comparison)]
     found = [one for one in pieces if one.text]
     return join(Html("<h2>Surface</h2>"), *found) if found else Html("")
+
+
+def surface_points(results: NetworkResults) -> Html:
+    """Return the deviation of each point, the largest first; nothing without a surface."""
+    columns = _columns(results, "surface.csv")
+    if columns is None:
+        return Html("")
+    deviation, sigma = 1e3 * _numbers(columns, "deviation_m", "sigma_deviation_m").T
+    order = np.argsort(-np.nan_to_num(np.abs(deviation)), kind="stable")[:MOST_ROWS]
+    digits = digits_for(sigma)
+    chosen = [[columns[name][i] for i in order] for name in ("id", "facet", "reason")]
+    listed = TableView(
+        "Deviations from the surface, the largest first",
+        (
+            TableColumn("point", chosen[0]),
+            TableColumn("facet", chosen[1]),
+            number_column("deviation [mm]", deviation[order], digits),
+            number_column("sigma [mm]", sigma[order], digits),
+            number_column("deviation / sigma", deviation[order] / sigma[order], 1),
+            TableColumn("not used, why", chosen[2]),
+        ),
+        most_rows=15,
+    )
+    return table_under_name(listed)
 
 
 def _columns(results: NetworkResults, name: str) -> Columns | None:
@@ -56,16 +85,42 @@ def _deviations(results: NetworkResults) -> Html:
     columns = _columns(results, "surface.csv")
     if columns is None:
         return Html("")
-    rows = [
-        (name, f"{1e3 * values[0]:.4f}", f"{1e3 * values[1]:.4f}", reason)
-        for name, values, reason in zip(
-            columns["id"], _numbers(columns, "deviation_m", "sigma_deviation_m"), columns["reason"], strict=True
-        )
-        if reason
+    places, deviation = _numbers(columns, "x_m", "y_m", "z_m"), _numbers(columns, "deviation_m")[:, 0]
+    used = _numbers(columns, "used")[:, 0] > 0
+    limit = max(float(np.abs(deviation[used]).max(initial=0.0)), 1e-12)
+    extent = float(np.linalg.norm(np.ptp(places, axis=0)))
+    factor = nice_ceiling(0.08 * extent / limit)
+    # Seen from the front the normal is near z; that is enough for a picture of what is enlarged so much.
+    moved = places + np.stack([0 * deviation, 0 * deviation, factor * deviation], axis=1)
+    labels = [f"{name}: {1e3 * value:+.4f} mm" for name, value in zip(columns["id"], deviation, strict=True)]
+    shares = 0.5 + 0.5 * np.clip(deviation / limit, -1, 1)
+    colors = [to_hex(color) for color in colormaps[DIVERGING](shares)]
+    groups = [
+        SceneGroup(
+            f"deviation, {factor:g} times",
+            np.stack([places, moved], axis=1).reshape(-1, 3),
+            [FAINT],
+            lengths=(2,) * len(places),
+            size_px=1.0,
+        ),
+        SceneGroup(
+            "points, coloured by deviation",
+            moved[used],
+            [colors[i] for i in np.nonzero(used)[0]],
+            labels=[labels[i] for i in np.nonzero(used)[0]],
+            size_px=7,
+        ),
+        SceneGroup(
+            "points not used", moved[~used], [LINE_Y], labels=[labels[i] for i in np.nonzero(~used)[0]], size_px=9
+        ),
     ]
-    head = ("not used", "deviation [mm]", "sigma [mm]", "why")
-    left = table(head, rows, numbers=(1, 2)) if rows else Html("")
-    return join(show(deviation_figure(columns)), left)
+    still = [deviation_figure(columns)]
+    facets = _columns(results, "canting.csv")
+    if facets is not None:
+        still.append(canting_figure(facets, columns))
+    note = f"Red is towards the viewer, up to {1e3 * limit:.3g} mm."
+    shown = tuple(group for group in groups if len(group.xyz_m))
+    return join(SceneView("Deviation from the surface", shown, note, height_px=420, figures=still))
 
 
 def deviation_figure(columns: Columns) -> "Figure":
@@ -101,47 +156,39 @@ def _slopes(results: NetworkResults) -> Html:
     path = results.folder / "slope_map.nc"
     if not path.is_file():
         return Html("")
-    from heliogauge.reporting import figures
     from heliogauge.view.maps import slope_map_view
 
     whole = read_slope_map(path)
-    still = [figures.slope_error_map(whole, "x"), figures.slope_error_map(whole, "y"), figures.flag_map(whole)]
     names = facet_names(path)
     words = f"<p>Taken out: {html.escape(whole.removed)}.</p>"
     words += f"<p>Maps of {len(names)} facets in one.</p>" if names else ""
-    return join(Html("<h3>Slope error</h3>" + words), slope_map_view(whole, results.summary.name, figures=still))
+    return join(Html("<h3>Slope error</h3>" + words), slope_map_view(whole, results.summary.name))
 
 
 def _canting(results: NetworkResults) -> Html:
     columns = _columns(results, "canting.csv")
-    points = _columns(results, "surface.csv")
-    if columns is None or points is None:
+    if columns is None:
         return Html("")
-    values = _numbers(
-        columns,
-        "canting_x_rad",
-        "canting_y_rad",
-        "sigma_canting_x_rad",
-        "sigma_canting_y_rad",
-        "piston_m",
-        "sigma_piston_m",
-        "length_m",
-        "sigma_length_m",
-    )
-    rows = [
+
+    def column(name: str, key: str, factor: float) -> TableColumn:
+        values, sigmas = factor * _numbers(columns, f"{key}", f"sigma_{key}").T
+        texts = [_text(v, s) if np.isfinite(v) else "" for v, s in zip(values, sigmas, strict=True)]
+        return TableColumn(name, texts, values.tolist())
+
+    listed = TableView(
+        "Canting",
         (
-            name,
-            count,
-            _text(1e3 * one[0], 1e3 * one[2]),
-            _text(1e3 * one[1], 1e3 * one[3]),
-            _text(1e3 * one[4], 1e3 * one[5]),
-            _text(one[6], one[7]) if np.isfinite(one[6]) else "",
-        )
-        for name, count, one in zip(columns["facet"], columns["n_points"], values, strict=True)
-    ]
-    head = ("facet", "points", "canting x [mrad]", "canting y [mrad]", "piston [mm]", "focal length or radius [m]")
+            TableColumn("facet", columns["facet"]),
+            number_column("points", _numbers(columns, "n_points")[:, 0], 0),
+            column("canting x [mrad]", "canting_x_rad", 1e3),
+            column("canting y [mrad]", "canting_y_rad", 1e3),
+            column("piston [mm]", "piston_m", 1e3),
+            column("focal length or radius [m]", "length_m", 1.0),
+        ),
+        most_rows=15,
+    )
     words = "<h3>Canting</h3><p>Of the normal: slope of the facet beyond the design's, in x and y.</p>"
-    return join(Html(words), show(canting_figure(columns, points)), table(head, rows, numbers=range(1, 6)))
+    return join(Html(words), listed)
 
 
 def canting_figure(columns: Columns, points: Columns) -> "Figure":
@@ -173,19 +220,42 @@ def _comparison(results: NetworkResults) -> Html:
         return Html("")
     values = 1e3 * _numbers(columns, "dx_m", "dy_m", "dz_m", "sigma_dx_m", "sigma_dy_m", "sigma_dz_m")
     moved = _numbers(columns, "moved")[:, 0] > 0
-    order = [int(i) for i in np.argsort(-np.linalg.norm(values[:, :3], axis=1)) if moved[i]]
-    rows = [
+    place = {name: i for i, name in enumerate(results.points.ids)}
+    ends = results.points.xyz_m[[place[name] for name in columns["id"]]]
+    steps = 1e-3 * values[:, :3]
+    longest = max(float(np.linalg.norm(steps, axis=1).max(initial=0.0)), 1e-12)
+    factor = nice_ceiling(_ARROW_SHARE * float(np.ptp(ends, axis=0).max()) / longest)
+    sizes = np.linalg.norm(values[:, :3], axis=1)
+    labels = [f"{name}: {size:.4f} mm" for name, size in zip(columns["id"], sizes, strict=True)]
+    groups = []
+    for which, name, color in ((~moved, "within chance", FAINT), (moved, "moved", LINE_Y)):
+        own = np.nonzero(which)[0]
+        if own.size:
+            lines = np.stack([ends[own] - factor * steps[own], ends[own]], axis=1).reshape(-1, 3)
+            title = f"{name}, {factor:g} times"
+            groups.append(SceneGroup(title, lines, [color], lengths=(2,) * own.size, size_px=2.0))
+            groups.append(SceneGroup(name, ends[own], [color], labels=[labels[i] for i in own]))
+    order = [int(i) for i in np.argsort(-sizes, kind="stable") if moved[i]]
+    listed = TableView(
+        "Targets that moved",
         (
-            columns["id"][i],
-            *(_text(values[i, k], values[i, 3 + k]) for k in range(3)),
-            f"{float(columns['probability'][i]):.2g}",
-        )
-        for i in order
-    ]
-    head = ("moved", "dx [mm]", "dy [mm]", "dz [mm]", "by chance")
-    found = table(head, rows, numbers=range(1, 5)) if rows else Html("<p>No target moved significantly.</p>")
-    drawn = show(displacement_figure(results, columns, 0, 1), displacement_figure(results, columns, 0, 2))
-    return join(Html("<h3>Since the other date</h3>"), drawn, found)
+            TableColumn("moved", [columns["id"][i] for i in order]),
+            *(
+                TableColumn(
+                    f"d{'xyz'[k]} [mm]",
+                    [_text(values[i, k], values[i, 3 + k]) for i in order],
+                    [float(values[i, k]) for i in order],
+                )
+                for k in range(3)
+            ),
+            number_column("by chance", _numbers(columns, "probability")[order, 0], 4),
+        ),
+        most_rows=15,
+    )
+    still = [displacement_figure(results, columns, 0, 1), displacement_figure(results, columns, 0, 2)]
+    view = SceneView("Displacements since the other date", tuple(groups), height_px=420, figures=still)
+    found = listed if order else Html("<p>No target moved significantly.</p>")
+    return join(Html("<h3>Since the other date</h3>"), view, found)
 
 
 def displacement_figure(results: NetworkResults, columns: Columns, first: int, second: int) -> "Figure":

@@ -267,7 +267,7 @@ def comparison_section(report: CalibrationReport) -> Html:
     head = ("angle between lines of sight [mrad]", "RMS", "largest", "RMS expected from both sigmas")
     said = f"The difference is {verdict_text(one)}"
     if np.isfinite(one.chance):
-        said = f"{said}: chi-square {one.chi_square:.3g} for {one.freedom} degrees of freedom, probability {one.chance:.2g}"
+        said += f": chi-square {one.chi_square:.3g} for {one.freedom} degrees of freedom, probability {one.chance:.2g}"
     else:
         said = verdict_text(one).capitalize()
     return join(Html(f"<p>{said}.</p>"), table(head, rows, numbers=(1, 2, 3)), drawn)
