@@ -2,7 +2,7 @@
 
 from heliogauge.reporting import page
 from heliogauge.reporting.html import Html, Shown, beside, join, show, table_under_name
-from heliogauge.reporting.verdict import Verdict, verdict_of
+from heliogauge.reporting.verdict import Verdict, unmeasured, verdict_of
 from heliogauge.view.scenes import SceneView
 from photogrammetry.report import charts, tables
 from photogrammetry.report.network import NetworkResults
@@ -56,7 +56,7 @@ def verdict(results: NetworkResults) -> Verdict:
 
 
 def _missing(results: NetworkResults) -> list[str]:
-    summary, missing = results.summary, []
+    summary, missing = results.summary, list[str]()
     photos = int(summary.numbers.get("left_out_photos_count") or 0)
     if photos:
         missing.append(f"{photos} of {photos + len(results.poses)} photos left out")
@@ -64,9 +64,7 @@ def _missing(results: NetworkResults) -> list[str]:
     if points:
         missing.append(f"{points} of {len(results.points.ids)} targets without coordinates")
     share = summary.numbers.get("measured_share")
-    if share is not None and share < 1:
-        missing.append(f"{100 * (1 - share):.1f} % of the surface not measured")
-    return missing
+    return [*missing, *(() if share is None else unmeasured(share, "the surface"))]
 
 
 def _passed(results: NetworkResults) -> list[str]:

@@ -50,7 +50,7 @@ def shown_number(summary: Summary, key: str) -> str:
     """Return a number of a summary with its sigma to the digits that make sense."""
     value, (name, unit) = summary.numbers[key], unit_of(key)
     if value is None:
-        return f"not determined: {summary.not_determined.get(key, '')}"
+        return "not determined"
     if key.endswith("precision_ratio"):
         return f"1 : {grouped(value)}"
     if key.endswith("_count"):
@@ -86,7 +86,11 @@ def headline_rows(summary: Summary, labels: Mapping[str, str] = LABELS) -> list[
 def number_table(summary: Summary) -> Html:
     """Return every number of the summary, with the reason where one was not determined."""
     rows = [
-        (LABELS.get(key, unit_of(key)[0].replace("_", " ").replace("rms", "RMS")), shown_number(summary, key))
+        (
+            LABELS.get(key, unit_of(key)[0].replace("_", " ").replace("rms", "RMS")),
+            shown_number(summary, key),
+            summary.not_determined.get(key, ""),
+        )
         for key in summary.numbers
         if not (key.startswith("sigma_") and key.removeprefix("sigma_") in summary.numbers)
     ]
