@@ -1,13 +1,8 @@
-"""The report's figures of a network: what is drawn is what the files say."""
-
-import json
-import re
+"""The scene of a network: ellipsoids and cameras are where the numbers say."""
 
 import numpy as np
 import pytest
 
-from heliogauge.errors import InputError
-from heliogauge.reporting.scene import SceneGroup, scene
 from photogrammetry.report.scene import ellipsoid_lines, magnification, pyramid_lines
 from tests.photogrammetry.bundle_networks import camera_of, look_at
 
@@ -45,21 +40,3 @@ def test_pyramid_is_what_the_camera_sees() -> None:
     # The first line's corners are the image's: left top, right top; the roof is above them (y of a camera is down).
     assert seen[0] == pytest.approx([-0.2 * 3000 / 6100, -0.2 * 2000 / 6103, 0.2])
     assert seen[7, 1] < seen[0, 1]
-
-
-def test_scene_holds_its_data_and_nothing_from_elsewhere() -> None:
-    points = np.array([[0.0, 0.0, 0.0], [1.0, 2.0, 3.0]])
-    text = scene([SceneGroup("a", points, ["#000000"], labels=["</script>", "b"])], name="x", note="n").text
-    assert "http" not in text
-    # The label must not end the script.
-    assert text.count("</script>") == 2
-    data = json.loads(re.search(r'application/json">(.*?)</script>', text)[1])
-    assert data["groups"][0]["labels"] == ["</script>", "b"]
-    np.testing.assert_allclose(np.reshape(data["groups"][0]["xyz"], (2, 3)), points, atol=1e-5)
-
-
-def test_scene_refuses_what_does_not_fit() -> None:
-    with pytest.raises(InputError, match="lines of 3 vertices for 2 points"):
-        SceneGroup("a", np.zeros((2, 3)), ["#000000"], lengths=[3])
-    with pytest.raises(InputError, match="nothing to show"):
-        scene([], name="x")
