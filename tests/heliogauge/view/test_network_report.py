@@ -1,0 +1,58 @@
+"""The report of a network in a browser: picture on the first screen, links to photos, phone, paper."""
+
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from heliogauge.reporting.build import build_report
+from tests.heliogauge.view.conftest import DESKTOP
+from tests.photogrammetry.report.drawn_results import NASTY, PHOTOS, write_network
+
+
+@pytest.fixture(scope="module")
+def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("network")
+    write_network(folder)
+    return build_report(folder)
+
+
+def test_verdict_numbers_and_scene_are_on_the_first_screen(open_page: Any, report: Path) -> None:
+    page = open_page.file(report)
+    canvas = page.wait_for_selector('[data-view="scene"] canvas', state="visible")
+    for one in (page.query_selector(".verdict"), page.query_selector(".numbers"), canvas):
+        box = one.bounding_box()
+        assert box["y"] >= 0
+        assert box["y"] + box["height"] <= DESKTOP["height"]
+    assert page.query_selector("h1").text_content() == NASTY
+
+
+def test_a_row_of_the_table_opens_its_photo(open_page: Any, report: Path) -> None:
+    playwright = pytest.importorskip("playwright.sync_api")
+    page = open_page.file(report)
+    page.wait_for_selector('[data-view="photo"] select')
+    for name in (PHOTOS[1], PHOTOS[2], PHOTOS[0]):
+        page.click(f'[data-view="table"] td a[href^="#photo-"]:text-is("{name}")')
+        # The page's policy forbids what `wait_for_function` does.
+        shown = page.locator('[data-view="photo"] select option:checked')
+        playwright.expect(shown).to_contain_text(name)
+
+
+def test_nothing_is_wider_than_a_phone(open_page: Any, report: Path) -> None:
+    page = open_page.file(report, viewport={"width": 390, "height": 844})
+    page.wait_for_selector('[data-view="scene"] canvas', state="attached")
+    page.evaluate("document.querySelectorAll('details').forEach(one => { one.open = true; })")
+    assert page.evaluate("document.documentElement.scrollWidth") <= 390
+
+
+def test_paper_takes_at_most_four_pages_and_cuts_nothing(open_page: Any, report: Path) -> None:
+    page = open_page.file(report, viewport={"width": 703, "height": 1020})
+    page.wait_for_selector('[data-view="scene"] canvas', state="attached")
+    pages = re.findall(rb"/Type /Page\b(?!s)", page.pdf(prefer_css_page_size=True))
+    assert 1 <= len(pages) <= 4
+    page.emulate_media(media="print")
+    wide = page.evaluate(
+        "[...document.querySelectorAll('main *')].filter(one => one.getBoundingClientRect().right > 704).length"
+    )
+    assert wide == 0
