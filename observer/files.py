@@ -213,6 +213,14 @@ def number_in_cell(path: Path, line: int, name: str, cell: str) -> float | None:
     return value if np.isfinite(value) else None
 
 
+def is_number(cell: str) -> bool:
+    """Return whether a cell of a table holds a finite number."""
+    try:
+        return bool(np.isfinite(float(cell)))
+    except ValueError:
+        return False
+
+
 def read_absorber(path: Path) -> AbsorberPath:
     """Read where the absorber is, from the ``absorber.csv`` of a result.
 

@@ -15,7 +15,7 @@ from heliogauge.results.tables import read_table_csv
 from heliogauge.running.progress import Progress
 from heliogauge.sunlight.sun_shapes import BuieSun, GaussianSun, PillboxSun, SunShape, TabulatedSun
 from heliogauge.validate import FloatArray
-from observer.files import ABSORBER_COLUMNS, absorber_of_table, number_in_cell
+from observer.files import ABSORBER_COLUMNS, absorber_of_table, is_number, number_in_cell
 from observer.keys import ObserverMeasurement, SunSection, TroughSection
 from observer.light.trace import Sunlight
 from observer.photo_edges.tone import Tone
@@ -121,6 +121,38 @@ def read_tables(measurement: ObserverMeasurement, targets_file: str) -> Tables:
     )
 
 
+def left_out_doubts(tables: Tables) -> list[Doubt]:
+    """Say which rows of the tables have no part in the measurement because cells are empty or not finite."""
+    doubts = []
+    absorber = tables.absorber
+    if absorber is not None:
+        count = len(absorber["y_m"])
+        rows = zip(*(absorber[name] for name in ABSORBER_COLUMNS), strict=True)
+        gaps = sum(not all(map(is_number, cells)) for cells in rows)
+        if gaps:
+            text = (
+                f"absorber.file: {gaps} of {count} stations have empty cells and were left out; fill them in, or take "
+                "the rows out"
+            )
+            doubts.append(Doubt("absorber_stations_left_out", text, {"left_out_count": gaps, "stations_count": count}))
+    targets = tables.targets
+    names = ["sigma_mm"] * 3 if "sigma_mm" in targets else [f"sigma_{axis}_mm" for axis in AXES]
+    pairs = [
+        pair
+        for axis, name in zip(AXES, names, strict=True)
+        if name in targets
+        for pair in zip(targets[f"{axis}_m"], targets[name], strict=True)
+    ]
+    alone = sum(is_number(value) and not is_number(sigma) for value, sigma in pairs)
+    if alone:
+        text = (
+            f"targets.file: {alone} of {len(pairs)} coordinates have no sigma and were left out; say how well they are "
+            "known, or leave their cells empty"
+        )
+        doubts.append(Doubt("coordinates_left_out", text, {"left_out_count": alone, "coordinates_count": len(pairs)}))
+    return doubts
+
+
 def refuse_modules(measurement: ObserverMeasurement) -> None:
     """Refuse a flight over several modules where one collector is measured.
 
@@ -168,7 +200,7 @@ def build_inputs(measurement: ObserverMeasurement, tables: Tables, coordinates: 
         1e-3 * model.evaluation.column_step_mm,
         Roughness(_FIRST_ROUGHNESS, 1e-3 * model.evaluation.longitudinal_slope_mrad),
         model.evaluation.shape_from_slopes,
-        measurement.doubts,
+        (*measurement.doubts, *left_out_doubts(tables)),
     )
 
 
