@@ -21,7 +21,7 @@ def main() -> None:
     parser.add_argument("--cases", type=int, default=5000)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--only", default="", help="targets whose words contain this")
-    parser.add_argument("--again", type=int, nargs="*", help="only these cases, in full")
+    parser.add_argument("--again", type=int, nargs="*", help="only these cases")
     parser.add_argument("--place", type=Path, help="folder for undamaged data, kept for the next run")
     chosen = parser.parse_args()
     targets = tuple(one for one in TARGETS if chosen.only in str(one))
@@ -29,9 +29,8 @@ def main() -> None:
         place = chosen.place or Path(temporary)
         place.mkdir(exist_ok=True)
         begin, kinds, peak, slowest = time.monotonic(), Counter[str](), 0, 0.0
-        for done, outcome in enumerate(run_cases(place, chosen.cases, chosen.seed, targets), 1):
-            if chosen.again is not None and outcome.number not in chosen.again:
-                continue
+        numbers = range(chosen.cases) if chosen.again is None else chosen.again
+        for done, outcome in enumerate(run_cases(place, numbers, chosen.seed, targets), 1):
             peak, slowest = max(peak, outcome.peak_bytes), max(slowest, outcome.seconds)
             if outcome.fault:
                 kinds[WORDS.get(outcome.fault.split()[0].strip(":"), "tracebacks")] += 1
@@ -40,7 +39,7 @@ def main() -> None:
                 print(f"-- {done} cases, {time.monotonic() - begin:.0f} s, {dict(kinds)}", flush=True)
     found = ", ".join(f"{kinds[kind]} {kind}" for kind in ("tracebacks", *WORDS.values()))
     seconds = time.monotonic() - begin
-    print(f"{chosen.cases} cases in {seconds:.0f} s: {found}; peak {peak / 1e9:.2f} GB, slowest {slowest:.1f} s")
+    print(f"{len(numbers)} cases in {seconds:.0f} s: {found}; peak {peak / 1e9:.2f} GB, slowest {slowest:.1f} s")
 
 
 if __name__ == "__main__":

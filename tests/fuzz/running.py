@@ -8,7 +8,7 @@ import shutil
 import signal
 import time
 import traceback
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -60,15 +60,15 @@ def make_seeds(place: Path, names: set[str]) -> dict[str, Path]:
     return folders
 
 
-def run_cases(place: Path, cases: int, seed: int, targets: tuple[Target, ...] = TARGETS) -> Iterator[Outcome]:
-    """Draw damaged folders and run what reads them."""
+def run_cases(place: Path, cases: Iterable[int], seed: int, targets: tuple[Target, ...] = TARGETS) -> Iterator[Outcome]:
+    """Draw damaged folders and run what reads them; the number of a case and the seed decide on it."""
     seeds = make_seeds(place / "seeds", {one.seed for one in targets})
     # What every case needs is imported once: cases are copies of this process.
     with contextlib.suppress(SystemExit):
         quiet(lambda: main(["--help"]))
     _import_all()
     weights = [one.weight for one in targets]
-    for number in range(cases):
+    for number in cases:
         yield run_case(place, number, seed, seeds, random.Random(f"{seed}-{number}").choices(targets, weights)[0])
 
 
