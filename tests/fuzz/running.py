@@ -1,6 +1,7 @@
 """Draw cases, run each in a process of its own with limits, and say what went wrong."""
 
 import contextlib
+import faulthandler
 import os
 import random
 import resource
@@ -107,9 +108,14 @@ def _in_process(work, limit_s: float) -> tuple[str, int]:
         if pid:
             break
         if time.monotonic() > end or _busy_s(child) > limit_s:
+            # The child says where each of its threads stands.
+            os.kill(child, signal.SIGUSR1)
+            time.sleep(0.2)
+            with contextlib.suppress(BlockingIOError):
+                said += os.read(reading, 65536)
             os.killpg(child, signal.SIGKILL)
             _, status, used = os.wait4(child, 0)
-            said = f"hangs: more than {limit_s:.0f} s".encode()
+            said = f"hangs: more than {limit_s:.0f} s\n".encode() + said
             break
         time.sleep(pause)
         pause = min(pause * 1.5, 0.05)
@@ -139,6 +145,7 @@ def _child(work, writing: int, reading: int) -> None:
         os.setsid()
         resource.setrlimit(resource.RLIMIT_AS, (_ADDRESSES_BYTES, _ADDRESSES_BYTES))
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+        faulthandler.register(signal.SIGUSR1, file=writing)
         null = os.open(os.devnull, os.O_RDWR)
         for one in (0, 1, 2):
             os.dup2(null, one)
