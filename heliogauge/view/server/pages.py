@@ -30,19 +30,22 @@ _MOST_CHOICES = 2000
 _SEVERITIES = tuple(Severity)
 
 
-def result_page(folder: Path, up: Sequence[Link], store: ServedStore) -> str:
+def result_page(folder: Path, up: Sequence[Link], address: str, store: ServedStore) -> str:
     """Return the report of a folder at full resolution, with links to results within it.
 
     up: Where the reader came from.
+    address: Of this page, as addresses of differences begin.
     InputError: Results of a kind without a report, or a file is missing or damaged.
     """
     summary, notebook = run_report(folder, store)
     cells = list(notebook.shown)
     linked = "".join(cell.html for cell in cells)
-    inside = [one for one in folders_of_results(folder) if f'href="{quote(_address(one, folder))}' not in linked]
-    if inside:
-        table = _table("Results within this one", _rows(inside, folder))
+    parts = list(folders_of_results(folder))
+    more = [one for one in parts if f'href="{quote(_address(one, folder))}' not in linked]
+    if more:
+        table = _table("Results within this one", _rows(more, folder))
         cells.append(ShownCell("<h2>Results within this one</h2>" + in_page(table, store), False))
+    cells += [ShownCell(one.text, False) for one in _choices(parts, folder, address)]
     return page_frame(f"{summary.name} - {summary.kind}", cells, up=up, served=True)
 
 
@@ -78,9 +81,7 @@ def folder_page(folder: Path, up: Sequence[Link], address: str) -> str:
     rows = _rows(places, folder)
     count = f"{len(places)} result" + ("" if len(places) == 1 else "s")
     pieces: list[Shown] = [name_and_line(folder.name, count), _table(f"Results in {folder.name}", rows)]
-    maps = [place for place in places if (place / SLOPE_MAP_FILE).is_file()]
-    if 2 <= len(maps) <= _MOST_CHOICES:
-        pieces.append(_choice([(one.relative_to(folder).as_posix(), address) for one in maps]))
+    pieces += _choices(places, folder, address)
     cells = [ShownCell(in_page(one, PAGE), False) for one in pieces]
     return page_frame(folder.name, cells, up=up, served=True)
 
@@ -169,21 +170,25 @@ def _doubts_of(one: Summary | str) -> tuple[str, float]:
     return ", ".join(words) or "none", weight
 
 
-def _choice(maps: Sequence[Link]) -> Html:
-    """Return the form in which two results are chosen."""
-    root = maps[0][1]
+def _choices(places: Sequence[Path], folder: Path, address: str) -> list[Html]:
+    """Return the form in which two results with slope maps are chosen to be compared; nothing where there are none."""
+    maps = [place.relative_to(folder).as_posix() for place in places if (place / SLOPE_MAP_FILE).is_file()]
+    if not 2 <= len(maps) <= _MOST_CHOICES:
+        return []
 
     def options(chosen: int) -> str:
         return "".join(
             f'<option value="{html.escape(address + name, quote=True)}/"{" selected" if place == chosen else ""}>'
             f"{html.escape(name)}</option>"
-            for place, (name, address) in enumerate(maps)
+            for place, name in enumerate(maps)
         )
 
-    depth = "../" * root.count("/")
-    return Html(
-        f'<h2>Difference of two</h2><form action="{depth}difference" method="get">'
+    # From the folder of this page to the first one.
+    upwards = "../" * address.count("/")
+    form = Html(
+        f'<h2>Difference of two</h2><form action="{upwards}difference" method="get">'
         f'<label>before <select name="first" aria-label="before">{options(0)}</select></label> '
         f'<label>after <select name="second" aria-label="after">{options(1)}</select></label> '
         "<button>Show the difference</button></form>"
     )
+    return [form]

@@ -112,11 +112,12 @@ class Site:
             # Addresses in a page are relative to its folder.
             return self._moved(f"{address}/")
         up = () if place == opened.root else ((f"\u2191 {place.parent.name}", "../"),)
+        here = address[: len(address) - len(name)]
         if not is_result(place):
-            return Answer(folder_page(place, up, f"{address[: len(address) - len(name)]}").encode(), HTML)
+            return Answer(folder_page(place, up, here).encode(), HTML)
         opened.refuse_links(place)
         files = sorted(one for one in place.iterdir() if one.name not in (REPORT_HTML, REPORT_NOTEBOOK))
-        return self._kept(address, query, files, lambda store: result_page(place, up, store))
+        return self._kept(address, query, files, lambda store: result_page(place, up, here, store))
 
     def _split(self, address: str) -> tuple[Opened, str]:
         number, slash, inside = address.partition("/")
