@@ -61,8 +61,11 @@ def map_page(file: Path, store: ServedStore) -> str:
     """
     whole = read_slope_map(file)
     line = f"design: {whole.design}; frame: {whole.frame}; removed: {whole.removed}"
-    pieces: list[Shown] = [name_and_line(file.name, line), slope_map_view(whole, file.stem)]
-    pieces += [Html("<h2>Numbers</h2>"), statistics_table(whole), Html("<h2>Missing nodes</h2>"), flag_table(whole)]
+    view = slope_map_view(whole, file.stem)
+    pieces: list[Shown] = [name_and_line(file.name, line), view]
+    # Too few nodes determine no statistics.
+    pieces += [Html("<h2>Numbers</h2>"), statistics_table(whole, view.removals)] if view.removals else []
+    pieces += [Html("<h2>Missing nodes</h2>"), flag_table(whole)]
     for name in facet_names(file):
         pieces += [Html(f"<h2>{html.escape(name)}</h2>"), slope_map_view(read_slope_map(file, name), name)]
     return pieces_page(file.name, pieces, store)

@@ -1,8 +1,10 @@
 """Pages handed out to this machine alone: bound to the loop-back address, behind a random word in the address."""
 
 import hmac
+import io
 import os
 import secrets
+import shutil
 import sys
 import traceback
 import webbrowser
@@ -11,10 +13,11 @@ from dataclasses import dataclass
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 from urllib.parse import parse_qsl, unquote, urlsplit
 
 from heliogauge.errors import InputError, MetrologyError
+from heliogauge.files.regular import open_regular
 from heliogauge.view.server.opened import NotServedError, open_place
 from heliogauge.view.server.site import Answer, Site, message_page
 
@@ -122,16 +125,26 @@ class _Handler(BaseHTTPRequestHandler):
         return len(hosts) == 1 and hosts[0] in names and self.path.startswith("/") and not self.path.startswith("//")
 
     def _send(self, answer: Answer, *, body: bool = True) -> None:
+        if isinstance(answer.body, bytes):
+            self._send_from(answer, io.BytesIO(answer.body), len(answer.body), body=body)
+            return
+        try:
+            with open_regular(answer.body) as file:
+                self._send_from(answer, file, os.fstat(file.fileno()).st_size, body=body)
+        except InputError as error:
+            self._send(message_page("This cannot be shown", str(error), HTTPStatus.UNPROCESSABLE_ENTITY), body=body)
+
+    def _send_from(self, answer: Answer, source: BinaryIO, size: int, *, body: bool) -> None:
         self.send_response(answer.status)
         for name, value in (HEADERS | dict(answer.headers)).items():
             self.send_header(name, value)
         self.send_header("Content-Type", answer.media_type)
-        self.send_header("Content-Length", str(len(answer.body)))
+        self.send_header("Content-Length", str(size))
         if self.close_connection:
             self.send_header("Connection", "close")
         self.end_headers()
         if body:
-            self.wfile.write(answer.body)
+            shutil.copyfileobj(source, self.wfile)
 
     def log_message(self, *words: Any) -> None:
         """Keep the terminal quiet: addresses hold the secret word."""

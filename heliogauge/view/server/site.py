@@ -10,7 +10,6 @@ from pathlib import Path
 from urllib.parse import quote
 
 from heliogauge.errors import InputError
-from heliogauge.files.regular import read_regular
 from heliogauge.reporting.build import REPORT_HTML, REPORT_NOTEBOOK
 from heliogauge.reporting.notebook import ShownCell
 from heliogauge.reporting.page_frame import page_frame
@@ -35,9 +34,12 @@ _MOST_PAGES = 8
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Answer:
-    """What goes back to the browser."""
+    """What goes back to the browser.
 
-    body: bytes
+    body: All bytes, or the file that holds them.
+    """
+
+    body: bytes | Path
     media_type: str
     status: HTTPStatus = HTTPStatus.OK
     headers: Mapping[str, str] = field(default_factory=dict)
@@ -192,7 +194,7 @@ def _file(place: Path) -> Answer:
     shown = kind.startswith(SHOWN_TYPES)
     name = quote(place.name)
     headers = {} if shown else {"Content-Disposition": f"attachment; filename*=UTF-8''{name}"}
-    return Answer(read_regular(place), kind, headers=headers)
+    return Answer(place, kind, headers=headers)
 
 
 def _stamp(files: Sequence[Path]) -> str:
