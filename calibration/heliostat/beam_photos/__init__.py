@@ -12,11 +12,11 @@ if TYPE_CHECKING:
     from calibration.heliostat.beam_photos.pipeline.beams import BeamMeasurements as BeamMeasurements
     from calibration.heliostat.beam_photos.pipeline.beams import measure_beams as measure_beams
     from calibration.heliostat.beam_photos.pipeline.beams import write_beams as write_beams
-    from calibration.heliostat.beam_photos.pipeline.figures import BeamPainter as BeamPainter
     from calibration.heliostat.beam_photos.pipeline.target_frames import ArucoMarkers as ArucoMarkers
     from calibration.heliostat.beam_photos.pipeline.target_frames import CornerPixels as CornerPixels
     from calibration.heliostat.beam_photos.pipeline.target_frames import DarkMarks as DarkMarks
     from calibration.heliostat.beam_photos.pipeline.target_frames import MarkerTemplates as MarkerTemplates
+    from calibration.heliostat.beam_photos.pipeline.target_frames import TargetFinder as TargetFinder
     from calibration.heliostat.beam_photos.pipeline.target_frames import TargetFrame as TargetFrame
     from calibration.heliostat.beam_photos.pipeline.target_frames import WholeImage as WholeImage
 

@@ -1,26 +1,33 @@
-"""Pictures of beams for the reports: the most informative photos, drawn with measured and expected places."""
+"""Pictures of beams for the reports: the most informative photos, put on their targets' planes."""
 
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
-from calibration.heliostat.beam_photos import BeamPainter, write_beams
+from calibration.heliostat.beam_photos import TargetFinder, write_beams
+from calibration.heliostat.files.beam_files import BEAMS_FILE, PICTURE_COLUMNS, PICTURES_FILE
 from calibration.heliostat.files.result import HeliostatResult, Shared
 from calibration.heliostat.files.store_residuals import residual_columns
 from calibration.heliostat.pipeline.photo_beams import beam_frames
+from heliogauge.errors import EstimationError, InputError
+from heliogauge.images.thumbnails import make_thumbnail
+from heliogauge.results.tables import write_table_csv
+from heliogauge.results.thumbnails import write_thumbnails
 from heliogauge.validate import BoolArray, FloatArray
 
-BEAMS_FILE = "beams.csv"
-#: Of each heliostat at most so many pictures, about 70 kB each: left out, largest residuals, around the median.
+#: Of each heliostat at most so many pictures, about 15 kB each: left out, largest residuals, around the median.
 MOST_REFUSED, MOST_WORST, MOST_TYPICAL = 4, 5, 3
 
 
 def write_beam_files(result: HeliostatResult, shared: Shared, folder: Path, *, pictures: bool = True) -> None:
-    """Write ``beams.csv`` and pictures ``beam_NN.png`` of a heliostat whose rows name photos; nothing without photos.
+    """Write the beams of a heliostat whose rows name photos, with pictures of some; nothing without photos.
+
+    ``beams.csv`` has all beams. ``photos/beam_NN.jpg`` are photos put on the target's plane; ``beam_pictures.csv`` says
+    which observation each shows, why it was chosen, and where its edges are on the target.
 
     shared: What all heliostats of the run share.
-    pictures: Whether pictures are drawn, 0.3 s each.
+    pictures: Whether pictures are made, 0.2 s each.
     InputError: A file cannot be written, or the measurement's photos have changed since.
     """
     if result.beams is None:
@@ -33,14 +40,31 @@ def write_beam_files(result: HeliostatResult, shared: Shared, folder: Path, *, p
     photos = [shared.folder / name for name in columns["image"]]
     seen = np.array([photo in measured for photo in photos], dtype=np.bool_)
     residual = np.asarray(columns["residual_beam_mrad"], dtype=np.float64)
-    painter = BeamPainter(beam_frames(shared.folder, shared.plant, shared.model))
-    for number, (row, why) in enumerate(informative_rows(residual, list(columns["flag"]), seen), start=1):
-        photo, target = photos[row], str(columns["target"][row])
-        predicted = np.array([columns["predicted_x_m"][row], columns["predicted_y_m"][row]])
-        # Of a photo without the target there is nothing to draw; its row has the reason.
-        content = painter.png(photo, target, predicted, title=f"{photo.name}: {why}")
-        if content is not None:
-            (folder / f"beam_{number:02d}.png").write_bytes(content)
+    frames = beam_frames(shared.folder, shared.plant, shared.model)
+    finders: dict[str, TargetFinder] = {}
+    thumbnails: dict[str, bytes] = {}
+    rows: list[tuple[str, ...]] = []
+    for row, why in informative_rows(residual, list(columns["flag"]), seen):
+        target = str(columns["target"][row])
+        if target not in finders:
+            finders[target] = TargetFinder(frames[target])
+        try:
+            image = finders[target].image(photos[row])
+        except (EstimationError, InputError):
+            # Of a photo without the target there is nothing to show; its row has the reason.
+            continue
+        height, width = image.values_dn.shape
+        (left, low), (right, high) = image.points_m([[-0.5, height - 0.5], [width - 0.5, -0.5]]).tolist()
+        name = f"beam_{len(rows) + 1:02d}"
+        darkest = float(np.nanmin(image.values_dn)) if np.isfinite(image.values_dn).any() else 0.0
+        thumbnails[name] = make_thumbnail(np.nan_to_num(image.values_dn, nan=darkest).astype(np.float32))
+        edges = (f"{edge:.6g}" for edge in (left, right, low, high))
+        rows.append((name, str(columns["observation"][row]), photos[row].name, why, *edges, str(width), str(height)))
+    write_thumbnails(folder, thumbnails)
+    if rows:
+        write_table_csv(
+            folder / PICTURES_FILE, dict(zip(PICTURE_COLUMNS, map(list, zip(*rows, strict=True)), strict=True))
+        )
 
 
 def informative_rows(residual_mrad: FloatArray, flags: Sequence[str], seen: BoolArray) -> list[tuple[int, str]]:

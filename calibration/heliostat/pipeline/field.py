@@ -31,13 +31,15 @@ from calibration.heliostat.pipeline.writing import write_result
 from heliogauge import __version__
 from heliogauge.doubts import Doubt
 from heliogauge.files.regular import read_regular
-from heliogauge.results.folder import Summary, hash_files, write_summary
+from heliogauge.results.folder import SUMMARY_FILE, Summary, hash_files, write_summary
 from heliogauge.results.frame import add_report, into_folder
 from heliogauge.running.progress import Progress, SilentProgress
 from heliogauge.running.scale import Failure, run_each
 
 #: Warnings of a field that are repeated in the terminal.
 _MOST_SAID = 20
+#: Of a field of so many heliostats each gets a report, a second of work; of larger ones the reader asks for them.
+_MOST_REPORTS = 12
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,7 +95,7 @@ def run_into(
     out: The folder. One heliostat: it appears whole or not at all. Several: it fills one by one; what an
         interrupted run has finished is kept, and taken over by the next run with the same measurement and options.
     force: Replace earlier results, interrupted ones too.
-    report: Add ``report.html``.
+    report: Add ``report.html``; of a field of a few heliostats also to the folder of each.
     Returns: The rows of the field, the worst first.
     InputError: The measurement cannot be meant, or the folder cannot be used.
     EstimationError: No heliostat could be calibrated.
@@ -114,6 +116,10 @@ def run_into(
             kept = f"{count} of {len(campaign.names)} heliostats are finished in {out}; the same command continues"
             raise KeyboardInterrupt(kept if count else "nothing was written") from None
     if report:
+        if len(campaign.names) <= _MOST_REPORTS:
+            for name in campaign.names:
+                if (out / name / SUMMARY_FILE).is_file():
+                    add_report(out / name, progress)
         add_report(out, progress)
     return filled
 

@@ -1,7 +1,7 @@
 """Figures of a heliostat's calibration: residuals on the target and against time and sun, correlations, the sky."""
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -21,7 +21,6 @@ from heliogauge.reporting.canvas import (
     add_legend,
     add_title,
     axes_in_inches,
-    chart_figure,
     new_figure,
     nice_ceiling,
 )
@@ -40,25 +39,48 @@ _TRAIN, _TEST = LINE_X, LINE_Y
 _SKY_RANGE = 8.0
 
 
-def all_figures(report: HeliostatReport) -> "dict[str, Figure]":
-    """Draw all figures.
-
-    report: Results of one heliostat.
-    """
-    found = {f"target_{name}": target_figure(report, name) for name in targets_hit(report)}
-    found |= {f"residual_{name}": figure for name, figure in series_figures(report).items()}
-    found["correlation"] = correlation_figure(report.content["correlation"])
-    if report.content.get("sky"):
-        found["sky"] = sky_figure(report)
-    return found
-
-
 def targets_hit(report: HeliostatReport) -> tuple[str, ...]:
     """Return the targets on which a beam's residual can be drawn, in order of their names."""
     rows = report.residuals
     drawn = np.isfinite(rows.numbers["measured_x_m"]) & np.isfinite(rows.numbers["predicted_x_m"])
     known = report.content.get("targets", {})
     return tuple(sorted({name for name, shown in zip(rows.target, drawn, strict=True) if shown and name in known}))
+
+
+class TargetArrows(NamedTuple):
+    """Arrows on a target from measured to predicted places.
+
+    here (n,): Rows of residuals.csv that are on the target.
+    dx, dy (n,): Predicted minus measured [m].
+    factor: By how much arrows are longer than that.
+    reach: What is shown as a share of the target.
+    """
+
+    here: BoolArray
+    dx: FloatArray
+    dy: FloatArray
+    factor: float
+    reach: float
+
+    @property
+    def note(self) -> str:
+        """What the arrows are, in words."""
+        enlarged = "true to scale" if self.factor == 1 else f"{self.factor:g} times their length"
+        return f"arrows from measured to predicted places, {enlarged}; {int(self.here.sum())} beams"
+
+
+def target_arrows(report: HeliostatReport, name: str) -> TargetArrows:
+    """Return the arrows on a target and how much they are enlarged."""
+    rows, target = report.residuals, report.content["targets"][name]
+    x, y = rows.numbers["measured_x_m"], rows.numbers["measured_y_m"]
+    dx, dy = rows.numbers["predicted_x_m"] - x, rows.numbers["predicted_y_m"] - y
+    here = np.array([one == name for one in rows.target]) & np.isfinite(dx) & np.isfinite(x)
+    half_x, half_y = 0.5 * float(target["width_m"]), 0.5 * float(target["height_m"])
+    ends = [np.abs(one[here]) / half for one, half in ((x, half_x), (x + dx, half_x), (y, half_y), (y + dy, half_y))]
+    reach = max(_LEAST_REACH, 1.1 * float(np.max(ends))) if here.any() else 1.0
+    length = np.hypot(dx, dy)[here & rows.used]
+    typical = float(np.median(length)) if length.size and np.median(length) > 0 else 1.0
+    return TargetArrows(here, dx, dy, max(1.0, _round_down(2 * _ARROW_SHARE * reach * half_x / typical)), reach)
 
 
 def target_figure(report: HeliostatReport, name: str) -> "Figure":
@@ -69,19 +91,14 @@ def target_figure(report: HeliostatReport, name: str) -> "Figure":
     """
     rows, target = report.residuals, report.content["targets"][name]
     x, y = rows.numbers["measured_x_m"], rows.numbers["measured_y_m"]
-    dx, dy = rows.numbers["predicted_x_m"] - x, rows.numbers["predicted_y_m"] - y
-    here = np.array([one == name for one in rows.target]) & np.isfinite(dx) & np.isfinite(x)
     half_x, half_y = 0.5 * float(target["width_m"]), 0.5 * float(target["height_m"])
-    ends = [np.abs(one[here]) / half for one, half in ((x, half_x), (x + dx, half_x), (y, half_y), (y + dy, half_y))]
-    reach = max(_LEAST_REACH, 1.1 * float(np.max(ends))) if here.any() else 1.0
-    length = np.hypot(dx, dy)[here & rows.used]
-    typical = float(np.median(length)) if length.size and np.median(length) > 0 else 1.0
-    factor = max(1.0, _round_down(2 * _ARROW_SHARE * reach * half_x / typical))
+    arrows = target_arrows(report, name)
+    here, dx, dy, factor, reach = arrows
     width = WIDTH_IN - 1.0
     height = min(width * half_y / half_x, 4.6)
     figure = new_figure(height + 1.55)
     axes = axes_in_inches(figure, 0.62, 0.92, width, height)
-    for group, color, label in _groups(rows, here):
+    for group, color, label in groups(rows, here):
         axes.quiver(
             x[group],
             y[group],
@@ -102,9 +119,7 @@ def target_figure(report: HeliostatReport, name: str) -> "Figure":
     axes.add_patch(_frame(half_x, half_y))
     _label(axes, "x, to the right as seen from the field [m]", "y, up [m]")
     add_legend(axes, loc="upper center", bbox_to_anchor=(0.5, -0.48 / height), ncols=3)
-    enlarged = "true to scale" if factor == 1 else f"{factor:g} times their length"
-    note = f"arrows from measured to predicted places, {enlarged}; {int(here.sum())} beams"
-    add_title(figure, f"Residuals on {name.replace('_', ' ')}", note)
+    add_title(figure, f"Residuals on {name.replace('_', ' ')}", arrows.note)
     return figure
 
 
@@ -115,17 +130,27 @@ def series_figures(report: HeliostatReport) -> "dict[str, Figure]":
     Returns: Keys "time", "azimuth", "elevation"; without times only the latter two, without suns too only "row".
     """
     rows = report.residuals
-    against: dict[str, tuple[str, npt.NDArray[Any]]] = {
-        "time": ("time (UTC)", rows.time),
-        "azimuth": ("azimuth of the sun from north, clockwise [deg]", rows.numbers["sun_azimuth_deg"]),
-        "elevation": ("apparent elevation of the sun [deg]", rows.numbers["sun_elevation_deg"]),
+    return {name: _series(rows, *one) for name, one in residual_axes(rows).items()}
+
+
+def residual_axes(rows: ResidualTable) -> dict[str, tuple[str, str, npt.NDArray[Any]]]:
+    """Return what residuals are shown against: words, label of the axis, and values, as far as they are known."""
+    against: dict[str, tuple[str, str, npt.NDArray[Any]]] = {
+        "time": ("time", "time (UTC)", rows.time),
+        "azimuth": (
+            "the sun's azimuth",
+            "azimuth of the sun from north, clockwise [deg]",
+            rows.numbers["sun_azimuth_deg"],
+        ),
+        "elevation": (
+            "the sun's elevation",
+            "apparent elevation of the sun [deg]",
+            rows.numbers["sun_elevation_deg"],
+        ),
     }
-    known = {name: one for name, one in against.items() if (~_missing(one[1]) & rows.used).any()}
-    if not known:
-        # Drones, normals and points of the mirror need neither time nor sun.
-        known = {"row": ("row of residuals.csv", np.arange(1.0, rows.used.size + 1))}
-    titles = {"row": "their order", "time": "time", "azimuth": "the sun's azimuth", "elevation": "the sun's elevation"}
-    return {name: _series(rows, titles[name], label, values) for name, (label, values) in known.items()}
+    known = {name: one for name, one in against.items() if (~_missing(one[2]) & rows.used).any()}
+    # Drones, normals and points of the mirror need neither time nor sun.
+    return known or {"row": ("their order", "row of residuals.csv", np.arange(1.0, rows.used.size + 1))}
 
 
 def _series(rows: ResidualTable, title: str, label: str, values: npt.NDArray[Any]) -> "Figure":
@@ -136,7 +161,7 @@ def _series(rows: ResidualTable, title: str, label: str, values: npt.NDArray[Any
     sizes = np.abs(np.concatenate([rows.numbers[name][shown] for name in names]))
     limit = nice_ceiling(1.02 * float(sizes.max())) if sizes.size else 1.0
     for axes, name, word in zip((upper, lower), names, ("to the right", "up"), strict=True):
-        for group, color, text in _groups(rows, shown):
+        for group, color, text in groups(rows, shown):
             axes.plot(values[group], rows.numbers[name][group], ".", color=color, markersize=3.5, label=text)
         axes.axhline(0.0, color=FAINT, linewidth=0.6)
         axes.set_ylim(-limit, limit)
@@ -227,7 +252,7 @@ def sky_figure(report: HeliostatReport) -> "Figure":
     return figure
 
 
-def _groups(rows: ResidualTable, among: BoolArray) -> list[tuple[BoolArray, str, str]]:
+def groups(rows: ResidualTable, among: BoolArray) -> list[tuple[BoolArray, str, str]]:
     """Return fitted and predicted rows with colour and words for the legend."""
     fitted, predicted = among & rows.used & ~rows.is_test, among & rows.used & rows.is_test
     words = f"fitted ({int(fitted.sum())})", f"predicted ({int(predicted.sum())})"
@@ -272,7 +297,7 @@ def field_map_figure(east_m: FloatArray, north_m: FloatArray, beam_mrad: FloatAr
     box = (0.72, 0.62, WIDTH_IN - 1.6, 3.2)
     axes = axes_in_inches(figure, *box)
     known = np.isfinite(beam_mrad)
-    high = _robust_end(beam_mrad[known])
+    high = robust_end(beam_mrad[known])
     size = float(np.clip(4000 / max(len(east_m), 1), 4, 60))
     axes.plot(east_m[~known], north_m[~known], "x", color=LINE_Y, markersize=5, label="no model")
     image = axes.scatter(
@@ -299,28 +324,7 @@ def field_map_figure(east_m: FloatArray, north_m: FloatArray, beam_mrad: FloatAr
     return figure
 
 
-def field_histogram_figure(beam_mrad: FloatArray, normal_mrad: FloatArray) -> "Figure":
-    """Draw how many heliostats have which error.
-
-    beam_mrad, normal_mrad (n,): RMS of beam and normal on test positions [mrad].
-    Returns: Sorted errors against the share of heliostats.
-    """
-    figure, axes = chart_figure(
-        "Errors of the field", "on positions that were not fitted", "RMS error [mrad]", "share of heliostats [%]"
-    )
-    for values, color, label in ((beam_mrad, _TRAIN, "beam"), (normal_mrad, _TEST, "normal")):
-        known = np.sort(values[np.isfinite(values)])
-        if known.size:
-            axes.step(known, 100 * np.arange(1, known.size + 1) / known.size, where="post", color=color, label=label)
-    both = np.concatenate([beam_mrad, normal_mrad])
-    both = both[np.isfinite(both)]
-    axes.set_xlim(0.0, _robust_end(both))
-    axes.set_ylim(0, 103)
-    add_legend(axes, loc="lower right")
-    return figure
-
-
-def _robust_end(values: FloatArray) -> float:
+def robust_end(values: FloatArray) -> float:
     """Return where a scale ends: at 95 % of the values, but not beyond four times their median."""
     if not values.size:
         return 1.0

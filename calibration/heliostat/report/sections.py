@@ -1,20 +1,32 @@
 """Parts of the reports on one heliostat and on a field, from the files of their results."""
 
-import base64
 import html
 from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from calibration.heliostat.report import figures_residuals as figures
+from calibration.heliostat.report.charts import (
+    beam_view,
+    distribution_view,
+    field_view,
+    first_view,
+    pictured,
+    series_views,
+    target_view,
+)
 from calibration.heliostat.report.results import FieldReport, HeliostatReport
-from heliogauge.files.regular import read_regular
 from heliogauge.reporting import page
-from heliogauge.reporting.html import Html, join, show, table
+from heliogauge.reporting.html import FirstScreen, Html, beside, join, show, table
 from heliogauge.reporting.notation import number_text
+from heliogauge.reporting.verdict import State, verdict_of
+from heliogauge.view.tables import TableColumn, TableView
 
-_MOST_ROWS = 60
+#: A larger share of observations that were not used is a hole.
+_MOST_LEFT_OUT = 0.1
 #: Letters of a reason in the table of a field.
 _REASON_LENGTH = 160
 #: Headline of one heliostat: words and keys of an angle summary.
@@ -29,15 +41,43 @@ _ANGLES = (
 _SHOWN_UNITS = {"rad": (1e3, "mrad"), "m": (1.0, "m"), "1/m": (1.0, "1/m"), "1": (1.0, "")}
 
 
-def title(report: HeliostatReport) -> Html:
-    """Return the head of the report: heliostat, model, number of observations, version."""
+def first_screen(report: HeliostatReport) -> FirstScreen:
+    """Return the first screen: verdict, what the model predicts, the residuals on the target."""
     content, summary = report.content, report.summary
     counts = content["observations"]
-    line = (
-        f"calibration of a heliostat; {counts['used']} of {counts['n']} observations used; model "
-        f"{content['model']['kind']}, {content['model']['name']}; heliogauge {summary.version}"
-    )
-    return page.name_and_line(str(content["heliostat"]), line)
+    name = content["split"]
+    split = content["splits"].get(name)
+    missing = [] if split else ["no observations held out: how well it predicts is not known"]
+    left_out = counts["n"] - counts["used"]
+    passed = [f"{counts['used']} of {counts['n']} observations used"]
+    if left_out > _MOST_LEFT_OUT * counts["n"]:
+        missing.append(f"{left_out} of {counts['n']} observations not used")
+        passed = []
+    diagnosis = content.get("diagnosis")
+    if diagnosis is None:
+        missing.append("no diagnosis was made")
+    elif not any(one["severity"] == "fault" for one in diagnosis["findings"]):
+        passed.append(f"no fault found in {len(diagnosis['checks'])} checks")
+    model = content["model"]
+    line = f"calibration of a heliostat; model {model['kind']}, {model['name']}; heliogauge {summary.version}"
+    rows = _headline_rows(content, split)
+    verdict = verdict_of(summary, missing, passed)
+    return page.first_screen(str(content["heliostat"]), line, verdict, rows, first_view(report))
+
+
+def _headline_rows(content: Mapping[str, Any], split: Mapping[str, Any] | None) -> list[tuple[str, ...]]:
+    whole = content["fit_to_all"]
+    rows: list[tuple[str, ...]] = []
+    if split is not None:
+        test = split["test"]
+        held = f"{test['n']} observations held out, {content['split']}"
+        rows.append(("Beam, RMS of predicted positions", _milli(test["beam_rms_mrad"]), held))
+        rows.append(("Normal, RMS of predicted positions", _milli(test["normal_rms_mrad"])))
+        rows.append(("Beam, expected beforehand (1 sigma)", _milli(split["predicted_sigma_median_mrad"])))
+    rows.append(("Beam, RMS of the fit to all", _milli(whole["beam_rms_mrad"]), f"{whole['n']} observations"))
+    rows.append(("Beam, largest residual of the fit", _milli(whole["beam_max_mrad"])))
+    rows.append(("Parameters determined", f"{content['rank']} of {content['n_free']}"))
+    return [row for row in rows if row[1]]
 
 
 def headline(report: HeliostatReport) -> Html:
@@ -84,25 +124,51 @@ def split_table(report: HeliostatReport) -> Html:
     return join(table(head, rows, numbers=range(1, 7)), _caption(note))
 
 
-def residual_figures(report: HeliostatReport) -> Html:
-    """Return residuals on the targets and against time and sun."""
-    on_targets = [figures.target_figure(report, name) for name in figures.targets_hit(report)]
-    return show(*on_targets, *figures.series_figures(report).values())
+def residual_section(report: HeliostatReport) -> Html:
+    """Return residuals on the targets and against time and sun, without the one that stands first."""
+    first = first_view(report).name
+    views = [*(target_view(report, name) for name in figures.targets_hit(report)), *series_views(report).values()]
+    others = [view for view in views if view.name != first]
+    return beside(*others) if others else Html("")
 
 
 def beam_section(report: HeliostatReport) -> Html:
-    """Return the pictures of the most informative beams in photos; nothing where there are none."""
-    files = sorted(report.folder.glob("beam_*.png"))
-    if not files:
+    """Return the most informative beams in photos with their heading; nothing where there are none."""
+    view = beam_view(report)
+    if view is None:
         return Html("")
-    data = [base64.b64encode(read_regular(file)).decode("ascii") for file in files]
-    images = [
-        f'<figure><img alt="{file.stem}" src="data:image/png;base64,{text}"></figure>'
-        for file, text in zip(files, data, strict=True)
-    ]
     order = "Photos that were left out come first, then the largest residuals, then those around the median; "
-    note = _caption(f"{order}beams.csv has all.")
-    return join(Html(f'<h3>Beams in the photos</h3><div class="figures">{"".join(images)}</div>'), note)
+    return join(Html("<h2>Beams in the photos</h2>"), view, _caption(f"{order}beams.csv has all."))
+
+
+def observation_table(report: HeliostatReport) -> TableView:
+    """Return all observations with their residuals, and links to the photos that are shown."""
+    rows, photos = report.residuals, pictured(report.folder)
+    count = range(len(rows))
+    columns = [
+        TableColumn(
+            "observation",
+            rows.observation,
+            links=[f"#{photos[name]}" if name in photos else "" for name in rows.observation],
+        ),
+        TableColumn("time", ["" if np.isnat(one) else f"{str(one)[:16]}Z" for one in rows.time]),
+        TableColumn("target", rows.target),
+        TableColumn("split", rows.split),
+    ]
+    for name, key in (
+        ("right [mrad]", "residual_right_mrad"),
+        ("up [mrad]", "residual_up_mrad"),
+        ("beam [mrad]", "residual_beam_mrad"),
+        ("normal [mrad]", "residual_normal_mrad"),
+    ):
+        values = rows.numbers[key]
+        columns.append(TableColumn(name, [_number(values[i]) for i in count], values.tolist()))
+    columns.append(TableColumn("not used, because", [_left_out(rows.flag[i], rows.reason[i]) for i in count]))
+    return TableView("observations", tuple(columns), most_rows=30)
+
+
+def _left_out(flag: str, reason: str) -> str:
+    return f"{flag}: {reason}" if flag and reason else flag
 
 
 def sky_section(report: HeliostatReport) -> Html:
@@ -158,40 +224,52 @@ def model_section(report: HeliostatReport) -> Html:
 
 
 def finding_section(report: HeliostatReport) -> Html:
-    """Return what the diagnosis found."""
+    """Return what the diagnosis found, as sentences with what they rest on and what to do."""
     diagnosis = report.content.get("diagnosis")
     if diagnosis is None:
         return Html("<p>Not made.</p>")
     findings, looks = diagnosis["findings"], len(diagnosis["checks"])
     if not findings:
         text = f"Nothing found in {looks} kinds of check: the heliostat behaves as its model."
-        return Html(f'<div class="fine">{text}</div>')
-    rows = [(f"{one['kind'].replace('_', ' ')} ({one['severity']})", one["text"], one["remedy"]) for one in findings]
-    return table(("kind", "evidence", "what to do"), rows)
+        return Html(f"<p>{text}</p>")
+    items = []
+    for one in findings:
+        kind = f"{one['kind'].replace('_', ' ')} ({one['severity']})"
+        words = " ".join(filter(None, (one["text"], _significance(one.get("chance")), one["remedy"])))
+        items.append(f"<li><strong>{html.escape(kind)}</strong>: {html.escape(words)}</li>")
+    note = (
+        f"{looks} checks were made; a chance below {diagnosis.get('significance', 0.01):g} counts, all checks together."
+    )
+    return join(Html(f"<ul>{''.join(items)}</ul>"), _caption(html.escape(note) if looks else ""))
+
+
+def _significance(chance: float | None) -> str:
+    """Say how likely a finding is by chance alone."""
+    if chance is None:
+        return ""
+    return (
+        f"Chance of this without the fault: {chance:.1g}."
+        if chance >= 1e-12
+        else "Chance of this without the fault: below 1e-12."
+    )
 
 
 def unused_section(report: HeliostatReport) -> Html:
     """Return the observations that were left out, with the reason."""
-    rows = report.residuals
+    rows, photos = report.residuals, pictured(report.folder)
     left_out = [i for i in range(len(rows)) if rows.flag[i]]
     if not left_out:
         return Html("<p>All observations were used.</p>")
     beam = rows.numbers["residual_beam_mrad"]
-    cells = [
-        (
-            rows.observation[i],
-            "" if np.isnat(rows.time[i]) else f"{str(rows.time[i])[:16]}Z",
-            rows.target[i],
-            rows.flag[i],
-            rows.reason[i],
-            _milli(beam[i]),
-        )
-        for i in left_out[:_MOST_ROWS]
-    ]
-    head = ("observation", "time", "target", "flag", "reason", "residual of the beam")
-    more = len(left_out) - _MOST_ROWS
-    note = _caption(f"{more} more in residuals.csv." if more > 0 else "")
-    return join(table(head, cells, numbers=(5,)), note)
+    names = [rows.observation[i] for i in left_out]
+    shown = (
+        TableColumn("observation", names, links=[f"#{photos[name]}" if name in photos else "" for name in names]),
+        TableColumn("time", ["" if np.isnat(rows.time[i]) else f"{str(rows.time[i])[:16]}Z" for i in left_out]),
+        TableColumn("target", [rows.target[i] for i in left_out]),
+        TableColumn("reason", [_left_out(rows.flag[i], rows.reason[i]) for i in left_out]),
+        TableColumn("residual of the beam", [_milli(beam[i]) for i in left_out], [float(beam[i]) for i in left_out]),
+    )
+    return join(TableView("observations that were left out", shown, most_rows=30))
 
 
 def note_section(report: HeliostatReport) -> Html:
@@ -212,81 +290,83 @@ def note_section(report: HeliostatReport) -> Html:
 # --- the field --------------------------------------------------------------------------------------------------------
 
 
-def field_title(report: FieldReport) -> Html:
-    """Return the head of a field's report."""
+def field_screen(report: FieldReport) -> FirstScreen:
+    """Return the first screen of a field: verdict, the numbers of its heliostats, the field from above."""
     numbers, summary = report.summary.numbers, report.summary
-    line = (
-        f"calibration of heliostats; {numbers['calibrated_count']} of {numbers['heliostats_count']} calibrated; "
-        f"{summary.texts.get('split', '')} split; heliogauge {summary.version}"
+    count, calibrated, failed, faulty, doubtful = (
+        int(numbers.get(f"{kind}_count") or 0) for kind in ("heliostats", "calibrated", "failed", "faulty", "doubtful")
     )
-    return page.name_and_line(summary.name, line)
+    missing = [f"{failed} of {count} heliostats have no model"] if failed else []
+    sound = calibrated - faulty - doubtful
+    passed = [f"{sound} of {count} heliostats without fault or doubt"] if sound > 0 else []
+    verdict = verdict_of(summary, missing, passed)
+    if verdict.state is State.SOUND and (faulty or doubtful):
+        verdict = replace(verdict, state=State.DOUBTFUL)
+    split = summary.texts.get("split", "")
+    line = f"calibration of {count} heliostats; {split} split; heliogauge {summary.version}"
+    return page.first_screen(summary.name, line, verdict, _field_rows(report), field_view(report))
 
 
-def field_doubts(report: FieldReport) -> Html:
-    """Return how many heliostats failed or need a second look, or the statement that none does."""
+def _field_rows(report: FieldReport) -> list[tuple[str, ...]]:
     numbers = report.summary.numbers
-    failed, faulty, doubtful = (int(numbers.get(f"{kind}_count") or 0) for kind in ("failed", "faulty", "doubtful"))
-    doubts = [html.escape(one.text) for one in report.summary.doubts]
-    if not (failed or faulty or doubtful or doubts):
-        return Html('<div class="fine">No warnings: every check of every heliostat passed.</div>')
-    count = numbers["heliostats_count"]
-    first = (
-        f"{failed} of {count} heliostats have no model; {faulty} have a fault; {doubtful} have warnings of their own"
-    )
-    items = "".join(f"<li>{text}</li>" for text in (first, *doubts))
-    return Html(f'<div class="warnings"><strong>to look at</strong><ul>{items}</ul></div>')
-
-
-def field_headline(report: FieldReport) -> Html:
-    """Return the numbers of the field."""
-    beam, normal = report.numbers("beam_test_rms_mrad"), report.numbers("normal_test_rms_mrad")
-    known = np.isfinite(beam)
-    numbers = report.summary.numbers
-    counts = ", ".join(
-        str(numbers.get(f"{kind}_count") or 0) for kind in ("calibrated", "faulty", "doubtful", "failed")
-    )
-    rows = [("Heliostats: calibrated, of these with a fault, with doubts; failed", counts)]
-    for word, values in (("Beam", beam), ("Normal", normal)):
+    rows: list[tuple[str, ...]] = [
+        ("Calibrated", f"{numbers.get('calibrated_count') or 0} of {numbers['heliostats_count']}")
+    ]
+    for kind, words in (("faulty", "with a fault"), ("doubtful", "with doubts"), ("failed", "without a model")):
+        if numbers.get(f"{kind}_count"):
+            rows.append((words, str(numbers[f"{kind}_count"])))
+    normal = report.numbers("normal_test_rms_mrad")
+    for word, values in (("Beam", report.numbers("beam_test_rms_mrad")), ("Normal", normal)):
         if np.isfinite(values).any():
             low, middle, high = np.nanpercentile(values, [5, 50, 95])
-            text = f"{middle:.2f} mrad (5 % below {low:.2f}, 95 % below {high:.2f})"
-            rows.append((f"{word}, RMS on predicted positions, median heliostat", text))
-    if known.any() and np.isfinite(normal).any():
-        share = 100 * np.mean(normal[np.isfinite(normal)] <= 1.0)
-        rows.append(("Normal within 1 mrad RMS", f"{share:.0f} % of the heliostats"))
-    return Html(f'<div class="headline">{table(("", ""), rows, numbers=(1,)).text}</div>')
+            note = f"RMS on predicted positions; 5 % below {low:.2f}, 95 % below {high:.2f} mrad"
+            rows.append((f"{word}, median heliostat", f"{middle:.2f} mrad", note))
+    known = normal[np.isfinite(normal)]
+    if known.size:
+        rows.append(("Normal within 1 mrad RMS", f"{100 * np.mean(known <= 1.0):.0f} % of the heliostats"))
+    return rows
 
 
-def field_figures(report: FieldReport) -> Html:
-    """Return map and distribution of the errors."""
-    beam, normal = report.numbers("beam_test_rms_mrad"), report.numbers("normal_test_rms_mrad")
-    east, north = report.numbers("e_m"), report.numbers("n_m")
-    return show(figures.field_map_figure(east, north, beam), figures.field_histogram_figure(beam, normal))
+def field_distribution(report: FieldReport) -> Html:
+    """Return the distribution of the errors; nothing where there is none."""
+    view = distribution_view(report)
+    return join(view) if view.series else Html("")
 
 
 def field_table(report: FieldReport) -> Html:
-    """Return the worst heliostats, the worst first."""
+    """Return the heliostats, the worst first, with links to their reports."""
     rows, count = report.rows, len(report.rows["heliostat"])
-    shown = ("beam_test_rms_mrad", "beam_train_rms_mrad", "predicted_sigma_beam_mrad", "normal_test_rms_mrad")
-    angles = {name: report.numbers(name) for name in shown}
     found = rows.get("diagnosis", ("",) * count)
     states = [kind.replace("_", " ") or status for kind, status in zip(found, rows["status"], strict=True)]
-    cells = [
-        (
-            rows["heliostat"][i],
-            states[i],
-            rows["model"][i],
-            *(_number(angles[name][i]) for name in shown),
-            f"{rows['used_count'][i]}/{rows['observations_count'][i]}" if rows["used_count"][i] else "",
-            _shortened(rows["reason"][i]),
-        )
-        for i in range(min(count, _MOST_ROWS))
+    columns = [
+        TableColumn("heliostat", rows["heliostat"], links=[_link(report, name) for name in rows["heliostat"]]),
+        TableColumn("state", states),
+        TableColumn("model", rows["model"]),
     ]
-    head = ("heliostat", "", "model", "beam predicted", "fitted", "expected", "normal predicted", "used", "")
-    more = f"The worst {_MOST_ROWS} of {count}; all are in field.csv. " if count > _MOST_ROWS else ""
-    command = "<code>heliogauge report OUT/NAME</code> makes the report of one heliostat."
-    note = f"{more}Angles in mrad, RMS; reasons in full in field.csv. {command}"
-    return join(table(head, cells, numbers=(3, 4, 5, 6)), _caption(note))
+    for name, key in (
+        ("beam predicted", "beam_test_rms_mrad"),
+        ("fitted", "beam_train_rms_mrad"),
+        ("expected", "predicted_sigma_beam_mrad"),
+        ("normal predicted", "normal_test_rms_mrad"),
+    ):
+        values = report.numbers(key)
+        columns.append(TableColumn(name, [_number(one) for one in values], values.tolist()))
+    used = [
+        f"{one}/{of}" if one else "" for one, of in zip(rows["used_count"], rows["observations_count"], strict=True)
+    ]
+    columns += [TableColumn("used", used), TableColumn("why", [_shortened(text) for text in rows["reason"]])]
+    command = (
+        "<code>heliogauge report OUT/NAME</code> makes the report of one heliostat; <code>heliogauge view OUT</code> "
+        "shows all of them."
+    )
+    note = f"Angles in mrad, RMS; reasons in full in field.csv. {command}"
+    ids = [f"heliostat-{name}" for name in rows["heliostat"]]
+    return join(TableView("heliostats", tuple(columns), ids), _caption(note))
+
+
+def _link(report: FieldReport, name: str) -> str:
+    is_there = Path(name).name == name and (report.folder / name / "heliostat.json").is_file()
+    return f"{name}/report.html" if is_there else ""
 
 
 def _caption(text: str) -> Html:

@@ -1,16 +1,12 @@
 """Figures of beams on the target: the picture with centroid, ellipse and aim point, in metres."""
 
-from collections.abc import Mapping
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from calibration.heliostat.beam_photos.light.beam_image import Beam, BeamSettings
-from calibration.heliostat.beam_photos.pipeline.target_frames import TargetFinder, TargetFrame
+from calibration.heliostat.beam_photos.light.beam_image import Beam
 from calibration.heliostat.beam_photos.target.view import TargetImage
-from heliogauge.errors import EstimationError, InputError
-from heliogauge.reporting.canvas import INK, WIDTH_IN, add_legend, add_title, axes_in_inches, new_figure, png_of
+from heliogauge.reporting.canvas import INK, WIDTH_IN, add_legend, add_title, axes_in_inches, new_figure
 from heliogauge.validate import FloatArray
 
 if TYPE_CHECKING:
@@ -27,29 +23,6 @@ _MARKS = {"intensity": "+", "threshold": "1", "gaussian": "2", "super_gaussian":
 _SPOT, _AIM, _OTHER = "#c8102e", "#0b6fb8", "#2c8c5a"
 #: Colours from the dark end to the bright one cover these quantiles of the picture: marks do not decide.
 _LOW, _HIGH = 0.01, 0.999
-
-
-class BeamPainter:
-    """Draw photos of beams on their targets; what does not change from photo to photo is made once."""
-
-    def __init__(self, frames: Mapping[str, TargetFrame]) -> None:
-        self._frames = frames
-        self._finders: dict[str, TargetFinder] = {}
-
-    def png(self, photo: Path, target: str, predicted_m: FloatArray, *, title: str) -> bytes | None:
-        """Draw the beam in a photo and where it was predicted; None where the target is not found."""
-        if target not in self._finders:
-            self._finders[target] = TargetFinder(self._frames[target])
-        finder = self._finders[target]
-        try:
-            image = finder.image(photo)
-        except (EstimationError, InputError):
-            return None
-        beam = finder.measure(photo, BeamSettings()).beam
-        place = predicted_m if np.isfinite(predicted_m).all() else None
-        return png_of(
-            beam_image_figure(image, beam, aim_m=place, aim_name="predicted place", title=title, methods=False)
-        )
 
 
 def beam_image_figure(

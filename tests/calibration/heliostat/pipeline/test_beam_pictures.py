@@ -5,13 +5,16 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from calibration.heliostat.files.beam_files import PICTURE_COLUMNS
 from calibration.heliostat.keys import load_heliostat
 from calibration.heliostat.pipeline import beam_pictures as pipeline_pictures
 from calibration.heliostat.pipeline.field import run_into
 from calibration.heliostat.pipeline.measure import Options
 from calibration.heliostat.report import sections as report_sections
+from calibration.heliostat.report.charts import beam_view
 from calibration.heliostat.report.results import open_heliostat
 from heliogauge.results.tables import read_table_csv, write_table_csv
+from heliogauge.results.thumbnails import read_thumbnails
 from tests.calibration.heliostat.pipeline.test_heliostat_beams import draw
 from tests.calibration.heliostat_folders import TARGET, write_field
 
@@ -60,18 +63,33 @@ def test_results_hold_the_beams_and_the_report_shows_them(tmp_path: Path) -> Non
     residuals = read_table_csv(out / "residuals.csv")
     told = np.array([float(cell or "nan") for cell in residuals["measured_x_m"]])
     np.testing.assert_allclose(np.delete(told, 3), np.delete([float(cell or "nan") for cell in beams["x_m"]], 3))
-    pictures = sorted(out.glob("beam_*.png"))
-    assert [file.name for file in pictures] == [f"beam_{number:02d}.png" for number in range(1, len(pictures) + 1)]
-    assert 8 <= len(pictures) <= 12
-    assert max(file.stat().st_size for file in pictures) < 120_000
-    picture = cv2.imread(str(pictures[-1]))
-    assert picture.shape[1] == 576
-    text = report_sections.beam_section(open_heliostat(out)).text
-    assert text.count("<img") == len(pictures)
+    pictures = read_table_csv(out / "beam_pictures.csv", PICTURE_COLUMNS)
+    assert pictures["picture"] == [f"beam_{number:02d}" for number in range(1, len(pictures["picture"]) + 1)]
+    assert 8 <= len(pictures["picture"]) <= 12
+    thumbnails = read_thumbnails(out, pictures["picture"])
+    assert list(thumbnails) == pictures["picture"]
+    report = open_heliostat(out)
+    view = beam_view(report)
+    assert len(view.photos) == len(thumbnails)
+    assert report_sections.beam_section(report).text.count("<img") == 1
+    for photo in view.photos:
+        observation = photo.mark.removeprefix("photo-")
+        row = report.residuals.observation.index(observation)
+        marks = {one.name: one for one in photo.marks}
+        assert ("beam" in marks) != bool(report.residuals.flag[row])
+        if "beam" not in marks:
+            continue
+        # The brightest light of the picture is where the mark is: within a pixel of the reduced picture or three.
+        blurred = cv2.GaussianBlur(photo.image, (0, 0), 3)
+        y, x = np.unravel_index(np.argmax(blurred), blurred.shape)
+        scale = photo.width_px / photo.image.shape[1]
+        np.testing.assert_allclose(marks["beam"].xy_px[0], (scale * x, scale * y), atol=6 * scale)
+        assert photo.lines[0].name == "ellipse of D4-sigma"
 
 
 def test_quick_runs_draw_nothing(tmp_path: Path) -> None:
     out = photographed(tmp_path, thorough=False)
     assert (out / "beams.csv").is_file()
-    assert not list(out.glob("beam_*.png"))
+    assert not (out / "beam_pictures.csv").exists()
+    assert not (out / "photos").exists()
     assert report_sections.beam_section(open_heliostat(out)).text == ""

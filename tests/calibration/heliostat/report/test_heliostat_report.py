@@ -9,11 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from calibration.heliostat.files.beam_files import PICTURE_COLUMNS
 from calibration.heliostat.keys import load_heliostat
 from calibration.heliostat.pipeline.field import run_into
 from calibration.heliostat.pipeline.measure import Options
+from calibration.heliostat.report import charts, sections
 from calibration.heliostat.report import figures_residuals as figures
-from calibration.heliostat.report import sections
 from calibration.heliostat.report.results import FieldReport, HeliostatReport, open_field, open_heliostat
 from heliogauge.errors import InputError
 from heliogauge.reporting.build import build_report
@@ -111,6 +112,8 @@ def test_findings_are_told_with_what_to_do(one):
 
     text = told({"findings": [finding], "checks": [{}]})
     assert "wrong target (fault)" in text
+    assert "Probability" not in text
+    assert "Probability by chance: 3e-05." in told({"findings": [finding | {"chance": 3.1e-5}], "checks": [{}]})
     assert "as if on &lt;upper&gt;" in text
     assert "Check the name." in text
     assert "Nothing found in 7 " in told({"findings": [], "checks": [{}] * 7})
@@ -131,16 +134,100 @@ def test_sky_map_is_hatched_where_the_model_is_extrapolated(one):
     assert expected > 0
 
 
-def test_field_names_the_worst_first_and_counts_what_needs_a_look(field):
+def test_first_screen_says_what_passed_and_what_is_missing(one):
+    text = sections.first_screen(one).text
+    counts = one.content["observations"]
+    assert f"{counts['used']} of {counts['n']} observations used" in text
+    assert f"{one.content['fit_to_all']['beam_rms_mrad']:.2f} mrad" in text
+    assert text.count("<img") == 1
+    blind = one.content | {"splits": {}, "diagnosis": None, "observations": counts | {"used": counts["n"] // 2}}
+    text = sections.first_screen(replace(one, content=blind)).text
+    assert 'class="verdict sound"' not in text
+    assert "how well it predicts is not known" in text
+    assert "no diagnosis was made" in text
+    assert f"{counts['n'] - counts['n'] // 2} of {counts['n']} observations not used" in text
+
+
+def test_arrows_of_the_chart_are_those_of_the_figure(one):
+    (name,) = figures.targets_hit(one)
+    arrows = figures.target_arrows(one, name)
+    series = {line.name: line for line in charts.target_view(one, name).series}
+    rows = one.residuals.used & ~one.residuals.is_test
+    words = f"fitted ({int(rows.sum())})"
+    start = one.residuals.numbers["measured_x_m"][rows]
+    np.testing.assert_allclose(series[words].x, start)
+    drawn = series[f"to the predicted place, {words}"].x
+    np.testing.assert_allclose(drawn[::3], start)
+    np.testing.assert_allclose(drawn[1::3] - start, arrows.factor * arrows.dx[rows])
+    assert np.isnan(drawn[2::3]).all()
+
+
+def test_charts_against_time_and_sun_hold_every_residual(one):
+    views = charts.series_views(one)
+    assert list(views) == ["time", "azimuth", "elevation"]
+    for view in views.values():
+        shown = np.concatenate([line.y for line in view.series if line.name.startswith("up")])
+        np.testing.assert_allclose(
+            np.sort(shown), np.sort(one.residuals.numbers["residual_up_mrad"][one.residuals.used])
+        )
+    years = np.concatenate([line.x for line in views["time"].series])
+    first = one.residuals.time[one.residuals.used].min().astype("datetime64[D]")
+    begin = first.astype("datetime64[Y]")
+    expected = 1970 + int(begin.astype(int)) + (first - begin).astype(int) / 365.25
+    assert years.min() == pytest.approx(expected, abs=0.005)
+
+
+def test_observations_that_have_pictures_link_to_them(one, tmp_path):
+    name = one.residuals.observation[4]
+    write_table_csv(
+        tmp_path / "beam_pictures.csv",
+        {key: [name if key == "observation" else "1"] for key in PICTURE_COLUMNS},
+    )
+    elsewhere = replace(one, folder=tmp_path)
+    assert f'<a href="#photo-{name}">{name}</a>' in sections.observation_table(elsewhere)._repr_html_()
+    assert f'<a href="#photo-{name}">{name}</a>' in sections.unused_section(elsewhere).text
+    assert "#photo" not in sections.observation_table(one)._repr_html_()
+
+
+def test_field_names_the_worst_first_and_links_to_each(field):
     text = sections.field_table(field).text
-    places = [text.index(name) for name in field.rows["heliostat"]]
+    names = field.rows["heliostat"]
+    places = [text.index(f'<a href="{name}/report.html">{name}</a>') for name in names]
     assert places == sorted(places)
     beam = field.numbers("beam_test_rms_mrad")
     assert (np.diff(beam) <= 0).all()
-    doubtful = field.summary.numbers["doubtful_count"]
-    said = sections.field_doubts(field).text
-    assert (f"{doubtful} have warnings" in said) if doubtful else ("No warnings" in said)
-    assert len(figures.field_map_figure(field.numbers("e_m"), field.numbers("n_m"), beam).axes) == 2
+    # Names lead nowhere else.
+    odd = replace(field, rows=field.rows | {"heliostat": ("../secret", *names[1:])})
+    assert "secret/report" not in sections.field_table(odd).text
+
+
+def test_field_is_never_green_with_a_heliostat_that_needs_a_look(field):
+    def screen(**counts):
+        numbers = field.summary.numbers | {f"{kind}_count": count for kind, count in counts.items()}
+        summary = replace(field.summary, numbers=numbers, doubts=())
+        return sections.field_screen(replace(field, summary=summary)).text
+
+    assert 'class="verdict sound"' in screen(failed=0, faulty=0, doubtful=0)
+    assert 'class="verdict doubtful"' in screen(failed=0, faulty=1, doubtful=0)
+    text = screen(failed=1, faulty=0, doubtful=0)
+    assert 'class="verdict incomplete"' in text
+    assert "1 of 3 heliostats have no model" in text
+    assert text.count("<img") == 1
+
+
+def test_field_map_has_every_heliostat_in_the_class_of_its_error(field):
+    beam = field.numbers("beam_test_rms_mrad").copy()
+    beam[0] = np.nan
+    rows = field.rows | {"beam_test_rms_mrad": tuple("" if np.isnan(one) else f"{one}" for one in beam)}
+    view = charts.field_view(replace(field, rows=rows))
+    series = {line.name: line for line in view.series if line.name != "origin"}
+    assert [label.split(":")[0] for label in series["no model"].labels] == [field.rows["heliostat"][0]]
+    assert sum(len(line.x) for line in series.values()) == len(beam)
+    for name, line in series.items():
+        low, _, high = name.removesuffix(" mrad").partition(" to ")
+        for label in line.labels if high else ():
+            error = float(label.split(": ")[1].split(" mrad")[0])
+            assert float(low) - 0.01 <= error <= (np.inf if high == "more" else float(high) + 0.01)
 
 
 def test_damaged_tables_are_refused_by_name(one, tmp_path):
@@ -160,7 +247,9 @@ def test_damaged_tables_are_refused_by_name(one, tmp_path):
 @pytest.mark.slow
 def test_pages_of_a_heliostat_and_of_a_field(one: HeliostatReport, field: FieldReport) -> None:
     page = build_report(one.folder).read_text(encoding="utf-8")
-    assert page.count("<img") >= len(figures.all_figures(one))
+    views = [charts.first_view(one), *charts.series_views(one).values()]
+    # With the correlation of the parameters and the sky.
+    assert page.count("<img") == len({view.name for view in views}) + 2
     assert json.loads((one.folder / "heliostat.json").read_text())["heliostat"] in page
     assert "Traceback" not in page
     whole = build_report(Path(field.folder)).read_text(encoding="utf-8")
