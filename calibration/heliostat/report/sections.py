@@ -237,9 +237,8 @@ def finding_section(report: HeliostatReport) -> Html:
         kind = f"{one['kind'].replace('_', ' ')} ({one['severity']})"
         words = " ".join(filter(None, (one["text"], _significance(one.get("chance")), one["remedy"])))
         items.append(f"<li><strong>{html.escape(kind)}</strong>: {html.escape(words)}</li>")
-    note = (
-        f"{looks} checks were made; a chance below {diagnosis.get('significance', 0.01):g} counts, all checks together."
-    )
+    limit = diagnosis.get("significance", 0.01)
+    note = f"{looks} checks were made; a healthy heliostat gets any finding with a probability of {limit:g}."
     return join(Html(f"<ul>{''.join(items)}</ul>"), _caption(html.escape(note) if looks else ""))
 
 
@@ -247,11 +246,7 @@ def _significance(chance: float | None) -> str:
     """Say how likely a finding is by chance alone."""
     if chance is None:
         return ""
-    return (
-        f"Chance of this without the fault: {chance:.1g}."
-        if chance >= 1e-12
-        else "Chance of this without the fault: below 1e-12."
-    )
+    return f"Probability by chance: {f'{chance:.1g}' if chance >= 1e-12 else 'below 1e-12'}."
 
 
 def unused_section(report: HeliostatReport) -> Html:

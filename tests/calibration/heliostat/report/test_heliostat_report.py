@@ -165,6 +165,7 @@ def test_arrows_of_the_chart_are_those_of_the_figure(one):
 def test_charts_against_time_and_sun_hold_every_residual(one):
     views = charts.series_views(one)
     assert list(views) == ["time", "azimuth", "elevation"]
+    up = one.residuals.numbers["residual_up_mrad"][one.residuals.used]
     for view in views.values():
         shown = np.concatenate([line.y for line in view.series if line.name.startswith("up")])
         np.testing.assert_allclose(
