@@ -207,10 +207,17 @@
         interval: even ? interval : null, nameGap: narrow ? 38 : 50, splitLine: { show: false }, axisLine: { show: false },
         axisLabel: { color: color.ink, formatter: heliogauge.tick, showMinLabel: even, showMaxLabel: even } }));
       const custom = (axis, renderItem) => ({ type: "custom", xAxisIndex: axis, yAxisIndex: axis, data: [[0, 0]], silent: true, clip: true, renderItem });
-      option.series = [custom(0, () => this.picture()), ...(bar ? [custom(1, (_, api) => this.colorBar(api))] : [])];
+      option.series = [custom(0, () => this.picture()), custom(0, (_, api) => this.outlines(api)), ...(bar ? [custom(1, (_, api) => this.colorBar(api))] : [])];
       this.figure.chart.setOption(option, { replaceMerge: ["series"] });
       this.over();
       this.summarise();
+    }
+
+    // Edges of panels and the like, as vertices in the unit of the axes.
+    outlines(api) {
+      const style = { stroke: heliogauge.colors().faint, lineWidth: 1, fill: "none" };
+      return { type: "group", children: this.spec.lines.map((line) => ({ type: "polyline", silent: true, style,
+        shape: { points: line.map((vertex) => api.coord(vertex)) } })) };
     }
 
     colorBar(api) {
