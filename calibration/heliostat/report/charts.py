@@ -3,12 +3,12 @@
 from pathlib import Path
 from typing import NamedTuple
 
-import cv2
 import numpy as np
 
 from calibration.heliostat.files.beam_files import BEAMS_FILE, PICTURE_COLUMNS, PICTURES_FILE
 from calibration.heliostat.report import figures_residuals as figures
 from calibration.heliostat.report.results import FieldReport, HeliostatReport, ResidualTable
+from heliogauge.images.thumbnails import decode_thumbnail
 from heliogauge.reporting.canvas import FAINT, INK, LINE_X, LINE_Y
 from heliogauge.results.folder import read_table_csv
 from heliogauge.results.thumbnails import read_thumbnails
@@ -151,13 +151,12 @@ def beam_view(report: HeliostatReport) -> PhotoView | None:
         row = rows.observation.index(observation)
         plane = _Plane(*(_number(table[name][k]) for name in PICTURE_COLUMNS[4:]))
         data = thumbnails.get(table["picture"][k])
-        image = None if data is None else cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_GRAYSCALE)
         photos.append(
             Photo(
                 f"{observation}: {table['image'][k]}",
                 plane.width_px,
                 plane.height_px,
-                None if image is None else np.asarray(image, dtype=np.uint8),
+                None if data is None else decode_thumbnail(data),
                 _beam_marks(rows, row, plane),
                 _beam_shape(rows, row, plane, shapes.get(table["image"][k])),
                 "; ".join(filter(None, (table["why"][k], rows.reason[row]))),
