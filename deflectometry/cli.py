@@ -1,7 +1,8 @@
 """``heliogauge deflectometry``: images of fringes seen in a mirror to its slope map; patterns to display."""
 
+from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import typer
 
@@ -52,14 +53,31 @@ def measure_command(
     verbose: Verbose = False,
 ) -> None:
     """Evaluate a measurement folder: slope_map.nc, pixels.nc, cameras.json, summary.json, report.html."""
+    from deflectometry.exchange.measure_slopes import load_slopes
+    from deflectometry.exchange.measure_slopes import run as run_slopes
     from deflectometry.keys import load_deflectometry
     from deflectometry.pipeline.choices import Options
     from deflectometry.pipeline.measure import run
     from deflectometry.shape.smooth_shape import Align
+    from heliogauge.errors import InputError
+    from heliogauge.measurement.load import kind_of
     from heliogauge.running.terminal import terminal_progress
     from heliogauge.slopes.removal import Removal
 
     progress = terminal_progress(quiet=quiet, verbose=verbose)
+    if kind_of(folder).name == "slopes":
+        if (align, grid_step_mm, remove) != (None, None, None):
+            raise InputError(f"{folder}: slopes are evaluated as its measurement.toml says; leave the options out")
+        deliver(
+            out,
+            lambda: run_slopes(load_slopes(folder), progress),
+            progress,
+            force=force,
+            quiet=quiet,
+            report=not no_report,
+            as_json=as_json,
+        )
+        return
     options = Options(
         align=None if align is None else Align(align),
         grid_step_mm=grid_step_mm,
@@ -120,6 +138,94 @@ def import_opencsp_command(
     if not quiet:
         for line in imported.taken:
             typer.echo(line)
+        typer.echo(f"measurement folder: {out}; evaluate it with `heliogauge deflectometry measure {out} -o RESULT`")
+
+
+SlopeDesign = Annotated[
+    Literal["plane", "paraboloid", "trough", "sphere"],
+    typer.Option(help="Design that the slopes are compared with; edit measurement.toml for others."),
+]
+FocalLength = Annotated[
+    float | None, typer.Option(min=0.0, help="Focal length of the paraboloid or trough.", show_default=False)
+]
+Radius = Annotated[float | None, typer.Option(min=0.0, help="Radius of the sphere.", show_default=False)]
+
+
+def _import_slopes(form: str, help_of_file: str) -> Callable[..., None]:
+    def import_command(
+        file: Annotated[Path, typer.Argument(metavar="FILE", help=help_of_file, show_default=False)],
+        out: OutMeasurement,
+        design: SlopeDesign = "plane",
+        focal_length_m: FocalLength = None,
+        radius_m: Radius = None,
+        force: ForceMeasurement = False,
+        quiet: Quiet = False,
+        verbose: Verbose = False,
+    ) -> None:
+        from deflectometry.exchange.slope_files import import_slopes
+
+        numbers = {"focal_length_m": focal_length_m, "radius_m": radius_m}
+        keys = {"design": design} | {name: value for name, value in numbers.items() if value is not None}
+        said = import_slopes(file, out, form, keys, force=force)
+        if not quiet:
+            typer.echo(said)
+            typer.echo(
+                f"measurement folder: {out}; evaluate it with `heliogauge deflectometry measure {out} -o RESULT`"
+            )
+
+    return import_command
+
+
+imports.command("soltrace", help="Write a measurement folder from measured slopes of SolTrace (VSHOT, .sht).")(
+    _import_slopes("soltrace", "VSHOT file (.sht).")
+)
+imports.command("slopes", help="Write a measurement folder from a slope map: NetCDF of heliogauge, or a table.")(
+    _import_slopes(
+        "slopes", "slope_map.nc, or CSV with columns x_m, y_m, slope_x, slope_y and, if known, their sigmas."
+    )
+)
+
+
+@imports.command("surface")
+def import_surface_command(
+    file: Annotated[
+        Path,
+        typer.Argument(
+            metavar="FILE",
+            help="NURBS as ARTIST writes them (.h5), PLY with normals (.ply), or points with normals (.csv).",
+            show_default=False,
+        ),
+    ],
+    out: OutMeasurement,
+    heliostat: Annotated[
+        str | None, typer.Option(help="Which heliostat of an .h5 file with several.", show_default=False)
+    ] = None,
+    facet: Annotated[
+        str | None, typer.Option(help="Which facet of an .h5 file; default: all.", show_default=False)
+    ] = None,
+    design: SlopeDesign = "plane",
+    focal_length_m: FocalLength = None,
+    radius_m: Radius = None,
+    force: ForceMeasurement = False,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+) -> None:
+    """Write a measurement folder from a measured surface."""
+    from deflectometry.exchange.slope_files import import_slopes
+
+    keys = _design_keys(design, focal_length_m, radius_m)
+    said = import_slopes(file, out, "surface", keys, heliostat=heliostat, facet=facet, force=force)
+    _say_imported(said, out, quiet=quiet)
+
+
+def _design_keys(design: str, focal_length_m: float | None, radius_m: float | None) -> dict[str, Any]:
+    numbers = {"focal_length_m": focal_length_m, "radius_m": radius_m}
+    return {"design": design} | {name: value for name, value in numbers.items() if value is not None}
+
+
+def _say_imported(said: str, out: Path, *, quiet: bool) -> None:
+    if not quiet:
+        typer.echo(said)
         typer.echo(f"measurement folder: {out}; evaluate it with `heliogauge deflectometry measure {out} -o RESULT`")
 
 

@@ -17,8 +17,21 @@ INSTRUMENT = Instrument(
             options="deflectometry.pipeline.choices:Options",
             check="deflectometry.pipeline.check:find_faults",
         ),
+        Kind(
+            name="slopes",
+            model="deflectometry.exchange.measure_slopes:SlopesModel",
+            load="deflectometry.exchange.measure_slopes:load_slopes",
+            template="deflectometry.exchange:template_slopes.toml",
+            command="deflectometry measure",
+            init_option="--slopes",
+            init_help="For slopes that were measured otherwise, instead of images of fringes.",
+            run="deflectometry.exchange.measure_slopes:run",
+        ),
     ),
     synth="data_synth.preset_folders:deflectometry",
     synth_command="data_synth.cli:deflectometry",
-    reports={"deflectometry": "deflectometry.report:report.ipynb"},
+    reports={
+        "deflectometry": "deflectometry.report:report.ipynb",
+        "slopes": "deflectometry.report:report_slopes.ipynb",
+    },
 )

@@ -29,6 +29,8 @@ class Kind:
     load: Function ``(folder) -> measurement`` that reads and checks a folder.
     template: File with a commented measurement.toml to start from.
     command: What follows ``heliogauge`` on the command line to evaluate a folder: ``"observer measure"``.
+    init_option: Option of ``init`` that writes a file of this kind instead of the instrument's first.
+    init_help: What that option is for.
     run: Function ``(measurement, options, progress) -> InstrumentResult``, without options where the kind has none.
     options: Dataclass of the choices that override those of measurement.toml.
     run_into: Function ``(measurement, out, options, progress, *, force, report)`` in place of run, where a measurement
@@ -43,6 +45,8 @@ class Kind:
     load: str
     template: str
     command: str
+    init_option: str = ""
+    init_help: str = ""
     run: str = ""
     options: str = ""
     run_into: str = ""
@@ -54,8 +58,7 @@ class Kind:
 
         folder: The folder, as it is to be named.
         """
-        instrument, verb = self.command.split()
-        return f"{instrument} init {folder}" + (" --plan" if verb == "plan" else "")
+        return f"{self.command.split()[0]} init {folder} {self.init_option}".rstrip()
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,7 +68,7 @@ class Instrument:
     name: Its name, one word: that after ``heliogauge`` on the command line, and that of ``heliogauge.synth``.
     summary: What it measures, in one line; ``--help`` shows it without importing the commands.
     commands: The ``typer.Typer`` of its verbs; ``init`` and ``synth`` are added to them.
-    kinds: Kinds of measurement.toml that it evaluates: the measurement first, then its plan where it has one.
+    kinds: Kinds of measurement.toml that it evaluates: the usual one first, then one with an `init_option` at most.
     reports: File of the report notebook of each kind of result.
     synth: Function ``(folder, *, preset, seed, force, progress)`` that writes a measurement folder with known truth.
     synth_command: The same as a command, with all that can be chosen.

@@ -23,6 +23,8 @@ INSTRUMENT = Instrument(
             load="observer.planning.keys:load_observer_plan",
             template="observer.planning:template.toml",
             command="observer plan",
+            init_option="--plan",
+            init_help="For a plan of a measurement, made before it, instead of a measurement.",
             run="observer.planning.plan:run",
         ),
     ),

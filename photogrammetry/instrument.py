@@ -23,6 +23,8 @@ INSTRUMENT = Instrument(
             load="photogrammetry.planning.keys:load_photogrammetry_plan",
             template="photogrammetry.planning:template.toml",
             command="photogrammetry plan",
+            init_option="--plan",
+            init_help="For a plan of a measurement, made before it, instead of a measurement.",
             run="photogrammetry.planning.plan:run",
         ),
     ),

@@ -81,7 +81,7 @@ def first_screen(results: Results, view: MapView) -> Html:
     """
     summary = results.summary
     verdict = verdict_of(summary, missing=holes(results.slope_map), passed=passed_checks(summary))
-    line = f"deflectometry; design: {results.slope_map.design}; heliogauge {summary.version}"
+    line = f"{summary.kind}; design: {results.slope_map.design}; heliogauge {summary.version}"
     rows = []
     for key, label, note in HEADLINE:
         if key not in summary.numbers:

@@ -131,6 +131,8 @@ def read_photos(
         return PhotoFacts((width, height), 16 if image.dtype.itemsize == 2 else 8)
 
     files = list(dict.fromkeys(files))
+    if not files:
+        return
     # An image in memory for each: not more than can be read at the speed of a disk.
     with (
         progress.stage("read images", len(files)) as running,

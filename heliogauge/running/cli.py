@@ -47,7 +47,7 @@ def group_of(instrument: Instrument) -> Any:
     verbs = typer.Typer(rich_markup_mode=None, pretty_exceptions_enable=False, add_completion=False)
     verbs.callback()(lambda: None)
     if instrument.kinds:
-        verbs.command("init")(_init_with_plan(instrument) if len(instrument.kinds) > 1 else _init(instrument))
+        verbs.command("init")(_init_of_two(instrument) if len(instrument.kinds) > 1 else _init(instrument))
     if instrument.synth_command:
         verbs.command("synth")(resolve(instrument.synth_command))
     first: Any = typer.main.get_command(verbs)
@@ -74,18 +74,18 @@ def _init(instrument: Instrument) -> Any:
     return init
 
 
-def _init_with_plan(instrument: Instrument) -> Any:
+def _init_of_two(instrument: Instrument) -> Any:
+    usual, other = instrument.kinds
+
     def init(
         folder: InitFolder,
-        plan: Annotated[
-            bool, typer.Option("--plan", help="For a plan of a measurement, made before it, instead of a measurement.")
-        ] = False,
+        is_other: Annotated[bool, typer.Option(other.init_option, help=other.init_help)] = False,
         force: ForceInit = False,
         quiet: Quiet = False,
         verbose: Verbose = False,
     ) -> None:
         """Write a commented measurement.toml to start from."""
-        _write_template(instrument.kinds[plan].name, folder, force=force, quiet=quiet)
+        _write_template((other if is_other else usual).name, folder, force=force, quiet=quiet)
 
     return init
 

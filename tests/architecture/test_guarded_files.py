@@ -17,6 +17,7 @@ ALLOWED = {
     "heliogauge.results.json_file": ("json.loads",),  # the name of a key that it writes
     "heliogauge.results.opened": ("pandas.read_csv",),  # bytes that were read
     "photogrammetry.exchange.colmap_files": ("np.frombuffer",),  # bytes that were read
+    "deflectometry.exchange.surface_files": ("np.frombuffer",),  # bytes that were read
     "calibration.camera.files.opencv_files": ("cv2.FileStorage",),  # a text that was read
     "calibration.heliostat.observations.rows": ("csv.reader",),  # one line of text
     "calibration.heliostat.files.store_heliostat": ("json.loads",),  # a text that was checked when it was read

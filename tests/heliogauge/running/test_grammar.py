@@ -47,6 +47,9 @@ COMMANDS = FOR_ALL + [
     "deflectometry synth",
     "deflectometry measure",
     "deflectometry import opencsp",
+    "deflectometry import soltrace",
+    "deflectometry import slopes",
+    "deflectometry import surface",
     "deflectometry export soltrace",
     "deflectometry export ply",
     "deflectometry export csv",
@@ -201,7 +204,7 @@ def test_the_shell_completes(words: list[str], wanted: list[str]) -> None:
 
 
 #: Described before they are built.
-COMING = "deflectometry import soltrace|--scheduler"
+COMING = "--scheduler"
 
 
 def documented() -> list[tuple[str, str]]:

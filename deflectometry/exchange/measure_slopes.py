@@ -1,0 +1,235 @@
+"""Slopes that were measured otherwise: on a grid, against a design, with statistics and report."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import ClassVar, Literal, Self
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from deflectometry.exchange.slope_files import SlopePoints, read_slopes
+from deflectometry.pipeline.headline import Numbers, facet_numbers, headline_text
+from heliogauge.doubts import Doubt
+from heliogauge.errors import EstimationError, InputError
+from heliogauge.flags import SampleFlag
+from heliogauge.geometry.surfaces import Quadric
+from heliogauge.measurement.designs import build_design
+from heliogauge.measurement.load import MEASUREMENT_FILE, read_measurement, refuse_missing
+from heliogauge.measurement.models import DesignKeys, MeasurementModel, Positive, Section, Text
+from heliogauge.results.folder import Summary, hash_files, write_slope_map
+from heliogauge.results.frame import InstrumentResult
+from heliogauge.running.progress import Progress, SilentProgress
+from heliogauge.slopes.map import SlopeMap, no_common_modes
+from heliogauge.slopes.removal import Removal, remove
+from heliogauge.validate import BoolArray, FloatArray
+
+#: A node farther from every point than this many spacings was not measured.
+_GAP = 1.5
+#: Points whose coordinates agree to this share of their spacing stand in one row.
+_ON_GRID = 1e-3
+_MOST_NODES = 4_000_000
+
+
+class SlopesSection(Section):
+    """The slopes: a table with columns x_m, y_m, slope_x, slope_y, and sigma_slope_x, sigma_slope_y if known."""
+
+    file: Text = Field(description="Table of the slopes (CSV), or a slope map (NetCDF).")
+    sigma_slope_mrad: Positive | None = Field(
+        None, description="Standard deviation of a slope, where the table has none; default: unknown [mrad]."
+    )
+
+
+class SlopesMirrorSection(DesignKeys):
+    """The design that the slopes are compared with."""
+
+    @model_validator(mode="after")
+    def _complete(self) -> Self:
+        if self.design is None:
+            raise ValueError("design is missing; say which shape the slopes are compared with")
+        return self
+
+
+class SlopesEvaluationSection(Section):
+    """Choices of the evaluation."""
+
+    grid_step_mm: Positive | None = Field(None, description="Step of the map; default: the spacing of the points [mm].")
+    remove: Literal["nothing", "tilt", "focus", "quadratic"] = Field(
+        "nothing", description="What is taken out of the map and headline numbers."
+    )
+
+
+class SlopesModel(MeasurementModel):
+    """The whole measurement.toml of ``kind = "slopes"``."""
+
+    kind: Literal["slopes"] = Field(description="Slopes of a mirror that were measured otherwise.")
+    slopes: SlopesSection = Field(description="The slopes.")
+    mirror: SlopesMirrorSection = Field(description="The design of the mirror.")
+    evaluation: SlopesEvaluationSection = Field(SlopesEvaluationSection(), description="Choices of the evaluation.")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SlopesMeasurement:
+    """Checked slopes of a mirror: the content of measurement.toml, and where its files are."""
+
+    folder: Path
+    model: SlopesModel
+
+    @property
+    def input_files(self) -> tuple[Path, ...]:
+        """All files the measurement consists of, measurement.toml first."""
+        return (self.folder / MEASUREMENT_FILE, self.folder / self.model.slopes.file)
+
+
+def load_slopes(folder: Path) -> SlopesMeasurement:
+    """Read and check a folder with slopes that were measured otherwise.
+
+    Returns: The measurement; its table exists.
+    InputError: As for `heliogauge.measurement.load.read_measurement`.
+    """
+    file, model = read_measurement(folder, SlopesModel)
+    found = SlopesMeasurement(folder, model)
+    refuse_missing(file, found.input_files)
+    return found
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SlopesResult(InstrumentResult):
+    """The map of slopes that were measured otherwise.
+
+    slope_map: After what was to be removed.
+    numbers: Headline numbers.
+    points: Number of points that were given.
+    """
+
+    kind: ClassVar[str] = "slopes"
+    slope_map: SlopeMap
+    numbers: Numbers
+    points: int
+
+    def summarise(self) -> Summary:
+        """Collect the headline numbers with their sigmas, doubts and provenance."""
+        one = self.slope_map
+        texts = {
+            "design": one.design,
+            "removed": one.removed,
+            "frame": one.frame,
+            "points": f"{self.points} points, interpolated to {one.x_m.size} x {one.y_m.size} nodes",
+            "sigma": "1 standard deviation; slopes are those of the normal, a beam turns by twice as much",
+        }
+        return self._summary(self.numbers, texts)
+
+    def write_files(self, folder: Path) -> None:
+        """Write the map into an existing folder."""
+        write_slope_map(folder / "slope_map.nc", {"": self.slope_map}, {"name": self.name})
+
+    def headline(self) -> str:
+        """Return the most important numbers in a few lines for the terminal."""
+        return headline_text(self.summarise())
+
+
+def run(measurement: SlopesMeasurement, progress: Progress | None = None) -> SlopesResult:
+    """Put slopes on a grid and compare them with the design.
+
+    InputError: A table that cannot be read, or a grid that is too fine.
+    EstimationError: Points on one line.
+    """
+    progress = progress or SilentProgress()
+    model = measurement.model
+    with progress.stage("read slopes"):
+        points = read_slopes(measurement.folder / model.slopes.file)
+    with progress.stage("grid"):
+        step_mm = model.evaluation.grid_step_mm
+        as_measured = grid_points(points, build_design(model.mirror), None if step_mm is None else 1e-3 * step_mm)
+        known = np.isfinite(points.sigma_x).all() and np.isfinite(points.sigma_y).all()
+        if not known:
+            as_measured = _with_sigma(as_measured, 1e-3 * (model.slopes.sigma_slope_mrad or 0.0))
+    with progress.stage("statistics"):
+        slope_map = remove(as_measured, Removal(model.evaluation.remove))
+        numbers = facet_numbers(slope_map, as_measured)
+    doubts: tuple[Doubt, ...] = ()
+    if not known and model.slopes.sigma_slope_mrad is None:
+        doubts = (
+            Doubt(
+                "sigma_of_slopes_missing",
+                "the slopes come without sigmas: they count as exact, and every sigma here is too small; give "
+                "sigma_slope_mrad in [slopes], or columns sigma_slope_x and sigma_slope_y",
+            ),
+        )
+    return SlopesResult(
+        name=model.name,
+        slope_map=slope_map,
+        numbers=numbers,
+        points=points.x_m.size,
+        doubts=doubts,
+        durations_s=dict(progress.durations_s),
+        input_sha256=hash_files(measurement.input_files, measurement.folder),
+    )
+
+
+def grid_points(points: SlopePoints, design: Quadric, step_m: float | None = None) -> SlopeMap:
+    """Put slopes on a regular grid: as they are where they stand on one, else by linear interpolation.
+
+    step_m: Step of the grid; the spacing of the points if None [m].
+    Returns: The map; random sigmas are those of the points (NaN where they are not known).
+    InputError: A grid of too many nodes.
+    EstimationError: Points on one line.
+    """
+    from scipy.interpolate import LinearNDInterpolator
+    from scipy.spatial import ConvexHull, QhullError, cKDTree
+
+    place = np.column_stack([points.x_m, points.y_m])
+    tree = cKDTree(place)
+    try:
+        area = float(ConvexHull(place).volume)
+    except QhullError as error:
+        raise EstimationError(f"{len(place)} points on one line; slopes of a surface are needed") from error
+    spacing = float(np.sqrt(area / len(place)))
+    x_m, y_m = (_axis(values, spacing, step_m) for values in (points.x_m, points.y_m))
+    if x_m.size * y_m.size > _MOST_NODES:
+        raise InputError(f"a map of {x_m.size} x {y_m.size} nodes; give a larger grid_step_mm")
+    x, y = np.meshgrid(x_m, y_m)
+    columns = np.column_stack([points.slope_x, points.slope_y, points.sigma_x, points.sigma_y])
+    distance, nearest = tree.query(np.column_stack([x.ravel(), y.ravel()]))
+    values = LinearNDInterpolator(place, columns)(x, y)
+    # At the rim rounding puts nodes outside the triangles: a node that is a point has its values.
+    same = (distance < _ON_GRID * spacing).reshape(x.shape)
+    values[same] = columns[nearest.reshape(x.shape)[same]]
+    near = (distance < _GAP * spacing).reshape(x.shape)
+    aperture: BoolArray = same | np.isfinite(values[..., 0])
+    seen = aperture & near
+    slope_x, slope_y, sigma_x, sigma_y = (np.where(seen, values[..., k], np.nan) for k in range(4))
+    design_x, design_y = design.gradient(x, y)
+    return SlopeMap(
+        x_m,
+        y_m,
+        slope_x,
+        slope_y,
+        design_x,
+        design_y,
+        sigma_x,
+        sigma_y,
+        1.0,
+        no_common_modes(),
+        np.full(x.shape, np.nan),
+        np.where(seen, 0, SampleFlag.NOT_SEEN).astype(np.uint32),
+        aperture,
+        design.describe(),
+        "as in the table: x to the right, y up, z out of the mirror",
+        "nothing",
+    )
+
+
+def _axis(values: FloatArray, spacing: float, step_m: float | None) -> FloatArray:
+    """Return the lines of a grid: those on which the points stand, or lines of equal distance."""
+    lines = np.unique(np.round(values / (_ON_GRID * spacing))) * (_ON_GRID * spacing)
+    steps = np.diff(lines)
+    if step_m is None and lines.size > 1 and np.ptp(steps) < 2 * _ON_GRID * spacing + 0.01 * steps.min():
+        return np.linspace(values.min(), values.max(), lines.size)
+    step = spacing if step_m is None else step_m
+    count = int(np.ptp(values) / step) + 1
+    return np.asarray(values.min() + 0.5 * (np.ptp(values) - (count - 1) * step) + step * np.arange(count))
+
+
+def _with_sigma(slope_map: SlopeMap, sigma_rad: float) -> SlopeMap:
+    sigma = np.where(slope_map.valid, sigma_rad, np.nan)
+    return replace(slope_map, sigma_random_x=sigma, sigma_random_y=sigma)

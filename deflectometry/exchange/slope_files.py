@@ -1,0 +1,127 @@
+"""Slopes that another program or instrument measured: SolTrace's VSHOT files and slope maps become a measurement."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from heliogauge.errors import InputError
+from heliogauge.files.texts import read_text
+from heliogauge.measurement.imported import IMPORTED, write_imported
+from heliogauge.measurement.writer import write_measurement
+from heliogauge.results.slope_map_file import read_slope_map
+from heliogauge.results.tables import read_columns_csv, read_table_csv, write_table_csv
+from heliogauge.results.whole_folder import WholeFolder
+from heliogauge.validate import FloatArray
+
+SLOPES_FILE = "slopes.csv"
+COLUMNS = ("x_m", "y_m", "slope_x", "slope_y")
+SIGMAS = ("sigma_slope_x", "sigma_slope_y")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SlopePoints:
+    """Slopes of a mirror at points, in any order.
+
+    x_m, y_m (n,): Where they were measured, right and up seen from the front [m].
+    slope_x, slope_y (n,): dz/dx and dz/dy.
+    sigma_x, sigma_y (n,): Their standard deviations, NaN where they are not known [rad].
+    """
+
+    x_m: FloatArray
+    y_m: FloatArray
+    slope_x: FloatArray
+    slope_y: FloatArray
+    sigma_x: FloatArray
+    sigma_y: FloatArray
+
+
+def read_soltrace(file: Path) -> SlopePoints:
+    """Read a VSHOT file (.sht) as SolTrace does.
+
+    Returns: Its slopes: the tangents of the angles in the third and fourth column.
+    InputError: The file cannot be read, or is no such file.
+    """
+    lines = read_text(file, "a VSHOT file of SolTrace").splitlines()
+    try:
+        _, order, count = (int(cell) for cell in lines[2].split()[:3])
+        first = 4 + (order + 1) * (order + 2) // 2
+        rows = [[float(cell) for cell in line.split()[:4]] for line in lines[first : first + count]]
+        table = np.array(rows, dtype=np.float64)
+    except (IndexError, ValueError) as error:
+        raise InputError(f"{file}: not a VSHOT file of SolTrace ({error}); its points start with line 11") from None
+    if count < 1 or table.shape != (count, 4) or not np.isfinite(table).all():
+        raise InputError(f"{file}: {len(rows)} points of x, y and two angles were read, but line 3 says {count}")
+    if np.abs(table[:, 2:]).max() >= np.pi / 2:
+        raise InputError(f"{file}: an angle of {np.abs(table[:, 2:]).max():.3g} rad; angles of slopes are in radians")
+    unknown = np.full(count, np.nan)
+    slope_x, slope_y = np.tan(table[:, 2:]).T
+    return SlopePoints(table[:, 0], table[:, 1], slope_x, slope_y, unknown, unknown)
+
+
+def read_slopes(file: Path) -> SlopePoints:
+    """Read a slope map: NetCDF of ours, or a table with columns x_m, y_m, slope_x, slope_y (and their sigmas).
+
+    Returns: The points that have both slopes.
+    InputError: The file cannot be read, lacks a column, or has no slopes.
+    """
+    if file.suffix.lower() in (".nc", ".nc4"):
+        slope_map = read_slope_map(file)
+        good = slope_map.valid
+        x, y = np.meshgrid(slope_map.x_m, slope_map.y_m)
+        planes = (x, y, slope_map.slope_x, slope_map.slope_y, *slope_map.sigma_slope())
+        points = SlopePoints(*(plane[good] for plane in planes))
+    else:
+        known = [name for name in SIGMAS if name in read_table_csv(file, COLUMNS)]
+        _, table = read_columns_csv(file, (), (*COLUMNS, *known))
+        good = np.asarray(np.isfinite([table[name] for name in COLUMNS]).all(axis=0))
+        none = np.full(int(good.sum()), np.nan)
+        sigmas = (table[name][good] if name in known else none for name in SIGMAS)
+        points = SlopePoints(*(table[name][good] for name in COLUMNS), *sigmas)
+    if points.x_m.size == 0:
+        raise InputError(f"{file}: no point has both slopes, so there is nothing to evaluate")
+    return points
+
+
+def import_slopes(
+    file: Path,
+    folder: Path,
+    form: str,
+    design: Mapping[str, Any] | None = None,
+    *,
+    heliostat: str | None = None,
+    facet: str | None = None,
+    force: bool = False,
+) -> str:
+    """Write a measurement folder from slopes of another program.
+
+    form: "soltrace", "slopes" or "surface".
+    heliostat, facet: Which surface of a file with several.
+    design: Keys of [mirror]: the design that the slopes are compared with; a plane without them.
+    force: Replace a folder that was imported earlier.
+    Returns: What was taken over, in a sentence.
+    InputError: The file cannot be read, the design is not one, or the folder is in use.
+    """
+    from deflectometry.exchange.surface_files import read_surface
+
+    if form == "surface":
+        points = read_surface(file, heliostat, facet)
+    else:
+        points = read_soltrace(file) if form == "soltrace" else read_slopes(file)
+    content = {
+        "kind": "slopes",
+        "name": " ".join(filter(None, (heliostat, facet))) or file.stem,
+        "slopes": {"file": SLOPES_FILE},
+        "mirror": design or {"design": "plane"},
+    }
+    columns = dict(zip(COLUMNS, (points.x_m, points.y_m, points.slope_x, points.slope_y), strict=True))
+    if np.isfinite(points.sigma_x).any():
+        columns |= dict(zip(SIGMAS, (points.sigma_x, points.sigma_y), strict=True))
+    with WholeFolder(folder, IMPORTED, force=force) as working:
+        write_table_csv(working / SLOPES_FILE, columns)
+        write_measurement(working, content, comment=f"Slopes imported from {file.name}.")
+        write_imported(working, form, [file])
+    size = f"{np.ptp(points.x_m):.4g} x {np.ptp(points.y_m):.4g} m"
+    return f"{file.name}: {points.x_m.size} points over {size}"

@@ -1,0 +1,173 @@
+"""Measured surfaces of other programs, as slopes: NURBS of the PAINT database and ARTIST, PLY, points with normals."""
+
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from deflectometry.exchange.slope_files import SlopePoints
+from heliogauge.errors import InputError
+from heliogauge.files.hdf5 import open_hdf5
+from heliogauge.files.regular import read_regular
+from heliogauge.results.tables import read_columns_csv
+from heliogauge.validate import FloatArray
+
+_POINTS = ("x_m", "y_m", "z_m", "normal_x", "normal_y", "normal_z")
+#: Places on a NURBS surface along each of its directions: several for each of 20 control points.
+_PLACES = 60
+_MOST_BYTES = 2_000_000_000
+_PLY_TYPES = {
+    "char": "i1",
+    "int8": "i1",
+    "uchar": "u1",
+    "uint8": "u1",
+    "short": "i2",
+    "int16": "i2",
+    "ushort": "u2",
+    "uint16": "u2",
+    "int": "i4",
+    "int32": "i4",
+    "uint": "u4",
+    "uint32": "u4",
+    "float": "f4",
+    "float32": "f4",
+    "double": "f8",
+    "float64": "f8",
+}
+
+
+def read_surface(file: Path, heliostat: str | None = None, facet: str | None = None) -> SlopePoints:
+    """Read a measured surface.
+
+    file: HDF5 with NURBS as ARTIST writes them, PLY with normals, or CSV with columns x_m, y_m, z_m, normal_x,
+        normal_y, normal_z.
+    heliostat, facet: Which surface of an HDF5 file with several; all facets without one.
+    Returns: Slopes where the surface is known; without sigmas.
+    InputError: The file cannot be read, or has no such surface, no normals, or a surface seen from behind.
+    """
+    suffix = file.suffix.lower()
+    if suffix in (".h5", ".hdf5"):
+        points, normals = _read_nurbs(file, heliostat, facet)
+    elif suffix == ".ply":
+        points, normals = _read_ply(file)
+    elif suffix == ".csv":
+        _, table = read_columns_csv(file, (), _POINTS)
+        columns = np.column_stack([table[name] for name in _POINTS])
+        points, normals = np.split(columns[np.isfinite(columns).all(axis=1)], 2, axis=1)
+    else:
+        raise InputError(f"{file}: NURBS (.h5), PLY (.ply) or points with normals (.csv) are needed")
+    return _slopes(file, points, normals)
+
+
+def _slopes(file: Path, points: FloatArray, normals: FloatArray) -> SlopePoints:
+    """Turn normals into slopes; all of them may point backwards, as some programs write them."""
+    if len(points) == 0:
+        raise InputError(f"{file}: there are no points with a normal")
+    if np.median(normals[:, 2]) < 0:
+        normals = -normals
+    if not (normals[:, 2] > 0).all():
+        count = int((normals[:, 2] <= 0).sum())
+        raise InputError(
+            f"{file}: {count} of {len(points)} normals lie across z or point the other way; turn the surface so that z "
+            "points out of the mirror, and leave its edges out"
+        )
+    slope_x, slope_y = -normals[:, 0] / normals[:, 2], -normals[:, 1] / normals[:, 2]
+    unknown = np.full(len(points), np.nan)
+    return SlopePoints(points[:, 0], points[:, 1], slope_x, slope_y, unknown, unknown)
+
+
+def _read_nurbs(file: Path, heliostat: str | None, facet: str | None) -> tuple[FloatArray, FloatArray]:
+    with open_hdf5(file) as content:
+        surfaces = {name: one for name, one in content.get("heliostats", {}).items() if "surface/facets" in one}
+        if not surfaces:
+            raise InputError(f"{file}: there is no heliostats/NAME/surface/facets, as ARTIST writes it")
+        if heliostat is None and len(surfaces) > 1:
+            raise InputError(f"{file}: {len(surfaces)} heliostats ({', '.join(surfaces)}); give heliostat")
+        name = heliostat or next(iter(surfaces))
+        if name not in surfaces:
+            raise InputError(f"heliostat={name}: not in {file}; there are {', '.join(surfaces)}")
+        facets = surfaces[name]["surface/facets"]
+        if facet is not None and facet not in facets:
+            raise InputError(f"facet={facet}: not in {file}; there are {', '.join(facets)}")
+        chosen = [facets[one] for one in ([facet] if facet else facets)]
+        try:
+            grids = [(np.asarray(one["control_points"], float), [int(d) for d in one["degrees"]]) for one in chosen]
+        except (KeyError, TypeError, ValueError, OSError) as error:
+            raise InputError(f"{file}: the control points or degrees of {name} cannot be read ({error})") from None
+    found = [evaluate_nurbs(file, control, degrees) for control, degrees in grids]
+    points, normals = (np.concatenate(parts) for parts in zip(*found, strict=True))
+    return points, normals
+
+
+def evaluate_nurbs(file: Path, control_m: FloatArray, degrees: list[int]) -> tuple[FloatArray, FloatArray]:
+    """Evaluate a NURBS surface with equal weights and clamped uniform knots.
+
+    file: For messages.
+    control_m (m, n, 3): Control points [m].
+    degrees: In both directions.
+    Returns: Points and normals, each of shape (k, 3).
+    InputError: Not a grid of control points, or fewer than the degrees need.
+    """
+    from scipy.interpolate import BSpline
+
+    is_grid = control_m.ndim == 3 and control_m.shape[2] == 3 and len(degrees) == 2
+    if not (is_grid and np.isfinite(control_m).all()) or min(degrees) < 1 or min(control_m.shape[:2]) <= max(degrees):
+        raise InputError(f"{file}: control points of shape {control_m.shape} and degrees {degrees} are no surface")
+    place = (np.arange(_PLACES) + 0.5) / _PLACES
+
+    def along(values: FloatArray, degree: int, axis: int, order: int) -> FloatArray:
+        knots = np.r_[np.zeros(degree), np.linspace(0, 1, values.shape[axis] - degree + 1), np.ones(degree)]
+        return np.asarray(BSpline(knots, np.moveaxis(values, axis, 0), degree)(place, nu=order)).swapaxes(0, axis)
+
+    surface, d_u, d_v = (
+        along(along(control_m, degrees[0], 0, of_u), degrees[1], 1, of_v) for of_u, of_v in ((0, 0), (1, 0), (0, 1))
+    )
+    return surface.reshape(-1, 3), np.cross(d_u, d_v).reshape(-1, 3)
+
+
+def _read_ply(file: Path) -> tuple[FloatArray, FloatArray]:
+    content = read_regular(file, "a PLY file", _MOST_BYTES)
+    head, found, body = content.partition(b"end_header\n")
+    if not content.startswith(b"ply") or not found:
+        head, found, body = content.partition(b"end_header\r\n")
+    lines = head.decode("latin-1").split("\n")
+    form = re.search(r"^format (\S+)", head.decode("latin-1"), re.MULTILINE)
+    if not found or form is None:
+        raise InputError(f"{file}: not a PLY file; its header is not whole")
+    fields, count, before = _vertex_fields(lines)
+    if before or not {"x", "y", "z", "nx", "ny", "nz"} <= {name for name, _ in fields}:
+        raise InputError(f"{file}: vertices with x, y, z and normals nx, ny, nz are needed, as the first element")
+    try:
+        if form[1] == "ascii":
+            rows = [line.split()[: len(fields)] for line in body.decode("latin-1").splitlines()[:count]]
+            table = np.array(rows, dtype=np.float64).reshape(count, len(fields))
+            columns = {name: table[:, k] for k, (name, _) in enumerate(fields)}
+        else:
+            order = ">" if form[1] == "binary_big_endian" else "<"
+            kind = np.dtype([(name, order + _PLY_TYPES[of]) for name, of in fields])
+            values: npt.NDArray[Any] = np.frombuffer(body, dtype=kind, count=count)
+            columns = {name: values[name].astype(np.float64) for name, _ in fields}
+    except (KeyError, ValueError, TypeError) as error:
+        raise InputError(f"{file}: the vertices cannot be read ({error})") from None
+    points = np.column_stack([columns[name] for name in ("x", "y", "z")])
+    normals = np.column_stack([columns[name] for name in ("nx", "ny", "nz")])
+    good = np.isfinite(points).all(axis=1) & np.isfinite(normals).all(axis=1) & (np.abs(normals).max(axis=1) > 0)
+    return points[good], normals[good]
+
+
+def _vertex_fields(lines: list[str]) -> tuple[list[tuple[str, str]], int, bool]:
+    """Return names and types of a vertex, the number of vertices, and whether another element comes before them."""
+    fields: list[tuple[str, str]] = []
+    count, element, before = 0, "", False
+    for line in lines:
+        words = line.split()
+        if words[:1] == ["element"] and len(words) == 3:
+            element = words[1]
+            before |= element != "vertex" and count == 0
+            if element == "vertex" and words[2].isdecimal():
+                count = int(words[2])
+        elif words[:1] == ["property"] and element == "vertex":
+            fields.append((words[-1], words[1]))
+    return fields, count, before

@@ -1,0 +1,146 @@
+"""Slopes of other programs: in, on a grid, and against what they were made of."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import heliogauge as hg
+from deflectometry.exchange.measure_slopes import grid_points, load_slopes, run
+from deflectometry.exchange.slope_files import SlopePoints, import_slopes, read_slopes, read_soltrace
+from heliogauge.errors import EstimationError, InputError
+from heliogauge.geometry.surfaces import paraboloid, plane
+from heliogauge.results.slope_export import export_slope_map
+from heliogauge.results.slope_map_file import read_slope_map
+from heliogauge.results.tables import write_table_csv
+from heliogauge.running import cli
+
+
+def scattered(n: int = 3000, *, tilt: float = 0.0) -> SlopePoints:
+    """Slopes of a paraboloid of f = 10 m with an astigmatism of 1 mrad/m, at points of no order."""
+    rng = np.random.default_rng(1)
+    x, y = rng.uniform(-0.6, 0.6, n), rng.uniform(-0.4, 0.4, n)
+    none = np.full(n, np.nan)
+    return SlopePoints(x, y, x / 20 + 1e-3 * x + tilt, y / 20 - 1e-3 * y, none, none)
+
+
+def on_a_grid() -> SlopePoints:
+    x, y = (plane.ravel() for plane in np.meshgrid(np.linspace(-0.6, 0.6, 31), np.linspace(-0.4, 0.4, 21)))
+    sigma = np.full(x.size, 1e-4)
+    return SlopePoints(x, y, x / 20 + 1e-3 * x, y / 20 - 1e-3 * y, sigma, 2 * sigma)
+
+
+def write(points: SlopePoints, file: Path) -> Path:
+    columns = {"x_m": points.x_m, "y_m": points.y_m, "slope_x": points.slope_x, "slope_y": points.slope_y}
+    if np.isfinite(points.sigma_x).all():
+        columns |= {"sigma_slope_x": points.sigma_x, "sigma_slope_y": points.sigma_y}
+    write_table_csv(file, columns)
+    return file
+
+
+def test_points_on_a_grid_stay_as_they_are() -> None:
+    points = on_a_grid()
+    found = grid_points(points, plane())
+    assert found.shape == (21, 31)
+    assert found.measured_share == 1.0
+    np.testing.assert_allclose(found.slope_x.ravel(), points.slope_x, atol=1e-15)
+    np.testing.assert_allclose(found.sigma_random_y.ravel(), points.sigma_y, atol=1e-15)
+
+
+def test_scattered_points_are_interpolated() -> None:
+    found = grid_points(scattered(), paraboloid(10.0), 0.02)
+    x, y = np.meshgrid(found.x_m, found.y_m)
+    good = found.valid
+    assert good.mean() > 0.95
+    np.testing.assert_allclose(found.slope_error_x[good], 1e-3 * x[good], atol=1e-12)
+    np.testing.assert_allclose(found.slope_error_y[good], -1e-3 * y[good], atol=1e-12)
+
+
+def test_a_hole_is_not_filled() -> None:
+    points = scattered()
+    kept = np.hypot(points.x_m, points.y_m) > 0.2
+    one = SlopePoints(*(getattr(points, name)[kept] for name in SlopePoints.__slots__))
+    found = grid_points(one, plane(), 0.02)
+    x, y = np.meshgrid(found.x_m, found.y_m)
+    assert not found.valid[np.hypot(x, y) < 0.15].any()
+    assert found.aperture[np.hypot(x, y) < 0.15].all()
+    assert 0.8 < found.measured_share < 0.9
+
+
+def test_statistics_are_those_of_the_slopes(tmp_path: Path) -> None:
+    """RMS of 1 mrad/m over 1.2 m: 0.6 / sqrt(3) mrad, and what sigmas were given."""
+    write(on_a_grid(), tmp_path / "mirror.csv")
+    import_slopes(tmp_path / "mirror.csv", tmp_path / "m", "slopes", {"design": "paraboloid", "focal_length_m": 10.0})
+    result = run(load_slopes(tmp_path / "m"))
+    assert not result.doubts
+    lines = np.linspace(-0.6, 0.6, 31)
+    assert result.numbers["sdx_rad"] == pytest.approx(1e-3 * np.sqrt(np.mean(lines**2)), rel=1e-3)
+    assert result.numbers["sd_best_quadratic_rad"] == pytest.approx(0.0, abs=1e-9)
+    assert result.numbers["sigma_slope_y_rms_rad"] == pytest.approx(2e-4)
+    assert result.numbers["focal_length_x_m"] == pytest.approx(0.5 / (0.05 + 1e-3), rel=1e-6)
+
+
+def test_there_and_back_through_soltrace(tmp_path: Path) -> None:
+    """The command line: a table in, results with a report, SolTrace's file out, and in again."""
+
+    def leave(*arguments: object) -> int:
+        with pytest.raises(SystemExit) as caught:
+            cli.main([*map(str, arguments), "-q"])
+        return int(caught.value.code or 0)
+
+    write(on_a_grid(), tmp_path / "mirror.csv")
+    assert leave("deflectometry", "import", "slopes", tmp_path / "mirror.csv", "-o", tmp_path / "m") == 0
+    assert leave("check", tmp_path / "m") == 0
+    assert leave("deflectometry", "measure", tmp_path / "m", "-o", tmp_path / "r") == 0
+    assert "SDx" in (tmp_path / "r" / "report.html").read_text(encoding="utf-8")
+    export_slope_map(tmp_path / "r", tmp_path / "mirror.sht", "soltrace")
+    assert leave("deflectometry", "import", "soltrace", tmp_path / "mirror.sht", "-o", tmp_path / "m2") == 0
+    again = hg.measure(tmp_path / "m2")
+    first = read_slope_map(tmp_path / "r" / "slope_map.nc")
+    np.testing.assert_allclose(again.slope_map["slope_x"], first.slope_x, atol=2e-9)
+    assert [doubt.code for doubt in again.doubts] == ["sigma_of_slopes_missing"]
+    assert leave("deflectometry", "import", "slopes", tmp_path / "r" / "slope_map.nc", "-o", tmp_path / "m3") == 0
+    np.testing.assert_allclose(read_slopes(tmp_path / "m3" / "slopes.csv").sigma_x, 1e-4, rtol=1e-6)
+    assert leave("deflectometry", "import", "slopes", tmp_path / "mirror.csv", "-o", tmp_path / "m") == 2
+    assert leave("deflectometry", "import", "slopes", tmp_path / "mirror.csv", "-o", tmp_path / "m", "--force") == 0
+
+
+def test_a_measured_panel_of_soltrace(shared_data: Path) -> None:
+    """Its own fit: the focal length in x that the header's coefficients have."""
+    file = shared_data / "csp" / "soltrace" / "vshot_trough_panel.sht"
+    if not file.is_file():
+        pytest.skip("SolTrace's files (../shared/data/csp/soltrace) are not on this machine")
+    points = read_soltrace(file)
+    assert points.x_m.size == 4373
+    assert grid_points(points, plane()).measured_share > 0.99
+    slope = np.polynomial.polynomial.polyfit(points.x_m, points.slope_x, 1)[1]
+    assert slope == pytest.approx(2 * 0.140740, rel=1e-2)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "not a VSHOT file"),
+        ("a\n0 0 0\n0 0 2\n0 0\n0\n0 0 0 0 0\n", "1 points .* line 3 says 2"),
+        ("a\n0 0 0\n0 0 1\n0 0\n0\n0 0 2 0 0\n", "angles of slopes are in radians"),
+        ("a\n0 0 0\n0 0 1\n0 0\n0\n0 0 nan 0 0\n", "line 3 says 1"),
+    ],
+)
+def test_what_is_no_vshot_file_is_refused(tmp_path: Path, text: str, message: str) -> None:
+    (tmp_path / "m.sht").write_text(text, encoding="ascii")
+    with pytest.raises(InputError, match=message):
+        import_slopes(tmp_path / "m.sht", tmp_path / "m", "soltrace")
+    assert not (tmp_path / "m").exists()
+
+
+def test_points_on_a_line_are_no_surface() -> None:
+    x = np.linspace(0, 1, 50)
+    none = np.full(50, np.nan)
+    with pytest.raises(EstimationError, match="on one line"):
+        grid_points(SlopePoints(x, x, x, x, none, none), plane())
+
+
+def test_a_table_without_slopes_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "m.csv").write_text("x_m,y_m,slope_x\n0,0,0\n", encoding="utf-8")
+    with pytest.raises(InputError, match="slope_y"):
+        read_slopes(tmp_path / "m.csv")
