@@ -312,6 +312,9 @@ def _match(image: Image, pixel: FloatArray, pattern: Pattern, radius_px: float, 
     factor, (rows, columns) = pattern.factor, pattern.image.shape
     half = search_px + int(np.ceil(_PATTERN_RADII * radius_px))
     part, first = _cut_out(image, pixel, half)
+    if not part.size:
+        # Outside of the photo: one of another size is among the others.
+        return np.full(2, np.nan)
     reduced = _reduce(part, factor)
     if reduced.shape[0] <= rows or reduced.shape[1] <= columns:
         return np.full(2, np.nan)
