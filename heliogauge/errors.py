@@ -1,8 +1,58 @@
-"""The errors every package raises: what went wrong, where, and what to do."""
+"""The errors every package raises: what went wrong, where, what to do, and the pictures that show why."""
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from itertools import islice
+from typing import Any
+
+#: Pictures of one failed run: enough to see what is wrong, few enough to look at.
+MOST_PICTURES = 12
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FailurePicture:
+    """A picture that shows why something could not be measured.
+
+    name: What it shows, such as the photo's name.
+    image: Grey values of any depth, shape (height, width), or the bytes of a JPEG file.
+    note: What was looked for in it and not found.
+    size_px: Width and height of the photo that the points refer to, where `image` is a smaller one [px].
+    points_px (n, 2): What was found, columns and rows [px].
+    labels: Name of each point, and why it was not used; empty: none.
+    lines_px: Lines such as an outline that was expected, shape (k, 2) each [px].
+    """
+
+    name: str
+    image: Any
+    note: str = ""
+    size_px: tuple[int, int] | None = None
+    points_px: Any = ()
+    labels: Sequence[str] = ()
+    lines_px: Sequence[Any] = ()
 
 
 class MetrologyError(Exception):
-    """Base of every error this software raises on purpose; the command line shows its message and exits with 2."""
+    """Base of every error this software raises on purpose; the command line shows its message and exits with 2.
+
+    pictures: What shows why; written beside the place of the results that could not be made.
+    """
+
+    pictures: tuple[FailurePicture, ...] = ()
+
+
+@contextmanager
+def showing(pictures: Callable[[], Iterable[FailurePicture]]) -> Iterator[None]:
+    """Let errors of the work within carry pictures that show why, unless they carry some already.
+
+    pictures: Called only after an error; the most telling first.
+    """
+    try:
+        yield
+    except MetrologyError as error:
+        if not error.pictures:
+            error.pictures = tuple(islice(pictures(), MOST_PICTURES))
+        raise
 
 
 class InputError(MetrologyError):

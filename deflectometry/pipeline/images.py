@@ -1,5 +1,6 @@
 """From the images of a measurement to what is evaluated; frames that contradict the pattern are refused."""
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,7 @@ from deflectometry.fringes.screen_map import ScreenMapLimits
 from deflectometry.keys import DeflectometryMeasurement
 from deflectometry.setup.patterns import FringePattern
 from heliogauge.doubts import Doubt, gather_doubts
-from heliogauge.errors import EstimationError, InputError
+from heliogauge.errors import EstimationError, FailurePicture, InputError
 from heliogauge.images.photos import Frames
 from heliogauge.results.tables import read_number_columns
 
@@ -76,3 +77,19 @@ def refuse_faulty_frames(observation: Observation) -> tuple[Doubt, ...]:
     if observation.noise is not None and observation.response is None:
         noise = check_noise(observation.frames, observation.pattern, observation.noise)
     return gather_doubts((fault.doubt for fault in faults), noise)
+
+
+def pictures_of_frames(observation: Observation) -> Iterator[FailurePicture]:
+    """Yield what shows why a measurement failed: contrast of the fringes, light on the mirror, frames."""
+    frames = observation.frames
+    # Without the response: frames that contradict the pattern may have no modulation in its unit.
+    spread = frames.max(axis=0).astype(np.float32) - frames.min(axis=0)
+    largest = float(spread.max())
+    note = f"brightest minus darkest frame, up to {largest:.0f} DN; the mirror must stand out bright, with a sharp edge"
+    yield FailurePicture("contrast of the fringes", spread, note)
+    if observation.lit is not None:
+        yield FailurePicture("bright minus dark frame", observation.lit, "the mirror must stand out bright")
+    for number in dict.fromkeys((0, len(frames) // 2, len(frames) - 1)):
+        yield FailurePicture(
+            f"frame {number + 1} of {len(frames)}", frames[number], "fringes must be seen in the mirror"
+        )

@@ -5,7 +5,7 @@ from deflectometry.keys import DeflectometryMeasurement
 from deflectometry.pipeline.choices import Options, build_choices
 from deflectometry.pipeline.evaluate import evaluate_frames
 from deflectometry.pipeline.headline import facet_numbers, numbers_of_facets, pose_numbers
-from deflectometry.pipeline.images import image_files, observe, refuse_faulty_frames
+from deflectometry.pipeline.images import image_files, observe, pictures_of_frames, refuse_faulty_frames
 from deflectometry.pipeline.inputs import (
     build_pattern,
     build_setup,
@@ -18,6 +18,7 @@ from deflectometry.pipeline.result import Result
 from deflectometry.setup.screen_table import check_beyond_table
 from deflectometry.shape.assemble import assemble_maps
 from heliogauge.doubts import gather_doubts
+from heliogauge.errors import showing
 from heliogauge.images.photos import read_frames
 from heliogauge.results.folder import hash_files
 from heliogauge.running.progress import Progress, SilentProgress
@@ -55,13 +56,14 @@ def run(
     frames = read_frames(image_files(measurement), jobs=options.jobs, progress=progress)
     observation = observe(measurement, pattern, frames)
     check_size(observation.frames.shape[:0:-1], setup.camera, str(measurement.folder))
-    with progress.stage("check frames"):
+    with progress.stage("check frames"), showing(lambda: pictures_of_frames(observation)):
         frame_doubts = refuse_faulty_frames(observation)
     mirror = describe_mirror(measurement, setup)
     if mirror.known_pose is not None:
         refuse_impossible(setup, mirror.known_pose.cam_from_mirror)
     choices = build_choices(measurement, options)
-    evaluation = evaluate_frames(observation, setup, mirror, choices, progress)
+    with showing(lambda: pictures_of_frames(observation)):
+        evaluation = evaluate_frames(observation, setup, mirror, choices, progress)
     refuse_impossible(setup, evaluation.solution.cam_from_mirror)
     facets, align = evaluation.located.facets, choices.align
     as_measured = assemble_maps(facets, evaluation.maps, align, Removal.NOTHING)

@@ -9,6 +9,7 @@ from typing import Any, ClassVar, TypeVar
 
 from heliogauge.doubts import Doubt
 from heliogauge.errors import MetrologyError, ReportWarning
+from heliogauge.results.failure import pictures_of_failure
 from heliogauge.results.folder import SUMMARY_FILE, ResultFolder, Summary, write_summary
 from heliogauge.running.progress import Progress
 
@@ -99,9 +100,9 @@ def into_folder(out: Path, job: Callable[[], _ResultT], progress: Progress, *, f
     force: Replace an earlier result.
     report: Add ``report.html`` when the results are in place (`add_report`).
     InputError: The folder cannot be used, or the job refuses its input.
-    EstimationError: The job's answer is not determined.
+    EstimationError: The job's answer is not determined. What its pictures show is in ``OUT-failed/``.
     """
-    with ResultFolder(out, force=force) as working:
+    with pictures_of_failure(out), ResultFolder(out, force=force) as working:
         result = job()
         with progress.stage("write results"):
             result.write(working)

@@ -18,7 +18,7 @@ from itertools import islice
 from typing import Any, Generic, TypeVar
 
 from heliogauge import __version__
-from heliogauge.errors import InputError, MetrologyError
+from heliogauge.errors import FailurePicture, InputError, MetrologyError
 from heliogauge.running.environment import environment
 from heliogauge.working_folder import paths_without_working_folder
 
@@ -58,11 +58,13 @@ class Failure:
     reason: What the person who reads it can do something about.
     trace: Where it happened, if it was not foreseen; empty for impossible data and for undetermined answers.
     kind: What the error itself calls its kind (its attribute ``kind``); empty where it does not.
+    pictures: What shows why.
     """
 
     reason: str
     trace: str = ""
     kind: str = ""
+    pictures: tuple[FailurePicture, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,7 +116,7 @@ def _attempt(function: Callable[[_ContextT, _TaskT], _ResultT], context: _Contex
     try:
         return function(context, task)
     except MetrologyError as error:
-        return Failure(str(error), kind=str(getattr(error, "kind", "")))
+        return Failure(str(error), kind=str(getattr(error, "kind", "")), pictures=error.pictures)
     except Exception as error:  # a bug on one of ten thousand must not cost the others
         return Failure(f"unexpected {type(error).__name__}: {error}", traceback.format_exc())
 

@@ -1,13 +1,14 @@
 """Photos of the absorber alone to its position: for alignment, and for the sag at several orientations."""
 
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
 
 from heliogauge.doubts import gather_doubts
-from heliogauge.errors import EstimationError
+from heliogauge.errors import EstimationError, showing
 from heliogauge.images.photos import read_luma
 from heliogauge.reporting.notation import number_text
 from heliogauge.results.folder import Summary, hash_files, write_points_csv, write_table_csv
@@ -32,6 +33,7 @@ from observer.trough.absorber_path import AbsorberPath
 from observer.trough.collector import Collector
 from observer.trough.expectation import Expectation
 from photogrammetry import pipeline as photogrammetry_pipeline
+from photogrammetry.pipeline import pictures_of_measured
 
 #: Kind of the summary, which names its report.
 KIND = "observer-absorber"
@@ -114,7 +116,7 @@ def run(measurement: ObserverMeasurement, options: Options | None = None, progre
     collector = build_collector(model.collector)
     survey = build_survey(measurement, read_targets(measurement.folder / model.targets.file))
     network = photogrammetry_pipeline.run(survey, photogrammetry_pipeline.Options(jobs=options.jobs), progress)
-    with progress.stage("absorber"):
+    with progress.stage("absorber"), showing(partial(pictures_of_measured, network.measured, "no edge of the tube")):
         cameras = Cameras.of(network, survey.photo_files)
         expected = Expectation(
             collector, AbsorberPath.designed(collector), collector.rows_m(1e-3 * model.evaluation.row_step_mm)

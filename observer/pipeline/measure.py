@@ -1,10 +1,12 @@
 """Photos of a trough to slope errors, absorber position and what they cost: the stages in a row."""
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
 from heliogauge.doubts import gather_doubts
+from heliogauge.errors import showing
 from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.images.photos import read_luma
 from heliogauge.running.progress import Progress, SilentProgress
@@ -22,6 +24,7 @@ from observer.pipeline.target_list import check_list
 from observer.product.pictures import Overlay, draw_overlay
 from observer.selection.edge_refusal import EdgeFate
 from observer.trough.absorber_path import AbsorberPath
+from photogrammetry.pipeline import pictures_of_measured
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,9 +80,10 @@ def evaluate(inputs: Inputs, first: FirstLook, options: Options, progress: Progr
     listed = check_list(inputs, first)
     cameras = adjust_cameras(listed, inputs, options.jobs, progress)
     seen = look_again(cameras.files, cameras.views, inputs.finder, listed.first, jobs=options.jobs, progress=progress)
-    with progress.stage("absorber"), blamed(cameras.network):
+    shown = partial(pictures_of_measured, cameras.network.measured, "too little is seen of the absorber")
+    with progress.stage("absorber"), blamed(cameras.network), showing(shown):
         placed = place_absorber(inputs, seen, cameras.photos)
-    with progress.stage("slopes"), blamed(cameras.network):
+    with progress.stage("slopes"), blamed(cameras.network), showing(shown):
         mirror = solve_mirror(inputs, seen, cameras.photos, placed)
     with progress.stage("intercept factor"):
         slopes_known = mirror.reflector.sum_covariance()

@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+from heliogauge.results.failure import pictures_of_failure
 from heliogauge.results.folder import ResultFolder
 from heliogauge.results.frame import add_report, into_folder
 from heliogauge.running.progress import Progress, SilentProgress
@@ -33,7 +34,7 @@ def run_into(
     progress = progress or SilentProgress()
     if not measurement.model.module:
         return into_folder(out, lambda: run(measurement, options, progress), progress, force=force, report=report)
-    with ResultFolder(out, force=force) as working:
+    with pictures_of_failure(out), ResultFolder(out, force=force) as working:
         found = modules.run(measurement, working, options, progress)
     if report:
         measured = [out / one.name for one in measurement.model.module if (out / one.name).is_dir()]

@@ -1,10 +1,12 @@
 """Photos of targets, or image points, to coordinates with standard deviations: read, measure, solve, write."""
 
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
 from heliogauge.doubts import Doubt, gather_doubts
+from heliogauge.errors import showing
 from heliogauge.results.folder import (
     hash_files,
     refuse_copies,
@@ -31,7 +33,7 @@ from photogrammetry.pipeline.inputs import (
     stated_diameter_mm,
 )
 from photogrammetry.pipeline.natural import add_features
-from photogrammetry.pipeline.photos import MeasuredPhotos
+from photogrammetry.pipeline.photos import MeasuredPhotos, pictures_of_measured
 from photogrammetry.pipeline.result import Result
 from photogrammetry.pipeline.surface import measure_surface
 from photogrammetry.start_values.network import StartValues
@@ -76,7 +78,7 @@ def run(
     listed = listed_targets(model.targets, measurement.folder)
     knowledge = build_knowledge(measurement, start, listed)
     how = build_solve_options(model, measured.sigma_assumed)
-    with progress.stage("adjust"):
+    with progress.stage("adjust"), showing(partial(pictures_of_measured, measured)):
         measured, solved = adjust_points(measured, cameras, knowledge, how)
     with progress.stage("match targets without a code"):
         measured, solved = match_uncoded(measured, solved, listed, cameras, knowledge, how)

@@ -1,15 +1,16 @@
 """Photos to image points: read, find targets, measure, several photos at a time."""
 
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
 
 from heliogauge.doubts import Doubt, gather_doubts
-from heliogauge.errors import EstimationError, InputError
+from heliogauge.errors import MOST_PICTURES, EstimationError, FailurePicture, InputError
 from heliogauge.flags import SampleFlag
 from heliogauge.images.photos import Image, read_image
 from heliogauge.images.thumbnails import make_thumbnail
@@ -254,10 +255,12 @@ def collect_photos(found: Sequence[OnePhoto]) -> MeasuredPhotos:
     unread = tuple(_unread_codes(found, len(names)))
     if not names:
         usual = "is it the right one, and are the targets large enough ([targets] smallest_px, largest_px)?"
-        raise EstimationError(
+        error = EstimationError(
             f"images.photos: none of {len(found)} photos shows a target of the dictionary or list; "
             + (unread[0].text if unread else usual)
         )
+        error.pictures = tuple(islice(pictures_of_photos(found), MOST_PICTURES))
+        raise error
     clipped = sum(int(np.count_nonzero(part.flags & np.uint32(SampleFlag.CLIPPED))) for part in parts)
     doubts = gather_doubts(unread, _count_doubts(len(found), empty, doubled), _clipped(clipped, len(names)))
     covariance = np.concatenate([part.covariance_px2 for part in parts])
@@ -285,6 +288,50 @@ def _places_of(detections: Detections, names: set[str]) -> dict[str, list[int]]:
         if name in places:
             places[name].append(k)
     return places
+
+
+def pictures_of_photos(found: Iterable[OnePhoto]) -> Iterator[FailurePicture]:
+    """Yield photos with what was found in them, those with the least first: they show why it was not enough."""
+    for one in sorted(found, key=lambda photo: len(photo.detections) + len(photo.dots)):
+        if not one.thumbnail:
+            continue
+        refused = [bad for bad in one.refused if bad.place is not None]
+        labels = [*one.detections.names, *("no code is read" for _ in one.dots.names), *(bad.reason for bad in refused)]
+        places = [(bad.place.x_px, bad.place.y_px) for bad in refused if bad.place is not None]
+        points = np.concatenate([one.detections.pixels_px, one.dots.pixels_px, np.reshape(places, (-1, 2))])
+        note = f"{len(one.detections)} named targets, {len(one.dots)} dots without a code, {len(one.refused)} refused"
+        yield FailurePicture(one.detections.photo, one.thumbnail, note, one.size_px, points, labels)
+
+
+def pictures_of_measured(measured: MeasuredPhotos, note: str = "") -> Iterator[FailurePicture]:
+    """Yield photos with the targets that were measured in them, those with the fewest first.
+
+    Parameters
+    ----------
+    measured : MeasuredPhotos
+        Image points of all photos.
+    note : str, optional
+        What was not found in them.
+
+    Yields
+    ------
+    FailurePicture
+        A photo, for `heliogauge.errors.showing`.
+    """
+    points, sizes = measured.points, measured.sizes_px or {}
+    counts = np.bincount(points.photo_index, minlength=len(points.photos))
+    shown = set()
+    for number in np.argsort(counts, kind="stable").tolist():
+        photo, rows = points.photos[number], np.flatnonzero(points.photo_index == number)
+        if photo in measured.thumbnails and photo in sizes:
+            shown.add(photo)
+            labels = [points.targets[index] for index in points.target_index[rows].tolist()]
+            said = "; ".join(filter(None, (f"{len(rows)} targets", note)))
+            thumbnail = measured.thumbnails[photo]
+            yield FailurePicture(photo, thumbnail, said, sizes[photo], points.pixels_px[rows], labels)
+    for photo, thumbnail in measured.thumbnails.items():
+        if photo not in shown:
+            yield FailurePicture(photo, thumbnail, "no target that can be used", sizes.get(photo))
 
 
 def _count_doubts(photos: int, empty: Sequence[str], doubled: Counter[str]) -> Iterator[Doubt]:

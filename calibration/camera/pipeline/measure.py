@@ -10,11 +10,11 @@ from calibration.camera.judgement.network import check_network, check_orientatio
 from calibration.camera.keys import CameraCalibrationMeasurement
 from calibration.camera.pipeline.assembly import assemble_result
 from calibration.camera.pipeline.inputs import described_board, known_codes
-from calibration.camera.pipeline.photos import left_out_doubts, put_aside, search_photos
+from calibration.camera.pipeline.photos import left_out_doubts, pictures_of_boards, put_aside, search_photos
 from calibration.camera.pipeline.solving import check_held_out, solve_network
 from calibration.camera.start_values.first_network import first_network
 from heliogauge.doubts import gather_doubts
-from heliogauge.errors import InputError
+from heliogauge.errors import InputError, showing
 from heliogauge.results.folder import find_copies, hash_files, read_camera_json
 from heliogauge.running.progress import Progress, SilentProgress
 
@@ -88,11 +88,12 @@ def run(
     )
     left_out |= found.failures
     found, held = put_aside(found, options.hold_out)
-    with progress.stage("start values"):
+    with progress.stage("start values"), showing(lambda: pictures_of_boards(found)):
         network, doubt = first_network(found, board, tuple(model.camera.free), left_out)
-    solved = solve_network(
-        network, left_out, progress, refine_board=options.refine_board, leave_one_out=options.leave_one_out
-    )
+    with showing(lambda: pictures_of_boards(found)):
+        solved = solve_network(
+            network, left_out, progress, refine_board=options.refine_board, leave_one_out=options.leave_one_out
+        )
     with progress.stage("uncertainty"):
         result = replace(
             assemble_result(model.name, model.camera.name, solved), held_out=check_held_out(solved, held, left_out)

@@ -15,7 +15,7 @@ from calibration.camera.corners.detection import BoardPoints, FoundBoards, find_
 from calibration.camera.keys import CalibratedCameraSection
 from calibration.camera.start_values.intrinsics import homography
 from heliogauge.doubts import Doubt, Severity
-from heliogauge.errors import EstimationError, InputError
+from heliogauge.errors import EstimationError, FailurePicture, InputError
 from heliogauge.images.photos import read_image
 from heliogauge.images.thumbnails import make_thumbnail
 from heliogauge.running.progress import Progress
@@ -204,3 +204,14 @@ def put_aside(found: FoundBoards, patterns: str | None) -> tuple[FoundBoards, tu
     aside = [any(fnmatch(one.photo, text) for text in texts) for one in found.points]
     used = tuple(one for one, away in zip(found.points, aside, strict=True) if not away)
     return replace(found, points=used), tuple(one for one, away in zip(found.points, aside, strict=True) if away)
+
+
+def pictures_of_boards(found: FoundBoards) -> Iterator[FailurePicture]:
+    """Yield the photos with the corners that were found in them; those in which the board was not found first."""
+    for photo, reason in found.failures.items():
+        if photo in found.thumbnails:
+            yield FailurePicture(photo, found.thumbnails[photo], reason, found.size_px)
+    for one in found.points:
+        if one.photo in found.thumbnails:
+            thumbnail = found.thumbnails[one.photo]
+            yield FailurePicture(one.photo, thumbnail, f"{one.n} points of the board", found.size_px, one.pixels_px)

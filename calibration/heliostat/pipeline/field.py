@@ -31,6 +31,7 @@ from calibration.heliostat.pipeline.writing import write_result
 from heliogauge import __version__
 from heliogauge.doubts import Doubt
 from heliogauge.files.regular import read_regular
+from heliogauge.results.failure import pictures_of_failure
 from heliogauge.results.folder import SUMMARY_FILE, Summary, hash_files, write_summary
 from heliogauge.results.frame import add_report, into_folder
 from heliogauge.running.progress import Progress, SilentProgress
@@ -107,7 +108,7 @@ def run_into(
     if len(campaign.names) == 1:
         result = into_folder(out, lambda: run(measurement, options, progress), progress, force=force, report=report)
         return FieldResult(result.rows, result.summarise(), splits=split_lines(result.heliostats[0]))
-    with FieldFolder(out, force=force) as folder:
+    with pictures_of_failure(out), FieldFolder(out, force=force) as folder:
         try:
             campaign = with_field(campaign, options.workers, progress)
             filled = _fill(folder, campaign, measurement, options, progress)

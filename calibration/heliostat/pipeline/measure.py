@@ -196,6 +196,9 @@ def refuse_all(failures: dict[str, Failure]) -> None:
     first = next(iter(failures.values()))
     if first.trace:
         raise RuntimeError(f"{first.reason}\n{first.trace}")
-    if len(failures) == 1:
-        raise EstimationError(first.reason)
-    raise EstimationError(f"none of {len(failures)} heliostats can be calibrated; the first: {first.reason}")
+    alone = len(failures) == 1
+    error = EstimationError(
+        first.reason if alone else f"none of {len(failures)} heliostats can be calibrated; the first: {first.reason}"
+    )
+    error.pictures = first.pictures
+    raise error

@@ -2,6 +2,7 @@
 
 from time import perf_counter
 
+from calibration.heliostat.beam_photos import pictures_of_beams
 from calibration.heliostat.diagnosis.full_diagnosis import Records, diagnose
 from calibration.heliostat.files.result import HeliostatResult, Shared
 from calibration.heliostat.files.sources import HeliostatTask
@@ -16,7 +17,7 @@ from calibration.heliostat.pipeline.reading import read_task
 from calibration.heliostat.pipeline.sky_map import map_sky
 from calibration.heliostat.pipeline.trials import try_out
 from heliogauge.doubts import Severity, gather_doubts
-from heliogauge.errors import EstimationError
+from heliogauge.errors import EstimationError, showing
 
 
 def calibrate_one(shared: Shared, task: HeliostatTask) -> HeliostatResult:
@@ -30,7 +31,8 @@ def calibrate_one(shared: Shared, task: HeliostatTask) -> HeliostatResult:
     given = read_task(task, shared)
     nominal, seen, rows, observations = given.nominal, given.seen, given.seen.rows, given.seen.observations
     if observations is None:
-        raise EstimationError(f"{task.name}: {why_none(rows)}")
+        with showing(lambda: () if given.beams is None else pictures_of_beams(given.beams)):
+            raise EstimationError(f"{task.name}: {why_none(rows)}")
     options = _fit_options(seen)
     free = choose_free_parameters(nominal, observations, shared, options)
     result = fit(free.design, observations, options)

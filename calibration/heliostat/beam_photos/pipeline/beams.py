@@ -3,6 +3,7 @@
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from itertools import islice
@@ -25,7 +26,9 @@ from calibration.heliostat.beam_photos.pipeline.target_frames import (
     WholeImage,
 )
 from calibration.heliostat.beam_photos.target.view import TargetImage
-from heliogauge.errors import InputError
+from heliogauge.errors import FailurePicture, InputError
+from heliogauge.images.photos import read_image
+from heliogauge.images.thumbnails import make_thumbnail
 from heliogauge.results.folder import write_table_csv
 from heliogauge.running.progress import Progress, SilentProgress
 from heliogauge.short_repr import ShortRepr
@@ -41,6 +44,7 @@ __all__ = [
     "TargetFrame",
     "WholeImage",
     "measure_beams",
+    "pictures_of_beams",
     "target_image",
     "write_beams",
 ]
@@ -130,6 +134,27 @@ def measure_beams(
             rows.append(future.result())
             stage.advance()
     return _gathered(tuple(files), tuple(targets), rows)
+
+
+def pictures_of_beams(beams: BeamMeasurements) -> Iterator[FailurePicture]:
+    """Yield the photos in which no beam was found, each with the reason.
+
+    Parameters
+    ----------
+    beams : BeamMeasurements
+        What was measured in photos.
+
+    Yields
+    ------
+    FailurePicture
+        A photo, for `heliogauge.errors.showing`; one that cannot be read is left out.
+    """
+    for file, refused, reason in zip(beams.files, beams.rejected, beams.reasons, strict=True):
+        if refused:
+            with suppress(InputError):
+                image = read_image(file)
+                size_px = (image.shape[1], image.shape[0])
+                yield FailurePicture(file.name, make_thumbnail(image), reason or "no beam found", size_px)
 
 
 def target_image(file: Path, frame: TargetFrame) -> TargetImage:
