@@ -11,7 +11,6 @@ from heliogauge.faces import lazy_face
 if TYPE_CHECKING:
     from calibration.heliostat.beam_photos.pipeline.beams import BeamMeasurements as BeamMeasurements
     from calibration.heliostat.beam_photos.pipeline.beams import measure_beams as measure_beams
-    from calibration.heliostat.beam_photos.pipeline.beams import pictures_of_beams as pictures_of_beams
     from calibration.heliostat.beam_photos.pipeline.beams import write_beams as write_beams
     from calibration.heliostat.beam_photos.pipeline.target_frames import ArucoMarkers as ArucoMarkers
     from calibration.heliostat.beam_photos.pipeline.target_frames import CornerPixels as CornerPixels

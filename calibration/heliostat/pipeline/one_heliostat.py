@@ -2,7 +2,6 @@
 
 from time import perf_counter
 
-from calibration.heliostat.beam_photos import pictures_of_beams
 from calibration.heliostat.diagnosis.full_diagnosis import Records, diagnose
 from calibration.heliostat.files.result import HeliostatResult, Shared
 from calibration.heliostat.files.sources import HeliostatTask
@@ -31,7 +30,7 @@ def calibrate_one(shared: Shared, task: HeliostatTask) -> HeliostatResult:
     given = read_task(task, shared)
     nominal, seen, rows, observations = given.nominal, given.seen, given.seen.rows, given.seen.observations
     if observations is None:
-        with showing(lambda: () if given.beams is None else pictures_of_beams(given.beams)):
+        with showing(lambda: () if given.beams is None else given.beams.pictures_of_refused()):
             raise EstimationError(f"{task.name}: {why_none(rows)}")
     options = _fit_options(seen)
     free = choose_free_parameters(nominal, observations, shared, options)

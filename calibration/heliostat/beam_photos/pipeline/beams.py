@@ -44,7 +44,6 @@ __all__ = [
     "TargetFrame",
     "WholeImage",
     "measure_beams",
-    "pictures_of_beams",
     "target_image",
     "write_beams",
 ]
@@ -99,6 +98,15 @@ class BeamMeasurements(ShortRepr):
         flags = [beam_reason(int(flag)) for flag in self.flags]
         return tuple("; ".join(filter(None, pair)) for pair in zip(flags, self.notes, strict=True))
 
+    def pictures_of_refused(self) -> Iterator[FailurePicture]:
+        """Yield the photos in which no beam was found, each with the reason; one that cannot be read is left out."""
+        for file, refused, reason in zip(self.files, self.rejected, self.reasons, strict=True):
+            if refused:
+                with suppress(InputError):
+                    image = read_image(file)
+                    size_px = (image.shape[1], image.shape[0])
+                    yield FailurePicture(file.name, make_thumbnail(image), reason or "no beam found", size_px)
+
 
 def measure_beams(
     files: Sequence[Path],
@@ -134,27 +142,6 @@ def measure_beams(
             rows.append(future.result())
             stage.advance()
     return _gathered(tuple(files), tuple(targets), rows)
-
-
-def pictures_of_beams(beams: BeamMeasurements) -> Iterator[FailurePicture]:
-    """Yield the photos in which no beam was found, each with the reason.
-
-    Parameters
-    ----------
-    beams : BeamMeasurements
-        What was measured in photos.
-
-    Yields
-    ------
-    FailurePicture
-        A photo, for `heliogauge.errors.showing`; one that cannot be read is left out.
-    """
-    for file, refused, reason in zip(beams.files, beams.rejected, beams.reasons, strict=True):
-        if refused:
-            with suppress(InputError):
-                image = read_image(file)
-                size_px = (image.shape[1], image.shape[0])
-                yield FailurePicture(file.name, make_thumbnail(image), reason or "no beam found", size_px)
 
 
 def target_image(file: Path, frame: TargetFrame) -> TargetImage:
