@@ -33,7 +33,6 @@ from observer.trough.absorber_path import AbsorberPath
 from observer.trough.collector import Collector
 from observer.trough.expectation import Expectation
 from photogrammetry import pipeline as photogrammetry_pipeline
-from photogrammetry.pipeline import pictures_of_measured
 
 #: Kind of the summary, which names its report.
 KIND = "observer-absorber"
@@ -116,7 +115,7 @@ def run(measurement: ObserverMeasurement, options: Options | None = None, progre
     collector = build_collector(model.collector)
     survey = build_survey(measurement, read_targets(measurement.folder / model.targets.file))
     network = photogrammetry_pipeline.run(survey, photogrammetry_pipeline.Options(jobs=options.jobs), progress)
-    with progress.stage("absorber"), showing(partial(pictures_of_measured, network.measured, "no edge of the tube")):
+    with progress.stage("absorber"), showing(partial(network.measured.pictures, "no edge of the tube")):
         cameras = Cameras.of(network, survey.photo_files)
         expected = Expectation(
             collector, AbsorberPath.designed(collector), collector.rows_m(1e-3 * model.evaluation.row_step_mm)

@@ -24,7 +24,6 @@ from observer.pipeline.target_list import check_list
 from observer.product.pictures import Overlay, draw_overlay
 from observer.selection.edge_refusal import EdgeFate
 from observer.trough.absorber_path import AbsorberPath
-from photogrammetry.pipeline import pictures_of_measured
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,7 +79,7 @@ def evaluate(inputs: Inputs, first: FirstLook, options: Options, progress: Progr
     listed = check_list(inputs, first)
     cameras = adjust_cameras(listed, inputs, options.jobs, progress)
     seen = look_again(cameras.files, cameras.views, inputs.finder, listed.first, jobs=options.jobs, progress=progress)
-    shown = partial(pictures_of_measured, cameras.network.measured, "too little is seen of the absorber")
+    shown = partial(cameras.network.measured.pictures, "too little is seen of the absorber")
     with progress.stage("absorber"), blamed(cameras.network), showing(shown):
         placed = place_absorber(inputs, seen, cameras.photos)
     with progress.stage("slopes"), blamed(cameras.network), showing(shown):

@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from photogrammetry.pipeline.photos import OnePhoto as OnePhoto
     from photogrammetry.pipeline.photos import collect_photos as collect_photos
     from photogrammetry.pipeline.photos import measure_photo as measure_photo
-    from photogrammetry.pipeline.photos import pictures_of_measured as pictures_of_measured
     from photogrammetry.pipeline.result import Result as Result
 
 __getattr__, __dir__, __all__ = lazy_face(__name__)

@@ -1,7 +1,6 @@
 """Photos of targets, or image points, to coordinates with standard deviations: read, measure, solve, write."""
 
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 
@@ -33,7 +32,7 @@ from photogrammetry.pipeline.inputs import (
     stated_diameter_mm,
 )
 from photogrammetry.pipeline.natural import add_features
-from photogrammetry.pipeline.photos import MeasuredPhotos, pictures_of_measured
+from photogrammetry.pipeline.photos import MeasuredPhotos
 from photogrammetry.pipeline.result import Result
 from photogrammetry.pipeline.surface import measure_surface
 from photogrammetry.start_values.network import StartValues
@@ -78,7 +77,7 @@ def run(
     listed = listed_targets(model.targets, measurement.folder)
     knowledge = build_knowledge(measurement, start, listed)
     how = build_solve_options(model, measured.sigma_assumed)
-    with progress.stage("adjust"), showing(partial(pictures_of_measured, measured)):
+    with progress.stage("adjust"), showing(measured.pictures):
         measured, solved = adjust_points(measured, cameras, knowledge, how)
     with progress.stage("match targets without a code"):
         measured, solved = match_uncoded(measured, solved, listed, cameras, knowledge, how)

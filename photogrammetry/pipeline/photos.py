@@ -56,6 +56,23 @@ class MeasuredPhotos:
     kinds: IntArray | None = None
     thumbnails: Mapping[str, bytes] = field(default_factory=dict)
 
+    def pictures(self, note: str = "") -> Iterator[FailurePicture]:
+        """Yield photos with the targets that were measured in them, those with the fewest first.
+
+        note: What was not found in them.
+        """
+        points, sizes = self.points, self.sizes_px or {}
+        counts = np.bincount(points.photo_index, minlength=len(points.photos))
+        numbers = {points.photos[number]: number for number in np.argsort(counts, kind="stable").tolist()}
+        order = [*numbers, *(photo for photo in self.thumbnails if photo not in numbers)]
+        for photo in order:
+            if photo not in self.thumbnails:
+                continue
+            rows = np.flatnonzero(points.photo_index == numbers.get(photo, -1))
+            labels = [points.targets[index] for index in points.target_index[rows].tolist()]
+            said = "; ".join(filter(None, (f"{len(rows)} targets", note)))
+            yield FailurePicture(photo, self.thumbnails[photo], said, sizes.get(photo), points.pixels_px[rows], labels)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OnePhoto(ShortRepr):
@@ -301,37 +318,6 @@ def pictures_of_photos(found: Iterable[OnePhoto]) -> Iterator[FailurePicture]:
         points = np.concatenate([one.detections.pixels_px, one.dots.pixels_px, np.reshape(places, (-1, 2))])
         note = f"{len(one.detections)} named targets, {len(one.dots)} dots without a code, {len(one.refused)} refused"
         yield FailurePicture(one.detections.photo, one.thumbnail, note, one.size_px, points, labels)
-
-
-def pictures_of_measured(measured: MeasuredPhotos, note: str = "") -> Iterator[FailurePicture]:
-    """Yield photos with the targets that were measured in them, those with the fewest first.
-
-    Parameters
-    ----------
-    measured : MeasuredPhotos
-        Image points of all photos.
-    note : str, optional
-        What was not found in them.
-
-    Yields
-    ------
-    FailurePicture
-        A photo, for `heliogauge.errors.showing`.
-    """
-    points, sizes = measured.points, measured.sizes_px or {}
-    counts = np.bincount(points.photo_index, minlength=len(points.photos))
-    shown = set()
-    for number in np.argsort(counts, kind="stable").tolist():
-        photo, rows = points.photos[number], np.flatnonzero(points.photo_index == number)
-        if photo in measured.thumbnails and photo in sizes:
-            shown.add(photo)
-            labels = [points.targets[index] for index in points.target_index[rows].tolist()]
-            said = "; ".join(filter(None, (f"{len(rows)} targets", note)))
-            thumbnail = measured.thumbnails[photo]
-            yield FailurePicture(photo, thumbnail, said, sizes[photo], points.pixels_px[rows], labels)
-    for photo, thumbnail in measured.thumbnails.items():
-        if photo not in shown:
-            yield FailurePicture(photo, thumbnail, "no target that can be used", sizes.get(photo))
 
 
 def _count_doubts(photos: int, empty: Sequence[str], doubled: Counter[str]) -> Iterator[Doubt]:
