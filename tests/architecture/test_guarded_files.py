@@ -14,6 +14,7 @@ ALLOWED = {
     "heliogauge.results.tables": ("np.loadtxt",),  # lines that were read
     "heliogauge.images.video": ("cv2.VideoCapture",),  # a file whose beginning was checked
     "heliogauge.results.slope_map_file": ("h5py.File", "json.loads"),  # writes in memory; attributes of an open file
+    "heliogauge.results.failure": ("cv2.imdecode", "np.frombuffer"),  # thumbnails that were made in this process
     "heliogauge.results.json_file": ("json.loads",),  # the name of a key that it writes
     "heliogauge.results.opened": ("pandas.read_csv",),  # bytes that were read
     "photogrammetry.exchange.colmap_files": ("np.frombuffer",),  # bytes that were read
