@@ -53,6 +53,7 @@ METHOD = {
         "reporting",
         "view",
         "running",
+        "batch",
     ),
 }
 SERVICE = ("keys", "exchange", "pipeline", "planning", "files", "report")

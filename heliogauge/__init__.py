@@ -1,8 +1,9 @@
 """Metrology of solar mirrors: images in, slope maps with uncertainty out.
 
-`measure` evaluates any folder with a measurement.toml, `open` shows a folder of results, `load` only reads and checks a
-measurement, `synth` makes one with known truth, and `report` builds report.html. The packages of the instruments
-(deflectometry, photogrammetry, observer, calibration) have faces of their own.
+`measure` evaluates any folder with a measurement.toml, `measure_many` many of them side by side, `open` shows a folder
+of results, `load` only reads and checks a measurement, `synth` makes one with known truth, and `report` builds
+report.html. The packages of the instruments (deflectometry, photogrammetry, observer, calibration) have faces of their
+own.
 """
 
 # isort: off
@@ -17,6 +18,7 @@ from heliogauge.faces import lazy_face  # noqa: E402
 # isort: on
 
 if TYPE_CHECKING:
+    from heliogauge.batch.measure import measure_many as measure_many
     from heliogauge.camera.model import Camera as Camera
     from heliogauge.doubts import Doubt as Doubt
     from heliogauge.geometry.rigid import RigidTransform as RigidTransform

@@ -18,6 +18,8 @@ from typing import Any
 from heliogauge.errors import InputError
 
 GROUP = "heliogauge.instruments"
+#: Reports of results that no instrument measures: those of many folders at once.
+_OWN_REPORTS = {"measurements": "heliogauge.batch:report.ipynb"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,6 +109,11 @@ def instrument_named(name: str) -> Instrument:
 def every_kind() -> dict[str, Kind]:
     """Return all kinds of measurement by their names."""
     return {kind.name: kind for one in instruments() for kind in one.kinds}
+
+
+def every_report() -> dict[str, str]:
+    """Return the file of the report notebook of each kind of result, as `read_resource` takes it."""
+    return _OWN_REPORTS | {kind: file for one in instruments() for kind, file in one.reports.items()}
 
 
 def near_match(name: str, known: Iterable[str], quote: str = "") -> str:

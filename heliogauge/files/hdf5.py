@@ -9,6 +9,7 @@ import h5py
 import numpy as np
 
 from heliogauge.errors import InputError
+from heliogauge.files.extras import of_extra
 from heliogauge.files.memory import MIB, refuse_large
 from heliogauge.files.regular import open_regular
 
@@ -69,10 +70,11 @@ def read_netcdf(path: Path) -> "xarray.Dataset":
     with open_hdf5(path) as file:
         total = sum(item.nbytes for item in file.values() if isinstance(item, h5py.Dataset))
         refuse_large(str(path), 2 * total, f"arrays of {total / MIB:.0f} MiB")
-    import xarray
-
+    library = of_extra("xarray")
+    of_extra("h5netcdf")
     try:
-        return xarray.load_dataset(path, engine="h5netcdf")
+        data: xarray.Dataset = library.load_dataset(path, engine="h5netcdf")
+        return data
     except Exception as error:  # decoding what an attribute claims can raise anything
         raise InputError(f"{path}: not a readable NetCDF-4 file ({str(error)[:300]}); copy it again") from error
 

@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from heliogauge.errors import InputError
+from heliogauge.geometry.sun_position import geocentric_sun, refraction_rad, seen_from, time_difference_s
 from heliogauge.validate import BoolArray, FloatArray, TimeArray, float_array, freeze, positive
 
 # The series of the solar position take 0.5 kB an instant and term: 100 MB at a time.
@@ -92,30 +93,23 @@ def sun_angles(times: npt.ArrayLike, site: Site, *, refracted: bool = True) -> t
     azimuth, elevation (n,): Azimuth from north, clockwise, in [0, 2 pi); elevation above the horizon [rad].
     InputError: Not instants, or one is missing.
 
-    The solar position algorithm of Reda and Andreas (2004), as pvlib computes it: 0.005 mrad from -2000 to 6000.
+    The solar position algorithm of Reda and Andreas (2004), 0.005 mrad from -2000 to 6000.
     """
-    from pvlib.spa import calculate_deltat, solar_position
-
     instants = _checked_times(times)
     unix = instants.astype("datetime64[ms]").astype(np.int64) / 1e3
     months = instants.astype("datetime64[M]").astype(np.int64)
+    latitude, longitude = np.deg2rad((site.latitude_deg, site.longitude_deg))
     azimuth, elevation = np.empty(len(unix)), np.empty(len(unix))
     for start in range(0, len(unix), _INSTANTS_AT_A_TIME):
         part = slice(start, start + _INSTANTS_AT_A_TIME)
-        position = solar_position(
-            unix[part],
-            site.latitude_deg,
-            site.longitude_deg,
-            site.altitude_m,
-            site.air_pressure_hpa,
-            site.temperature_c,
-            calculate_deltat(1970 + months[part] // 12, months[part] % 12 + 1),
-            _HORIZON_REFRACTION_DEG,
-        )
-        # Columns: zenith apparent, zenith, elevation apparent, elevation, azimuth (pvlib names the third and fourth
-        # the other way round; at the horizon the third is half a degree higher).
-        azimuth[part], elevation[part] = position[4], position[2] if refracted else position[3]
-    return np.asarray(freeze(np.deg2rad(azimuth))), np.asarray(freeze(np.deg2rad(elevation)))
+        difference = time_difference_s(1970 + months[part] // 12, 1 + months[part] % 12)
+        sun = geocentric_sun(unix[part], difference)
+        azimuth[part], elevation[part] = seen_from(sun, latitude, longitude, site.altitude_m)
+        if refracted:
+            elevation[part] += refraction_rad(
+                elevation[part], site.air_pressure_hpa, site.temperature_c, _HORIZON_REFRACTION_DEG
+            )
+    return np.asarray(freeze(azimuth)), np.asarray(freeze(elevation))
 
 
 def sun_directions(times: npt.ArrayLike, site: Site, *, refracted: bool = True) -> FloatArray:

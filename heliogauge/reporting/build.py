@@ -9,7 +9,7 @@ from pathlib import Path
 
 from heliogauge.errors import InputError
 from heliogauge.files.faults import explain_faults
-from heliogauge.instruments import instruments, read_resource
+from heliogauge.instruments import every_report, read_resource
 from heliogauge.reporting.html import FirstScreen, Shown
 from heliogauge.reporting.notebook import Notebook, read_notebook
 from heliogauge.reporting.page_frame import page_frame
@@ -68,7 +68,7 @@ def first_picture(folder: Path) -> Shown | None:
 
 def _open(folder: Path) -> tuple[Summary, Notebook]:
     summary = read_summary(folder / SUMMARY_FILE)
-    reports = {kind: file for one in instruments() for kind, file in one.reports.items()}
+    reports = every_report()
     if summary.kind not in reports:
         kinds = ", ".join(reports)
         raise InputError(f"{folder / SUMMARY_FILE}: no report for the kind {summary.kind!r} (there are: {kinds})")

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from heliogauge.doubts import Doubt
 from heliogauge.errors import InputError
+from heliogauge.files.extras import of_extra
 from heliogauge.files.faults import explain_faults
 from heliogauge.files.hdf5 import read_netcdf
 from heliogauge.files.regular import read_regular
@@ -39,11 +40,11 @@ class Tables(Mapping[str, Any]):
         """Read a table."""
         if name not in self._files:
             raise InputError(f"table {name!r} is not among the results; there are: {', '.join(self._files) or 'none'}")
-        import pandas
-
+        library = of_extra("pandas")
         content = read_regular(self._files[name], "a CSV file")
         try:
-            return pandas.read_csv(io.BytesIO(content))
+            table: pandas.DataFrame = library.read_csv(io.BytesIO(content))
+            return table
         except (ValueError, OverflowError, RecursionError) as error:
             raise InputError(f"{self._files[name]}: cannot be read as CSV ({str(error)[:200]})") from error
 
@@ -173,10 +174,10 @@ class Result:
 
     def _angles(self) -> "xarray.Dataset":
         import numpy as np
-        import xarray
 
         from heliogauge.slopes.normal_angles import d_angles_d_slopes, normal_angles
 
+        library = of_extra("xarray")
         slopes = self.slope_map
         names = ("slope_x", "slope_y", "design_slope_x", "design_slope_y")
         measured_x, measured_y, design_x, design_y = (slopes[name].values.astype(np.float64) for name in names)
@@ -192,7 +193,7 @@ class Result:
             about = {"units": "rad", "long_name": f"standard deviation of angle_{axis}"}
             fields[f"sigma_angle_{axis}"] = (("y", "x"), sigma, about)
         kept = {name: slopes.attrs[name] for name in ("name", "design", "frame", "removed") if name in slopes.attrs}
-        result = xarray.Dataset(fields, coords={"x": slopes["x"], "y": slopes["y"]}, attrs=kept)
+        result: xarray.Dataset = library.Dataset(fields, coords={"x": slopes["x"], "y": slopes["y"]}, attrs=kept)
         result["flag"] = slopes["flag"]
         own = self.folder / "angles.nc"
         if own.is_file():

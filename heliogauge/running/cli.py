@@ -15,6 +15,7 @@ import sys
 import warnings
 from collections.abc import Sequence
 from importlib import import_module
+from io import TextIOWrapper
 from pathlib import Path
 from types import FrameType
 from typing import Annotated, Any, NoReturn, TextIO
@@ -34,6 +35,7 @@ from heliogauge.running.commands import (
     OutFolder,
     Quiet,
     ResultsFolder,
+    Scheduler,
     Verbose,
     say_doubts,
     say_ending,
@@ -178,22 +180,43 @@ def front_door(
 
 @app.command()
 def measure(
-    folder: MeasurementFolder,
+    folders: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="FOLDER...",
+            help="Folders with measurement.toml and images, or folders of such folders.",
+            show_default=False,
+        ),
+    ],
     out: OutFolder,
     jobs: Jobs = None,
+    scheduler: Scheduler = None,
     force: Force = False,
     no_report: NoReport = False,
     as_json: AsJson = False,
     quiet: Quiet = False,
     verbose: Verbose = False,
 ) -> None:
-    """Evaluate a measurement folder of any kind, as its measurement.toml says."""
+    """Evaluate measurement folders of any kind, as their measurement.toml says.
+
+    The results of one folder are in OUT. Of several, or of a folder of folders, they are in OUT/NAME each, and OUT has
+    an index (index.csv, report.html). The same command again measures only what has changed, and what was not finished.
+    """
+    from heliogauge.batch.folders import is_measurement
     from heliogauge.running.terminal import terminal_progress
-    from heliogauge.running.verbs import measure_into
 
     progress = terminal_progress(quiet=quiet, verbose=verbose)
-    result = measure_into(folder, out, progress, jobs=jobs, force=force, report=not no_report)
-    say_ending(result, out, quiet=quiet, as_json=as_json)
+    if len(folders) == 1 and (is_measurement(folders[0]) or not folders[0].is_dir()):
+        from heliogauge.running.verbs import measure_into
+
+        one = measure_into(folders[0], out, progress, jobs=jobs, scheduler=scheduler, force=force, report=not no_report)
+        say_ending(one, out, quiet=quiet, as_json=as_json)
+        return
+    from heliogauge.batch.measure import measure_batch
+    from heliogauge.running.scale import Workers
+
+    many = measure_batch(folders, out, Workers(jobs, scheduler), progress, force=force, report=not no_report)
+    say_ending(many, out, quiet=quiet, as_json=as_json)
 
 
 @app.command()
@@ -323,6 +346,10 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
     SystemExit: Always: 0 success, 2 a user's mistake or an undetermined measurement, 130 Ctrl-C, 143 terminated.
     """
     signal.signal(signal.SIGTERM, _terminate)
+    for stream in (sys.stdout, sys.stderr):
+        # A console that cannot show a sign (Windows' code pages, a log in ASCII) gets a stand-in, not a traceback.
+        if isinstance(stream, TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
     # One message for one fault: OpenCV's own remarks on a damaged file would stand beside ours. The user's wish counts.
     os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")
     _read_no_style_here()

@@ -12,9 +12,11 @@ import traceback
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from itertools import islice
+from itertools import chain, islice
+from logging import CRITICAL, getLogger
+from time import monotonic, sleep
 from typing import Any, Generic, TypeVar
 
 from heliogauge import __version__
@@ -33,6 +35,12 @@ _OF_WORKERS = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM
 # Python would look for modules in the working folder first, for its own ones, too.
 _OF_WORKERS["PYTHONSAFEPATH"] = "1"
 _CONNECT_S = 10
+#: So long the first worker of a cluster that was just started may take to come [s].
+_WORKERS_S = 30.0
+#: So long a scheduler that went away may take to come back with workers, looked for so often.
+_AWAY_S, _AGAIN_S = 300.0, 1.0
+#: The same work may be lost so many times in a row before somebody must look why.
+_MOST_LOSSES = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -214,23 +222,34 @@ def _version_there() -> str:
     return __version__
 
 
-def _client(address: str) -> Any:
+def _client(address: str, patience_s: float = 0.0) -> Any:
+    """Connect to a scheduler, and go on trying for a while if there is none."""
     try:
         from distributed import Client
     except ImportError as error:
         raise InputError(f"scheduler={address}: Dask is not installed; pip install 'heliogauge[cluster]'") from error
-    try:
-        return Client(address, timeout=_CONNECT_S, set_as_default=False)
-    except (OSError, TimeoutError, ValueError) as error:
-        raise InputError(
-            f"scheduler={address}: no scheduler answers there ({str(error)[:120]}); is the address as it printed it?"
-        ) from error
+    end = monotonic() + patience_s
+    while True:
+        try:
+            return Client(address, timeout=_CONNECT_S, set_as_default=False)
+        except (OSError, TimeoutError, ValueError) as error:
+            if monotonic() < end:
+                sleep(_AGAIN_S)
+                continue
+            gone = f" for {patience_s:.0f} s" if patience_s else ""
+            raise InputError(
+                f"scheduler={address}: no scheduler answers there{gone} ({str(error)[:120]}); is the address as it "
+                "printed it?"
+            ) from error
 
 
-def _check_workers(client: Any, address: str) -> int:
-    threads: Mapping[str, int] = client.nthreads()
-    if not threads:
-        raise InputError(f"scheduler={address}: the cluster has no workers; start some")
+def _check_workers(client: Any, address: str, patience_s: float) -> int:
+    """Return how many tasks the workers can do at a time; wait a while for the first of them."""
+    end = monotonic() + patience_s
+    while not (threads := dict(client.nthreads())):
+        if monotonic() > end:
+            raise InputError(f"scheduler={address}: the cluster has no workers; start some")
+        sleep(_AGAIN_S)
     try:
         versions: Mapping[str, str] = client.run(_version_there)
     except ImportError as error:
@@ -246,28 +265,90 @@ def _check_workers(client: Any, address: str) -> int:
     return sum(threads.values())
 
 
+class _LostError(Exception):
+    """The scheduler went away, or was started anew and knows nothing of the tasks that it had."""
+
+
 def _on_cluster(
     function: Callable[[_ContextT, _TaskT], _ResultT], context: _ContextT, tasks: Iterable[_TaskT], address: str
 ) -> Iterator[Done[_TaskT, _ResultT]]:
-    waiting = iter(tasks)
-    with _client(address) as client:
-        threads = _check_workers(client, address)
+    """Work on a cluster; what was under way when the scheduler went away is sent again when it is back."""
+    waiting, patience_s, losses = iter(tasks), 0.0, 0
+    while True:
+        under_way: dict[Any, _TaskT] = {}
+        try:
+            for done in _with_scheduler(function, context, waiting, address, patience_s, under_way):
+                losses = 0
+                yield done
+            return
+        except _LostError as error:
+            losses += 1
+            if losses > _MOST_LOSSES:
+                raise InputError(
+                    f"scheduler={address}: the cluster lost the same work {losses} times ({error}); look at its logs"
+                ) from None
+            waiting, patience_s = chain(list(under_way.values()), waiting), _AWAY_S
+
+
+def _with_scheduler(
+    function: Callable[[_ContextT, _TaskT], _ResultT],
+    context: _ContextT,
+    waiting: Iterator[_TaskT],
+    address: str,
+    patience_s: float,
+    under_way: dict[Any, _TaskT],
+) -> Iterator[Done[_TaskT, _ResultT]]:
+    """Work as long as one scheduler lives.
+
+    under_way: Receives the tasks that are sent, and loses those that are done.
+    _LostError: The scheduler does not know them any more.
+    """
+    client = _client(address, patience_s)
+    # It would write a traceback for a scheduler that goes away, which is waited for here.
+    log = getLogger("distributed.client")
+    level = log.level
+    log.setLevel(CRITICAL)
+    try:
         from distributed import as_completed
 
-        shared = client.scatter(context, broadcast=True)
-        running: dict[Any, Any] = {}
+        with _lost_connection():
+            threads = _check_workers(client, address, max(patience_s, _WORKERS_S))
+            shared = client.scatter(context, broadcast=True)
 
-        def submit(task: Any) -> Any:
-            future = client.submit(_attempt, function, shared, task, pure=False)
-            running[future.key] = task
+        def submit(task: _TaskT) -> Any:
+            with _lost_connection():
+                future = client.submit(_attempt, function, shared, task, pure=False)
+            under_way[future.key] = task
             return future
 
         first = [submit(task) for task in islice(waiting, _AHEAD * threads)]
         completed = as_completed(first, loop=client.loop)
         for future in completed:
-            task = running.pop(future.key)
-            error = future.exception()
-            outcome = future.result() if error is None else Failure(f"the cluster gave it up: {error}")
+            with _lost_connection():
+                if future.cancelled() or future.status == "lost":
+                    raise _LostError("it was started anew")
+                error = future.exception()
+                outcome = future.result() if error is None else Failure(f"the cluster gave it up: {error}")
+            task = under_way.pop(future.key)
+            # The result is here: the worker need not keep it.
+            future.release()
             for following in islice(waiting, 1):
                 completed.add(submit(following))
             yield Done(task, outcome)
+    finally:
+        with suppress(Exception):
+            # A scheduler that is gone takes no leave.
+            client.close(timeout=_CONNECT_S)
+        log.setLevel(level)
+
+
+@contextmanager
+def _lost_connection() -> Iterator[None]:
+    """Tell a scheduler that went away from all other errors."""
+    from asyncio import CancelledError as StoppedError
+    from concurrent.futures import CancelledError
+
+    try:
+        yield
+    except (OSError, TimeoutError, CancelledError, StoppedError) as error:
+        raise _LostError(str(error)[:120] or type(error).__name__) from error

@@ -1,7 +1,7 @@
 """What is done from Python with any instrument: measure a folder, open results, make synthetic data, build a report."""
 
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import fields
 from pathlib import Path
 from tempfile import mkdtemp
@@ -183,11 +183,21 @@ def _options(kind: Kind, given: dict[str, Any]) -> Any:
 
 
 def measure_into(
-    folder: Path, out: Path, progress: "Progress", *, jobs: int | None, force: bool, report: bool
+    folder: Path,
+    out: Path,
+    progress: "Progress",
+    *,
+    jobs: int | None,
+    scheduler: str | None = None,
+    options: Mapping[str, Any] | None = None,
+    force: bool,
+    report: bool,
 ) -> "Ended":
     """Evaluate a measurement folder of any kind into a folder of results, as its measurement.toml says.
 
     jobs: Processes or threads side by side, where the kind can use several.
+    scheduler: Address of a Dask scheduler, where the kind has work for one.
+    options: Choices that override those of measurement.toml.
     force: Replace earlier results.
     report: Also make report.html.
     Returns: What came of it, with `doubts` and `headline`.
@@ -197,11 +207,16 @@ def measure_into(
     from heliogauge.measurement.load import kind_of
 
     kind = kind_of(folder)
-    has_jobs = kind.options and any(field.name == "jobs" for field in fields(resolve(kind.options)))
-    options = _options(kind, {"jobs": jobs} if has_jobs else {})
+    known = {field.name for field in fields(resolve(kind.options))} if kind.options else set()
+    if scheduler is not None and "scheduler" not in known:
+        raise InputError(
+            f"scheduler={scheduler}: one measurement of the kind {kind.name!r} is not divided; leave it out"
+        )
+    own = {name: value for name, value in (("jobs", jobs), ("scheduler", scheduler)) if name in known}
+    choices = _options(kind, own | dict(options or {}))
     has_report = any(kind.name in instrument.reports for instrument in instruments())
     measurement = resolve(kind.load)(folder)
-    return _measure_into(kind, measurement, out, options, progress, force=force, report=report and has_report)
+    return _measure_into(kind, measurement, out, choices, progress, force=force, report=report and has_report)
 
 
 def _measure_into(

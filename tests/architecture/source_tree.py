@@ -14,6 +14,7 @@ PACKAGES = ("heliogauge", "photogrammetry", "deflectometry", "observer", "calibr
 #: Rooms, and modules called like them, that open files, draw or talk; everything else is numeric.
 BORDER_ROOMS = frozenset(
     {
+        "batch",
         "cli",
         "exchange",
         "files",

@@ -34,7 +34,7 @@ DESCRIPTIONS = frozenset(
 DEMONSTRATION = "heliogauge.running.demo"
 
 #: Rooms of the kernel that open files or talk to people; numeric modules do without.
-KERNEL_BORDER = ("files", "images", "measurement", "results", "reporting", "view", "running")
+KERNEL_BORDER = ("files", "images", "measurement", "results", "reporting", "view", "running", "batch")
 #: Modules of those rooms that hold values alone.
 KERNEL_VALUES = frozenset({"heliogauge.running.progress", "heliogauge.running.threads"})
 
@@ -65,7 +65,7 @@ LAZY_LIBRARIES = {
     "plotly": "plotly costs 0.3 s",
     "markdown_it": "markdown_it costs 0.1 s",
     "rich": "rich costs 0.1 s",
-    "pvlib": "pvlib loads pandas: 0.8 s",
+    "pvlib": "only tests use it",
     "open3d": "an optional extra",
     "pycolmap": "an optional extra",
     "rawpy": "an optional extra",

@@ -67,6 +67,29 @@ def test_a_second_algorithm_agrees_from_2003_to_2022():
     assert min(worst) > 1e-4, "the second route must not be the first"
 
 
+def test_the_same_algorithm_elsewhere_agrees():
+    """Pvlib's own implementation; its Julian day in one float is good for 3e-9 rad."""
+    spa = pytest.importorskip("pvlib.spa")
+    rng = np.random.default_rng(1)
+    times = (rng.uniform(-5e9, 9e9, 2000) * 1000).astype(np.int64).astype("datetime64[ms]")
+    months = times.astype("datetime64[M]").astype(np.int64)
+    difference_s = spa.calculate_deltat(1970 + months // 12, months % 12 + 1)
+    for latitude, longitude, altitude in (
+        (50.9, 6.4, 90.0),
+        (-33.9, 18.8, 0.0),
+        (36.1, -116.0, 1200.0),
+        (-89.0, 200.0, 2800.0),
+    ):
+        site = Site(latitude, longitude, altitude)
+        air = (site.air_pressure_hpa, site.temperature_c)
+        unix_s = times.astype(np.int64) / 1e3
+        theirs = np.deg2rad(spa.solar_position(unix_s, latitude, longitude, altitude, *air, difference_s, 0.5667))
+        for row, refracted in ((2, True), (3, False)):
+            ours = sun_directions(times, site, refracted=refracted)
+            away = np.linalg.norm(ours - direction_from_angles(theirs[4], theirs[row]), axis=1)
+            assert away.max() < 5e-9
+
+
 def test_records_of_a_plant(shared_data):
     folder = shared_data / "csp" / "juelich_calibration"
     records = json.loads((folder / "timestamps.json").read_text())

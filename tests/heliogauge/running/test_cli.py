@@ -190,3 +190,16 @@ cli.main(["probe", "measure", "x"])
     assert answer.stdout == "cleaned up\n"
     assert answer.returncode == 128 + number
     assert "Traceback" not in answer.stderr
+
+
+def test_a_console_that_cannot_show_a_sign_gets_a_stand_in(tmp_path: Path) -> None:
+    folder = tmp_path / "50 µrad → facet"
+    done = subprocess.run(
+        [sys.executable, "-m", "heliogauge", "deflectometry", "init", str(folder)],
+        env=os.environ | {"PYTHONIOENCODING": "ascii:strict"},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert "50 \\xb5rad \\u2192 facet" in done.stdout
