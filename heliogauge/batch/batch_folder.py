@@ -10,6 +10,7 @@ from typing import Any, NamedTuple, TextIO
 
 from heliogauge.batch.rows import BATCH, INDEX_FILE, MEASURED, Row
 from heliogauge.errors import InputError
+from heliogauge.files.texts import parse_json, read_text
 from heliogauge.results.folder import SUMMARY_FILE, read_json
 
 #: What is finished, one line each: what its results were made from, and its row.
@@ -140,14 +141,13 @@ class BatchFolder:
     def _read_journal(self) -> dict[str, Finished]:
         """Read what is finished, whose results are there still."""
         finished: dict[str, Finished] = {}
-        try:
-            lines = (self.path / JOURNAL_FILE).read_text(encoding="utf-8").splitlines()
-        except FileNotFoundError:
+        journal = self.path / JOURNAL_FILE
+        if not journal.exists():
             return finished
-        for line in lines:
+        for line in read_text(journal).splitlines():
             # The last line may be half: its measurement is then made again.
-            with contextlib.suppress(ValueError, KeyError, TypeError):
-                entry = json.loads(line)
+            with contextlib.suppress(InputError, KeyError, TypeError, ValueError):
+                entry = parse_json(line, str(journal))
                 row: dict[str, Any] = dict(entry["row"])
                 finished[str(entry["name"])] = Finished(str(entry["digest"]), row)
         return {
