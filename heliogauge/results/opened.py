@@ -40,11 +40,10 @@ class Tables(Mapping[str, Any]):
         """Read a table."""
         if name not in self._files:
             raise InputError(f"table {name!r} is not among the results; there are: {', '.join(self._files) or 'none'}")
-        library = of_extra("pandas")
+        pandas = of_extra("pandas")
         content = read_regular(self._files[name], "a CSV file")
         try:
-            table: pandas.DataFrame = library.read_csv(io.BytesIO(content))
-            return table
+            return pandas.read_csv(io.BytesIO(content))
         except (ValueError, OverflowError, RecursionError) as error:
             raise InputError(f"{self._files[name]}: cannot be read as CSV ({str(error)[:200]})") from error
 
