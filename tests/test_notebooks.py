@@ -1,19 +1,69 @@
-"""The notebooks run from top to bottom, as a reader would run them."""
+"""The notebooks and the pages of Python run from top to bottom as a reader would run them, and give what they show."""
+
+import re
+import subprocess
+import sys
+from pathlib import Path
 
 import pytest
 
 from tests.kernel import read, run_in_jupyter
 
+NOTEBOOKS = ("camera", "deflectometry", "heliostat", "observer", "photogrammetry")
+NUMBER = re.compile(r"[-+]?\d+\.\d+(?:e[-+]?\d+)?")
+
+
+def printed(cell):
+    return "".join(output.get("text", "") for output in cell.outputs if output.get("name") == "stdout")
+
+
+def kinds(cell):
+    """Return what a cell shows: words, tables, pictures."""
+    return [sorted(output.get("data", {"text/plain": ""})) for output in cell.outputs]
+
+
+@pytest.mark.parametrize("name", NOTEBOOKS)
+def test_notebook_is_kept_with_its_outputs(repository, name):
+    file = repository / "notebooks" / f"{name}.ipynb"
+    cells = [cell for cell in read(file).cells if cell.cell_type == "code"]
+    assert [cell.execution_count for cell in cells] == list(range(1, len(cells) + 1))
+    shown = "".join(str(output.get("data", {})) for cell in cells for output in cell.outputs)
+    assert "image/png" in shown or "<img" in shown
+    assert "Error" not in "".join(output.output_type for cell in cells for output in cell.outputs)
+    assert file.stat().st_size < 800_000
+
+
+def test_there_is_one_notebook_for_each_instrument_that_draws(repository):
+    assert sorted(file.stem for file in (repository / "notebooks").glob("*.ipynb")) == list(NOTEBOOKS)
+
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["deflectometry_tour"])
-def test_notebook_runs(repository, tmp_path, name):
-    notebook = read(repository / "notebooks" / f"{name}.ipynb")
-    assert not any(cell.get("outputs") for cell in notebook.cells), "commit notebooks without their outputs"
-    executed = run_in_jupyter(notebook, tmp_path, repository)
-    cells = [cell for cell in executed.cells if cell.cell_type == "code"]
-    assert [cell.execution_count for cell in cells] == list(range(1, len(cells) + 1))
-    complaints = [output.text for cell in cells for output in cell.outputs if output.get("name") == "stderr"]
-    assert not complaints
-    shown = "".join(output.get("data", {}).get("text/html", "") for cell in cells for output in cell.outputs)
-    assert shown.count("<img") == 4  # the frames, slope error in x and y, the spot
+@pytest.mark.parametrize("name", NOTEBOOKS)
+def test_notebook_gives_what_it_shows(repository, tmp_path, name):
+    kept = read(repository / "notebooks" / f"{name}.ipynb")
+    executed = run_in_jupyter(read(repository / "notebooks" / f"{name}.ipynb"), tmp_path, repository)
+    for before, now in zip(kept.cells, executed.cells, strict=True):
+        if now.cell_type != "code":
+            continue
+        assert not [output for output in now.outputs if output.get("name") == "stderr"]
+        assert kinds(now) == kinds(before)
+        assert NUMBER.sub("", printed(now)) == NUMBER.sub("", printed(before))
+        numbers = [[float(number) for number in NUMBER.findall(printed(cell))] for cell in (now, before)]
+        assert numbers[0] == pytest.approx(numbers[1], rel=0.02, abs=0.02)
+
+
+def five_lines():
+    text = (Path(__file__).parents[1] / "docs" / "python" / "index.md").read_text(encoding="utf-8")
+    part = text[text.index("## Each instrument in five lines") : text.index("## Values of an instrument")]
+    return re.findall(r"^\*\*(\w+)\*\*.*?```python\n(.*?)```", part, re.MULTILINE | re.DOTALL)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("instrument", "code"), five_lines())
+def test_each_instrument_in_five_lines(tmp_path, instrument, code):
+    assert len([line for line in code.splitlines() if line and not line.startswith("import")]) <= 5
+    subprocess.run([sys.executable, "-W", "error::DeprecationWarning:__main__", "-c", code], cwd=tmp_path, check=True)
+
+
+def test_five_lines_are_there_for_every_instrument_that_draws():
+    assert [name for name, _ in five_lines()] == ["Camera", "Photogrammetry", "Deflectometry", "Observer", "Heliostats"]
