@@ -1,10 +1,11 @@
 """Text files: plain text, JSON, TOML and CSV, in UTF-8."""
 
 import csv
+import io
 import json
 import re
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,14 @@ _JSON_GROWTH, _CSV_GROWTH, _TEXT_GROWTH = 26, 20, 6
 _MOST_DIGITS, _LARGEST_INTEGER = 19, 2**63 - 1
 _NO_TEXT = re.compile(r"\\u(?:0000|[dD][89a-fA-F])|\\U00000000|\x00")
 _DEEPEST = 200
+# The standard library keeps every beginning of a dotted key: 16,000 parts, 32 kB of file, take 1 GB.
+_MOST_KEY_PARTS = 16
+# Strings and comments, whole or cut off; points; whatever ends a key or a value. Each character is looked at once.
+_TOML_MARKS = re.compile(
+    r"""\"{3}(?:[^"\\]|\\.|"(?!""))*+(?:"{3})?|'{3}(?:[^']|'(?!''))*+(?:'{3})?"""
+    r"""|"(?:[^"\\\n]|\\[^\n])*+"?|'[^'\n]*+'?|\#[^\n]*+|(?P<point>\.)|(?P<end>[\[\]{},=\n])""",
+    re.DOTALL,
+)
 
 
 def read_text(path: Path, kind: str = "a text file", most_bytes: int = MOST_TEXT_BYTES) -> str:
@@ -78,6 +87,7 @@ def read_toml(path: Path) -> dict[str, Any]:
     InputError: As `read_text`; or not valid TOML.
     """
     text = read_text(path, "a TOML file", MOST_TOML_BYTES)
+    _check_keys(str(path), text)
     try:
         content = tomllib.loads(text)
     except RecursionError:
@@ -99,10 +109,11 @@ def read_csv(path: Path) -> list[tuple[int, list[str]]]:
     """
     text = read_text(path, "a CSV file", MOST_CSV_BYTES)
     refuse_large(str(path), _CSV_GROWTH * (text.count(",") + text.count("\n")) + len(text), "its cells")
-    return list(csv_rows(text.splitlines(keepends=True), str(path)))
+    # Only line feeds and carriage returns end a line: a form feed or a separator of paragraphs may stand in a cell.
+    return list(csv_rows(io.StringIO(text, newline=""), str(path)))
 
 
-def csv_rows(lines: list[str], where: str) -> Iterator[tuple[int, list[str]]]:
+def csv_rows(lines: Iterable[str], where: str) -> Iterator[tuple[int, list[str]]]:
     """Yield the rows of lines of CSV that are not empty, with the number of the line.
 
     where: Where they come from, for messages.
@@ -153,6 +164,22 @@ def _check_depth(where: str, kind: str, content: Any) -> None:
         inside = (one.values() if isinstance(one, dict) else one for one in level)
         level = [value for values in inside for value in values if isinstance(value, dict | list)]
         depth += 1
+
+
+def _check_keys(where: str, text: str) -> None:
+    """Refuse dotted keys of more parts than a table is deep, before they are read."""
+    points = 0
+    for mark in _TOML_MARKS.finditer(text):
+        if mark["point"]:
+            points += 1
+        elif mark["end"]:
+            points = 0
+        if points >= _MOST_KEY_PARTS:
+            line = text.count("\n", 0, mark.start()) + 1
+            raise InputError(
+                f"{where}: not valid TOML: line {line}: nested too deeply, more than {_MOST_KEY_PARTS} names joined by "
+                "points; correct that line"
+            )
 
 
 def _check_integers(where: str, content: Any) -> None:

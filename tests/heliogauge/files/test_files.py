@@ -150,6 +150,29 @@ class TestTexts:
             read_toml(tmp_path / "m.toml")
 
     @pytest.mark.parametrize(
+        "key",
+        [".".join("a" * 20), " . ".join(["'a'"] * 20), ".".join(['"a,\\"="'] * 20), "[" + ".".join("a" * 20) + "]"],
+        ids=["bare", "spaced", "quoted", "table"],
+    )
+    def test_long_dotted_keys_are_refused_unread(self, tmp_path: Path, key: str) -> None:
+        (tmp_path / "m.toml").write_text(f"x = 1.5\n{key}{'' if key.startswith('[') else ' = 1'}\n", encoding="utf-8")
+        with pytest.raises(InputError, match=r"line 2: nested too deeply, more than 16 names"):
+            read_toml(tmp_path / "m.toml")
+
+    def test_points_in_texts_comments_and_numbers_are_no_keys(self, tmp_path: Path) -> None:
+        points = "." * 40
+        text = (
+            f'# {points}\na = \'{points}\' # it\'s\nb = "\\"{points}"\nc = """\n""{points}"""\n'
+            f"d = '''{points}'''\ne = [{', '.join(['1.5'] * 40)}]\nf.g.h = 1\n"
+        )
+        (tmp_path / "m.toml").write_text(text, encoding="utf-8")
+        found = read_toml(tmp_path / "m.toml")
+        assert found["a"] == found["d"] == points
+        assert found["b"] == f'"{points}'
+        assert len(found["e"]) == 40
+        assert found["f"] == {"g": {"h": 1}}
+
+    @pytest.mark.parametrize(
         ("content", "says"),
         [
             (b"a,b\n" + b"1" * 140_000 + b",2\n", "line 2: cannot be read as CSV"),
@@ -166,6 +189,12 @@ class TestTexts:
     def test_csv_as_it_should_be(self, tmp_path: Path) -> None:
         (tmp_path / "t.csv").write_bytes(b'\xef\xbb\xbfa,b\r\n\r\n"x\ny",2\r\n3,4')
         assert read_csv(tmp_path / "t.csv") == [(1, ["a", "b"]), (4, ["x\ny", "2"]), (5, ["3", "4"])]
+
+    def test_csv_signs_that_end_no_line(self, tmp_path: Path) -> None:
+        text = "name,x\r\na\u2028b,1\rc\x85d,2\ne\x0cf,3\n"
+        (tmp_path / "t.csv").write_text(text, encoding="utf-8", newline="")
+        rows = [row for _, row in read_csv(tmp_path / "t.csv")]
+        assert rows == [["name", "x"], ["a\u2028b", "1"], ["c\x85d", "2"], ["e\x0cf", "3"]]
 
 
 class TestHdf5:
