@@ -43,6 +43,7 @@ class BatchFolder:
         self.path = target.absolute().resolve()
         self._force = force
         self._earlier: Path | None = None
+        self._is_new = False
         self._journal: TextIO | None = None
         #: What earlier runs have finished, by name.
         self.before: dict[str, Finished] = {}
@@ -56,6 +57,7 @@ class BatchFolder:
             if self._force and self.path.exists() and any(self.path.iterdir()):
                 self._earlier = self.path.parent / f".{self.path.name}.{secrets.token_hex(4)}.earlier"
                 self.path.rename(self._earlier)
+            self._is_new = not self.path.exists() or not any(self.path.iterdir())
             self.path.mkdir(parents=True, exist_ok=True)
             self.before = self._read_journal()
             self._journal = (self.path / JOURNAL_FILE).open("a", encoding="utf-8")
@@ -68,10 +70,10 @@ class BatchFolder:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Keep what is finished; a folder in which nothing is finished goes, and earlier results come back."""
+        """Keep what is finished; a new folder in which nothing is finished goes, and earlier results come back."""
         if self._journal is not None:
             self._journal.close()
-        if kind is not None and not self.finished and not self.before:
+        if kind is not None and self._is_new and not self.finished:
             shutil.rmtree(self.path, ignore_errors=True)
             if self._earlier is not None:
                 with contextlib.suppress(OSError):

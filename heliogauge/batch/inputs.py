@@ -50,16 +50,24 @@ def _files_elsewhere(folder: Path) -> Iterator[tuple[str, Path]]:
         # Absent, or damaged: whoever measures says what is wrong with it.
         return
     for text in sorted(set(_texts(content))):
-        try:
-            place = (folder / text).resolve()
-            if place.is_relative_to(folder.resolve()) or not place.exists():
-                continue
-        except (OSError, ValueError):
-            # No text that could be a path.
-            continue
-        for file in _files_in(place) if place.is_dir() else [place]:
-            if _is_regular(file):
-                yield f"{text}:{file.name}", file
+        for place in _places(folder, text):
+            for file in _files_in(place) if place.is_dir() else [place]:
+                if _is_regular(file):
+                    yield f"{text}:{file.name}", file
+
+
+def _places(folder: Path, text: str) -> list[Path]:
+    """Return files and folders outside of a folder that a text names: as a path, or as a pattern (``../*.png``)."""
+    home = folder.resolve()
+    try:
+        is_pattern = ".." in Path(text).parts and any(sign in text for sign in "*?[")
+        found = sorted(folder.glob(text)) if is_pattern else [folder / text]
+        places = [place.resolve() for place in found if place.exists()]
+    except (OSError, ValueError, NotImplementedError, RuntimeError):
+        # No text that could be a path.
+        return []
+    # A folder above is a name such as "..", and no input.
+    return [place for place in places if not place.is_relative_to(home) and not home.is_relative_to(place)]
 
 
 def _texts(value: Any) -> Iterator[str]:

@@ -35,6 +35,9 @@ _DISTORTION = (
 )
 _WIDTH, _HEIGHT = ("image_width", "image_Width", "width"), ("image_height", "image_Height", "height")
 _SIZE = ("image_size", "imageSize", "img_size", "resolution")
+#: Keys that name the model of the lens, and words of those that are not Brown's.
+_LENS = ("distortion_model", "distortionModel")
+_FISHEYE = ("fisheye", "equidistant", "kannala", "fov", "omni")
 #: fx, fy, cx, cy, k1, k2, p1, p2, k3 as of ``cv2.calibrateCameraExtended``.
 _SIGMA = ("standard_deviations", "std_deviations_intrinsics", "stdDeviationsIntrinsics")
 _SIGMA_NAMES = tuple(name for name in PARAMETER_NAMES if name != "skew")
@@ -53,7 +56,7 @@ def read_opencv_camera(file: Path, size_px: tuple[int, int] | None = None) -> Ca
         matrix = _numbers(storage, _MATRIX)
         if matrix is None or matrix.size != 9:
             raise InputError(f"{file}: no camera matrix of 3 x 3 numbers; one of {', '.join(_MATRIX)} is needed")
-        if any(_flag(storage, name) for name in ("fisheye_model", "fisheye")):
+        if _is_fisheye(storage):
             raise InputError(f"{file}: a fisheye lens; calibrate with Brown's model (k1, k2, p1, p2, k3)")
         distortion, sigma = _numbers(storage, _DISTORTION), _numbers(storage, _SIGMA)
         size = size_px or _size(storage)
@@ -143,14 +146,19 @@ def _open(file: Path) -> Any:
 
 
 def _numbers(storage: Any, names: Sequence[str]) -> FloatArray | None:
-    """Return the numbers of the first of some keys that is there: a matrix, a list, or lists in a list."""
+    """Return the numbers of the first of some keys that is there: a matrix, a list, or lists in a list.
+
+    InputError: Something there is no number.
+    """
     for name in names:
         node = storage.getNode(name)
-        if node.empty():
+        if node.empty() or node.isNone():
             continue
-        values = list(_leaves(node))
-        if values and np.isfinite(values).all():
-            return np.array(values, dtype=np.float64)
+        values = np.array(list(_leaves(node)), dtype=np.float64)
+        if not np.isfinite(values).all():
+            raise InputError(f"{name}: something in it is no number; correct it")
+        if values.size:
+            return values
     return None
 
 
@@ -162,10 +170,16 @@ def _leaves(node: Any) -> Iterator[float]:
             yield from _leaves(node.at(index))
     elif node.isReal() or node.isInt():
         yield float(node.real())
+    else:
+        yield np.nan
 
 
-def _flag(storage: Any, name: str) -> bool:
-    return bool(_numbers(storage, [name]) is not None and np.any(_numbers(storage, [name])))
+def _is_fisheye(storage: Any) -> bool:
+    """Whether a flag says so, as OpenCV's programs write it, or a name of the model, as ROS does."""
+    flags = [_numbers(storage, [name]) for name in ("fisheye_model", "fisheye")]
+    nodes = [storage.getNode(name) for name in _LENS]
+    words = " ".join(str(node.string()).casefold() for node in nodes if node.isString())
+    return any(one is not None and one.any() for one in flags) or any(word in words for word in _FISHEYE)
 
 
 def _size(storage: Any) -> tuple[int, int] | None:

@@ -38,12 +38,14 @@ class Side:
     address: Where its own page is.
     summary: Its numbers; None for a slope map alone.
     map_file: Its slope map; None where it has none.
+    files: All files that it is read from.
     """
 
     name: str
     address: str
     summary: Summary | None
     map_file: Path | None
+    files: tuple[Path, ...]
 
 
 def check_sides(before: Side, after: Side) -> None:

@@ -13,7 +13,7 @@ from heliogauge.errors import InputError
 from heliogauge.reporting.build import REPORT_HTML, REPORT_NOTEBOOK
 from heliogauge.reporting.notebook import ShownCell
 from heliogauge.reporting.page_frame import page_frame
-from heliogauge.results.folder import read_summary
+from heliogauge.results.folder import SUMMARY_FILE, read_summary
 from heliogauge.results.opened import SLOPE_MAP_FILE, what_instead
 from heliogauge.view.arrays import ServedStore
 from heliogauge.view.server.difference import Side, check_sides, difference_page
@@ -136,19 +136,19 @@ class Site:
         opened, inside = self._split(address)
         if opened.only:
             file = opened.find(opened.only)
-            return Side(f"{file.parent.name}/{file.name}", self.base + quote(address), None, file)
+            return Side(f"{file.parent.name}/{file.name}", self.base + quote(address), None, file, (file,))
         place = opened.find(inside.removesuffix(REPORT_HTML))
         if not place.is_dir() or not is_result(place):
             raise InputError(f"{place}: no results, so there is nothing to compare")
         opened.refuse_links(place)
         summary, file = read_summary(place), place / SLOPE_MAP_FILE
-        return Side(
-            f"{summary.name} ({place.name})", self.base + quote(address), summary, file if file.is_file() else None
-        )
+        slopes = file if file.is_file() else None
+        files = (place / SUMMARY_FILE, *([slopes] if slopes else ()))
+        return Side(f"{summary.name} ({place.name})", self.base + quote(address), summary, slopes, files)
 
     def _difference(self, query: Mapping[str, str]) -> Answer:
         sides = self._side(query.get("first", "")), self._side(query.get("second", ""))
-        files = [file for side in sides if (file := side.map_file) is not None]
+        files = [file for side in sides for file in side.files]
         key = f"difference?first={quote(query['first'])}&second={quote(query['second'])}"
         return self._kept(key, query, files, lambda store: difference_page(*sides, store))
 

@@ -25,6 +25,7 @@ CAMERA = Camera(
     distortion=BrownDistortion(k1=-0.08, k2=0.06, k3=0.001, p1=2e-4, p2=-3e-4),
     covariance=np.diag([0.1, 0.1, 0.2, 0.2, 0.0, 1e-4, 1e-4, 1e-5, 1e-5, 1e-4]) ** 2,
 )
+ROS = "image_width: 8\nimage_height: 8\nK: [9.0, 0.0, 4.0, 0.0, 9.0, 4.0, 0.0, 0.0, 1.0]\n"
 POINTS = np.array([[0.2, -0.1, 1.0], [-0.4, 0.3, 1.1], [0.0, 0.0, 2.0]])
 
 
@@ -97,6 +98,12 @@ def test_numbers_of_other_programs(tmp_path: Path) -> None:
         ('{"K": [9, 0, 4, 0, 9, 4, 0, 0, 1], "image_size": [8, 8], "fisheye_model": 1}', "fisheye"),
         ('{"K": [9, 0, 4, 0, 9, 4, 0, 0, 1], "image_size": [8, 8], "D": [0, 0, 0, 0, 0, 1, 0, 0]}', "rational"),
         ('{"K": [9, 0, 4, 0, 9, 4, 0, 0, 1], "image_size": [8, 8], "D": [1, 2]}', "coefficients are needed"),
+        (
+            '{"K": [9, 0, 4, 0, 9, 4, 0, 0, 1], "image_size": [8, 8], "D": ["a", "b"]}',
+            "D: something in it is no number",
+        ),
+        (f"{ROS}distortion_model: equidistant\nD: [0.1, 0.02, 0.003, 0.004]\n", "fisheye"),
+        (f"{ROS}D: [0.1, .nan, 0.0, 0.0]\n", "D: something in it is no number"),
         ('<?xml version="1.0"?><opencv_storage><K>', "cannot read it"),
     ],
 )

@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 
 import heliogauge as hg
-from heliogauge.batch.batch_folder import JOURNAL_FILE
+from heliogauge.batch.batch_folder import JOURNAL_FILE, BatchFolder
 from heliogauge.batch.folders import unique_names
 from heliogauge.batch.inputs import input_digest
 from heliogauge.batch.measure import measure_batch
@@ -216,6 +216,18 @@ def test_files_elsewhere_that_are_named_count(tmp_path: Path) -> None:
     assert input_digest(tmp_path / "in", {}) != digest
 
 
+def test_files_elsewhere_that_a_pattern_names_count(tmp_path: Path) -> None:
+    for name in ("in", "photos"):
+        (tmp_path / name).mkdir()
+    (tmp_path / "in" / "measurement.toml").write_text('name = ".."\nfiles = "../photos/*.png"\n', encoding="utf-8")
+    (tmp_path / "photos" / "1.png").write_text("one", encoding="utf-8")
+    digest = input_digest(tmp_path / "in", {})
+    (tmp_path / "beside.txt").write_text("no input", encoding="utf-8")
+    assert input_digest(tmp_path / "in", {}) == digest
+    (tmp_path / "photos" / "2.png").write_text("two", encoding="utf-8")
+    assert input_digest(tmp_path / "in", {}) != digest
+
+
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="a pipe in the file system is needed")
 def test_a_pipe_among_the_files_stops_nothing(tmp_path: Path) -> None:
     before = input_digest(tmp_path, {})
@@ -231,6 +243,16 @@ def test_half_a_line_of_the_journal_costs_its_measurement_alone(days: Path, tmp_
 
 
 @pytest.mark.slow
+def test_ctrl_c_costs_nothing_where_the_journal_was_lost(days: Path, tmp_path: Path) -> None:
+    measure(days, tmp_path / "out")
+    (tmp_path / "out" / JOURNAL_FILE).unlink()
+    (tmp_path / "out" / "notes.txt").write_text("by hand", encoding="utf-8")
+    with pytest.raises(KeyboardInterrupt), BatchFolder(tmp_path / "out"):
+        raise KeyboardInterrupt
+    assert {"summary.json", "notes.txt"} < {one.name for one in (tmp_path / "out").iterdir()}
+    assert (tmp_path / "out" / "monday_field" / "summary.json").is_file()
+
+
 def test_ctrl_c_keeps_what_is_finished(days: Path, tmp_path: Path) -> None:
     class Stopping(SilentProgress):
         def advanced(self, stage: Any) -> None:

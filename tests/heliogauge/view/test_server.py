@@ -4,6 +4,7 @@ import http.client
 import json
 import os
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -176,6 +177,16 @@ def test_a_map_keeps_all_its_nodes_beside_the_page(tmp_path: Path) -> None:
         write_slope_map(tmp_path / "slope_map.nc", {"": slope_map(nodes=451)})
         assert asker.ask(address)[0] == 404
         assert "451" in asker.page("1/")[1]
+
+
+def test_a_difference_of_numbers_alone_is_made_anew_when_they_change(tmp_path: Path) -> None:
+    for name, sdx_rad in (("a", 1e-3), ("b", 2e-3)):
+        write_result(tmp_path / name, name, None, sdx_rad)
+    for asker in serve(tmp_path):
+        assert "2.000 \u00b1 0.010 mrad" in asker.page("difference?first=1/a/&second=1/b/")[1]
+        shutil.rmtree(tmp_path / "b")
+        write_result(tmp_path / "b", "b", None, 3e-3)
+        assert "3.000 \u00b1 0.010 mrad" in asker.page("difference?first=1/a/&second=1/b/")[1]
 
 
 def test_the_difference_is_the_tilt_between_two_results(tmp_path: Path) -> None:
