@@ -83,7 +83,7 @@ class FieldFolder:
 
         digest: Hash of what its result was made from.
         row: Its row in the table of the field.
-        files: Content of each file; none for a heliostat that failed.
+        files: Content of each file by its path within the folder; none for a heliostat that failed.
         """
         working, place = self.path / f".{name}.partial", self.path / name
         shutil.rmtree(working, ignore_errors=True)
@@ -92,6 +92,7 @@ class FieldFolder:
         if files:
             working.mkdir()
             for file, content in files.items():
+                (working / file).parent.mkdir(parents=True, exist_ok=True)
                 (working / file).write_bytes(content)
             working.rename(place)
         self.finished[name] = (digest, dict(row))

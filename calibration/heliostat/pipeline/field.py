@@ -214,4 +214,5 @@ def _finish(shared: Shared, task: HeliostatTask) -> _Finished:
             result, durations_s={"calibrate": result.duration_s}, input_sha256={"task": task.digest("")}
         )
         write_result(result, shared, folder, summary)
-        return _Finished(field_row(result), {file.name: read_regular(file) for file in folder.iterdir()})
+        files = [path for path in sorted(folder.rglob("*")) if not path.is_dir()]
+        return _Finished(field_row(result), {file.relative_to(folder).as_posix(): read_regular(file) for file in files})

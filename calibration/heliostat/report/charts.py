@@ -252,10 +252,11 @@ def field_view(report: FieldReport) -> ChartView:
 
     found = [ChartSeries("origin", np.zeros(1), np.zeros(1), INK, Mark.POINTS, labels=["origin"], size_px=10.0)]
     for k, color in enumerate(_CLASSES):
-        end = f"{steps[k + 1]:.3g}" if k + 1 < len(_CLASSES) else "more"
+        last = k + 1 == len(_CLASSES)
         chosen = known & (place == k)
         if chosen.any():
-            found.append(series(f"{steps[k]:.3g} to {end} mrad", chosen, color))
+            words = f"above {steps[k]:.3g} mrad" if last else f"{steps[k]:.3g} to {steps[k + 1]:.3g} mrad"
+            found.append(series(words, chosen, color))
     if (~known).any():
         found.append(series("no model", ~known, LINE_Y))
     return ChartView(

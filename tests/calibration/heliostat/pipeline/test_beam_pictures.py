@@ -36,13 +36,13 @@ def test_there_are_never_more_than_twelve() -> None:
     assert pipeline_pictures.informative_rows(residuals, [""] * 400, ~every) == []
 
 
-def photographed(folder: Path, *, thorough: bool) -> Path:
-    """Calibrate a heliostat whose beams, of known places, are in photos of 320 x 240 px; one photo shows none."""
-    write_field(folder / "in", observations=20)
+def photographed(folder: Path, *, thorough: bool, n_heliostats: int = 1) -> Path:
+    """Calibrate heliostats whose beams, of known places, are in photos of 320 x 240 px; one photo shows none."""
+    write_field(folder / "in", heliostats=n_heliostats, observations=20)
     file = folder / "in" / "observations.csv"
     table = read_table_csv(file)
     x, y = (np.array(table.pop(name), dtype=np.float64) for name in ("x_m", "y_m"))
-    table["image"] = [f"{row:02d}.png" for row in range(20)]
+    table["image"] = [f"{row:02d}.png" for row in range(x.size)]
     for row, name in enumerate(table["image"]):
         draw(folder / "in" / name, (x[row], y[row]), 0.0 if row == 3 else 120.0)
     write_table_csv(file, table)
@@ -85,6 +85,14 @@ def test_results_hold_the_beams_and_the_report_shows_them(tmp_path: Path) -> Non
         scale = photo.width_px / photo.image.shape[1]
         np.testing.assert_allclose(marks["beam"].xy_px[0], (scale * x, scale * y), atol=6 * scale)
         assert photo.lines[0].name == "ellipse of D4-sigma"
+
+
+def test_each_heliostat_of_a_field_has_its_pictures(tmp_path: Path) -> None:
+    out = photographed(tmp_path, thorough=True, n_heliostats=2)
+    for folder in (out / name for name in read_table_csv(out / "field.csv")["heliostat"]):
+        names = read_table_csv(folder / "beam_pictures.csv", PICTURE_COLUMNS)["picture"]
+        assert len(names) >= 8
+        assert list(read_thumbnails(folder, names)) == names
 
 
 def test_quick_runs_draw_nothing(tmp_path: Path) -> None:

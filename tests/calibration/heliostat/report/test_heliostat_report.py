@@ -223,10 +223,10 @@ def test_field_map_has_every_heliostat_in_the_class_of_its_error(field):
     assert [label.split(":")[0] for label in series["no model"].labels] == [field.rows["heliostat"][0]]
     assert sum(len(line.x) for line in series.values()) == len(beam)
     for name, line in series.items():
-        low, _, high = name.removesuffix(" mrad").partition(" to ")
-        for label in line.labels if high else ():
+        low, _, high = name.removeprefix("above ").removesuffix(" mrad").partition(" to ")
+        for label in line.labels if name != "no model" else ():
             error = float(label.split(": ")[1].split(" mrad")[0])
-            assert float(low) - 0.01 <= error <= (np.inf if high == "more" else float(high) + 0.01)
+            assert float(low) - 0.01 <= error <= (float(high) + 0.01 if high else np.inf)
 
 
 def test_damaged_tables_are_refused_by_name(one, tmp_path):
