@@ -203,10 +203,6 @@ def test_the_shell_completes(words: list[str], wanted: list[str]) -> None:
     assert completed(*words) == wanted
 
 
-#: Described before they are built.
-COMING = "--scheduler"
-
-
 def documented() -> list[tuple[str, str]]:
     """Return the command lines in README, docs and notebooks, each with its file."""
     found = []
@@ -217,7 +213,7 @@ def documented() -> list[tuple[str, str]]:
             whole = re.sub(r"\\\n\s*", " ", block)
             found += [(name, line) for line in re.findall(r"^ *(?:\$ )?(heliogauge .*)$", whole, re.MULTILINE)]
         found += [(name, line) for line in re.findall(r"`(heliogauge [^`]*)`", " ".join(text.split()))]
-    return sorted({one for one in found if not re.search(COMING, one[1])})
+    return sorted(set(found))
 
 
 @pytest.mark.parametrize(("file", "line"), documented(), ids=lambda text: text if "heliogauge " in text else "")
