@@ -1,49 +1,36 @@
-"""Draw the pictures of the documentation from results: ``python docs/images/render.py RESULT OUT.png FIGURE FIGURE``.
+"""Draw the pictures of the documentation from results: ``python docs/images/render.py RESULT OUT.png QUANTITY...``.
 
-Figures are those of the report; they stand side by side. FIGURE: error-x, error-y, focus-x, focus-y (slope errors
-without tilt and focus), sigma-x, sigma-y, curl, height, spot, energy.
+Maps of a result stand side by side. QUANTITY: a layer of its map (slope_error_x, height, ...), with ``-focus`` behind
+it for the map without tilt and focus.
 """
 
 import sys
-from collections.abc import Callable
 from pathlib import Path
 
 import cv2
 import numpy as np
 from matplotlib.figure import Figure
 
-from deflectometry.report.light import spots
-from heliogauge.reporting import figures
-from heliogauge.reporting import page as report_page
 from heliogauge.reporting.canvas import png_of
-from heliogauge.slopes.removal import Removal
+from heliogauge.results.slope_map_file import read_slope_map
+from heliogauge.slopes.map import SlopeMap
+from heliogauge.slopes.removal import Removal, remove
+from heliogauge.view.maps import slope_map_view
 
 #: Pages are about 1000 px wide; more than two times that is lost.
 WIDTH_PX = 1500
 
 
-def drawing(results: report_page.Results, name: str) -> Figure:
-    """Draw one figure."""
-    slope_map = results.slope_map
-    drawings: dict[str, Callable[[], Figure]] = {
-        "error-x": lambda: figures.slope_error_map(slope_map, "x"),
-        "error-y": lambda: figures.slope_error_map(slope_map, "y"),
-        "focus-x": lambda: figures.slope_error_map(slope_map, "x", removed=Removal.FOCUS),
-        "focus-y": lambda: figures.slope_error_map(slope_map, "y", removed=Removal.FOCUS),
-        "sigma-x": lambda: figures.sigma_map(slope_map, "x"),
-        "sigma-y": lambda: figures.sigma_map(slope_map, "y"),
-        "curl": lambda: figures.curl_map(slope_map),
-        "height": lambda: figures.height_deviation_map(slope_map),
-        "spot": lambda: figures.spot_image(spots(results)["as measured"]),
-        "energy": lambda: figures.encircled_energy(spots(results)),
-    }
-    return drawings[name]()
+def drawing(slope_map: SlopeMap, quantity: str) -> Figure:
+    """Draw one map."""
+    shown = remove(slope_map, Removal.FOCUS) if quantity.endswith("-focus") else slope_map
+    return slope_map_view(shown, "").figure(quantity.removesuffix("-focus"))
 
 
-def main(folder: str, out: str, *names: str) -> None:
-    """Write the figures of a folder of results as one picture."""
-    results = report_page.open_results(folder)
-    images = [cv2.imdecode(np.frombuffer(png_of(drawing(results, name)), np.uint8), cv2.IMREAD_COLOR) for name in names]
+def main(folder: str, out: str, *quantities: str) -> None:
+    """Write maps of a folder of results as one picture."""
+    slope_map = read_slope_map(Path(folder) / "slope_map.nc")
+    images = [cv2.imdecode(np.frombuffer(png_of(drawing(slope_map, one)), np.uint8), 1) for one in quantities]
     height = max(image.shape[0] for image in images)
     padded = [
         cv2.copyMakeBorder(one, 0, height - one.shape[0], 0, 0, cv2.BORDER_CONSTANT, value=(255, 255, 255))

@@ -91,7 +91,7 @@ def mirror_view(results: TroughResults) -> MapView:
 
 def first_figure(results: TroughResults) -> "Figure":
     """Draw the mirror's slope error, or why there is none."""
-    from heliogauge.reporting.figures import flag_map
+    from heliogauge.reporting.flag_figure import flag_map
 
     if results.base.slope_map.valid.any():
         return theta_r_map(results, _limit(results))
@@ -100,7 +100,7 @@ def first_figure(results: TroughResults) -> "Figure":
 
 def maps(results: TroughResults) -> Html:
     """Return the maps beside the first one, the distribution of the angles, and where their uncertainty comes from."""
-    from heliogauge.reporting.figures import flag_map
+    from heliogauge.reporting.flag_figure import flag_map
 
     slope_map = results.base.slope_map
     if not slope_map.valid.any():

@@ -112,7 +112,7 @@ def overview(results: PlanResults) -> Html:
 
 def missing(results: PlanResults) -> Html:
     """Return why parts of the mirror will be missing."""
-    from heliogauge.reporting.figures import flag_map
+    from heliogauge.reporting.flag_figure import flag_map
 
     reasons = show(with_panels(flag_map(results.base.slope_map), results.collector))
     columns = results.table("missing.csv") or {"reason": [], "share": []}

@@ -3,7 +3,6 @@
 import io
 import subprocess
 import sys
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -12,21 +11,21 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from heliogauge.flags import SampleFlag
-from heliogauge.reporting import figures
 from heliogauge.reporting.canvas import (
     MISSING,
     MOST_NODES,
     MapStyle,
     clipping_words,
     extent_of,
+    map_figure,
     nice_ceiling,
+    png_of,
     robust_limit,
     thinned,
 )
+from heliogauge.reporting.flag_figure import flag_map
 from heliogauge.slopes.map import CommonModes, SlopeMap
-from heliogauge.slopes.removal import Removal
-from heliogauge.sunlight.beam import Illumination, facing_target, trace
-from heliogauge.sunlight.sun_shapes import PillboxSun
+from heliogauge.view.maps import slope_map_view
 
 FOCAL_M = 10.0
 
@@ -67,66 +66,24 @@ def make_map(rows: int = 48, columns: int = 60, height_m: float = 0.8) -> SlopeM
 
 
 SLOPE_MAP = make_map()
-SPOT = trace(
-    SLOPE_MAP,
-    SLOPE_MAP.height_m,
-    Illumination(PillboxSun()),
-    target=facing_target(FOCAL_M, 0.3),
-    rays=20_000,
-    rng=np.random.default_rng(2),
-)
-GEOMETRY_M = {
-    "camera": [0.4, 0.3, 9.6],
-    "camera_axis": [-0.4, -0.3, -9.6],
-    "screen": [[-2, -1, 8], [2, -1, 8.5], [2, 1.5, 9]],
-    "mirror": [[-0.6, -0.5, 0], [0.6, -0.5, 0], [0.6, 0.5, 0]],
-}
-ALL: dict[str, Callable[[], Figure]] = {
-    "error x": lambda: figures.slope_error_map(SLOPE_MAP, "x"),
-    "error y, tilt removed": lambda: figures.slope_error_map(SLOPE_MAP, "y", removed=Removal.TILT),
-    "magnitude": lambda: figures.slope_error_magnitude_map(SLOPE_MAP),
-    "slope": lambda: figures.slope_map_figure(SLOPE_MAP, "y"),
-    "sigma": lambda: figures.sigma_map(SLOPE_MAP, "x"),
-    "sigma random": lambda: figures.sigma_map(SLOPE_MAP, "x", "random"),
-    "sigma common": lambda: figures.sigma_map(SLOPE_MAP, "y", "common"),
-    "curl": lambda: figures.curl_map(SLOPE_MAP),
-    "curvature": lambda: figures.curvature_map(SLOPE_MAP, "x"),
-    "height": lambda: figures.height_map(SLOPE_MAP),
-    "height deviation": lambda: figures.height_deviation_map(SLOPE_MAP),
-    "mode": lambda: figures.common_mode_map(SLOPE_MAP, "camera", "x"),
-    "flags": lambda: figures.flag_map(SLOPE_MAP),
-    "histogram": lambda: figures.histogram(SLOPE_MAP, "x"),
-    "section x": lambda: figures.cross_sections(SLOPE_MAP, "x"),
-    "section y": lambda: figures.cross_sections(SLOPE_MAP, "y"),
-    "shares": lambda: figures.sigma_shares({"noise": (1e-5, 2e-5)}),
-    "image": lambda: figures.camera_image(np.arange(12.0).reshape(3, 4), MapStyle("image", "DN", diverging=False)),
-    "outline": lambda: figures.outline_residuals(np.array([[0.0, 0], [9, 0], [9, 5]]), np.full((3, 2), 0.1)),
-    "setup": lambda: figures.setup_sketch(GEOMETRY_M),
-    "spot": lambda: figures.spot_image(SPOT),
-    "energy": lambda: figures.encircled_energy({"measured": SPOT}),
-}
 
 
-@pytest.mark.parametrize("name", ALL)
-def test_every_figure_draws_and_has_a_title(name: str) -> None:
-    figure = ALL[name]()
-    png = figures.png_of(figure)
-    assert figure.texts[0].get_text()
-    assert Image.open(io.BytesIO(png)).size[0] >= 500
+def error_map(slope_map: SlopeMap, axis: str) -> Figure:
+    return slope_map_view(slope_map, "mirror").figure(f"slope_error_{axis}")
 
 
 def test_figures_need_no_pyplot_xarray_or_pandas() -> None:
-    program = "import sys, heliogauge.reporting.figures; print(*sys.modules)"
+    program = "import sys, heliogauge.view.maps, heliogauge.reporting.canvas; print(*sys.modules)"
     modules = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True).stdout.split()
     assert "matplotlib.figure" in modules
-    assert not {"matplotlib.pyplot", "xarray", "pandas", "scipy"} & set(modules)
+    assert not {"matplotlib.pyplot", "xarray", "pandas"} & set(modules)
 
 
 def test_a_map_shows_each_value_at_its_place_in_mrad() -> None:
     values = np.full(SLOPE_MAP.shape, np.nan)
     row, column = 40, 50
     values[row, column] = 3e-3
-    figure = figures.map_figure(SLOPE_MAP, values, MapStyle("one node", "mrad", 1e3))
+    figure = map_figure(SLOPE_MAP, values, MapStyle("one node", "mrad", 1e3))
     axes = figure.axes[0]
     image = axes.images[0]
     # Ask the drawn image what it shows under the node's own coordinates: right, and above the middle.
@@ -142,8 +99,8 @@ def test_a_map_shows_each_value_at_its_place_in_mrad() -> None:
 @pytest.mark.parametrize(("rows", "columns", "height_m"), [(48, 60, 0.8), (30, 300, 0.1), (300, 30, 12.0)])
 def test_maps_keep_the_mirrors_proportions(rows: int, columns: int, height_m: float) -> None:
     slope_map = make_map(rows, columns, height_m)
-    figure = figures.slope_error_map(slope_map, "x")
-    figures.png_of(figure)
+    figure = error_map(slope_map, "x")
+    png_of(figure)
     axes = figure.axes[0]
     box = axes.get_window_extent()
     left, right, low, high = extent_of(slope_map)
@@ -152,8 +109,8 @@ def test_maps_keep_the_mirrors_proportions(rows: int, columns: int, height_m: fl
 
 
 def test_missing_mirror_is_grey_and_outside_is_white() -> None:
-    figure = figures.slope_error_map(SLOPE_MAP, "x")
-    picture = np.asarray(Image.open(io.BytesIO(figures.png_of(figure))).convert("RGB")).astype(int)
+    figure = error_map(SLOPE_MAP, "x")
+    picture = np.asarray(Image.open(io.BytesIO(png_of(figure))).convert("RGB")).astype(int)
     axes = figure.axes[0]
 
     def patch(x: float, y: float) -> np.ndarray:
@@ -170,7 +127,7 @@ def test_missing_mirror_is_grey_and_outside_is_white() -> None:
 
 
 def test_both_directions_share_their_colours_and_zero_is_in_the_middle() -> None:
-    limits = [figures.slope_error_map(SLOPE_MAP, axis).axes[0].images[0].get_clim() for axis in "xy"]
+    limits = [error_map(SLOPE_MAP, axis).axes[0].images[0].get_clim() for axis in "xy"]
     assert limits[0] == limits[1]
     assert limits[0][0] == -limits[0][1]
 
@@ -178,7 +135,7 @@ def test_both_directions_share_their_colours_and_zero_is_in_the_middle() -> None
 def test_clipping_is_said() -> None:
     error = SLOPE_MAP.slope_error_x.copy()
     error[5, 5:10] = 0.1
-    figure = figures.map_figure(SLOPE_MAP, error, MapStyle("clipped", "mrad", 1e3))
+    figure = map_figure(SLOPE_MAP, error, MapStyle("clipped", "mrad", 1e3))
     assert "beyond the colours" in figure.texts[1].get_text()
     assert "100" in figure.texts[1].get_text()
     assert clipping_words(np.array([1.0, -1.0]), 1.0, MapStyle("", "")) == ""
@@ -204,25 +161,8 @@ def test_large_maps_are_thinned_by_whole_nodes() -> None:
     assert np.isin(small, field).all()
 
 
-def test_the_histogram_names_sd_of_a_known_wave() -> None:
-    note = figures.histogram(SLOPE_MAP, "x").texts[1].get_text()
-    rms = np.sqrt(np.mean(SLOPE_MAP.slope_error_x[SLOPE_MAP.valid] ** 2)) * 1e3
-    assert f"{rms:.3f} mrad" in note
-    assert rms == pytest.approx(0.4 / np.sqrt(2), rel=0.2)
-
-
-def test_the_curvature_names_the_focal_length() -> None:
-    flat_error = replace(SLOPE_MAP, slope_x=SLOPE_MAP.design_slope_x, slope_y=SLOPE_MAP.design_slope_y)
-    assert "f = 10 m" in figures.curvature_map(flat_error, "y").texts[1].get_text()
-
-
-def test_curl_of_pure_noise_is_as_large_as_its_sigma() -> None:
-    note = figures.curl_map(SLOPE_MAP).texts[1].get_text()
-    assert float(note.split()[1].rstrip(",")) == pytest.approx(1.0, abs=0.1)
-
-
 def test_the_legend_of_flags_gives_reasons_and_shares() -> None:
-    figure = figures.flag_map(SLOPE_MAP)
+    figure = flag_map(SLOPE_MAP)
     labels = [text.get_text() for text in figure.axes[-1].get_legend().get_texts()]
     hole = np.count_nonzero(SLOPE_MAP.flags) / np.count_nonzero(SLOPE_MAP.aperture)
     assert f"at least one frame saturated: {hole:.2%}" in labels
@@ -231,6 +171,5 @@ def test_the_legend_of_flags_gives_reasons_and_shares() -> None:
 def test_a_map_without_any_value_still_draws() -> None:
     nothing = np.full(SLOPE_MAP.shape, np.nan)
     empty = replace(SLOPE_MAP, slope_x=nothing, slope_y=nothing, height_m=nothing)
-    for draw in (figures.slope_error_magnitude_map, figures.height_map, figures.height_deviation_map, figures.flag_map):
-        figures.png_of(draw(empty))
-    assert "no value" in figures.slope_error_map(empty, "x").texts[1].get_text()
+    png_of(flag_map(empty))
+    assert "no value" in map_figure(empty, nothing, MapStyle("nothing", "mrad")).texts[1].get_text()
