@@ -9,6 +9,7 @@ from pathlib import Path
 
 from heliogauge.errors import InputError
 from heliogauge.files.faults import explain_faults
+from heliogauge.files.own_folder import refuse_links_out
 from heliogauge.instruments import every_report, read_resource
 from heliogauge.reporting.html import FirstScreen, Shown
 from heliogauge.reporting.notebook import Notebook, read_notebook
@@ -25,9 +26,10 @@ def build_report(folder: Path) -> Path:
     """Write ``report.html``, and ``report.ipynb`` with its outputs, from the results in a folder.
 
     InputError: No results in the folder, results of a kind without a report, a file of results that is missing or
-        damaged, or the folder cannot be written to.
+        damaged, a link that leads out of the folder, or the folder cannot be written to.
     """
     folder = folder.resolve()
+    refuse_links_out(folder)
     summary, notebook = run_report(folder, PAGE)
     page = page_frame(f"{summary.name} - {summary.kind} report", notebook.shown)
     try:

@@ -15,6 +15,7 @@ from heliogauge.errors import InputError
 from heliogauge.files.extras import of_extra
 from heliogauge.files.faults import explain_faults
 from heliogauge.files.hdf5 import read_netcdf
+from heliogauge.files.own_folder import refuse_links_out
 from heliogauge.files.regular import read_regular
 from heliogauge.results.folder import SUMMARY_FILE, ResultFolder, Summary, read_summary
 from heliogauge.short_repr import shortened
@@ -140,6 +141,7 @@ class Result:
             weakref.finalize(self.tables, _remove, self.folder, os.getpid())
         if not (self.folder / SUMMARY_FILE).is_file():
             raise InputError(f"{self.folder}: {what_instead(self.folder)}")
+        refuse_links_out(self.folder)
         self._summary: Summary = read_summary(self.folder / SUMMARY_FILE)
         self.kind, self.name = self._summary.kind, self._summary.name
         self.parts = Parts(self.folder)

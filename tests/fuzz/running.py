@@ -15,6 +15,7 @@ from pathlib import Path
 
 from tests.architecture.source_tree import PACKAGES
 from tests.fuzz.damage import copy_of, spoil
+from tests.fuzz.foreign import WRITTEN
 from tests.fuzz.targets import SEEDS, TARGETS, Target, main, quiet
 
 #: A case that takes longer hangs: undamaged, the slowest takes 7 s on one core of its own.
@@ -46,24 +47,28 @@ class Outcome:
 
 def make_seeds(place: Path, names: set[str]) -> dict[str, Path]:
     """Make undamaged folders, and those that they are made of."""
-    folders = {name: place / name for name in (*SEEDS, "opencsp")}
+    folders = {name: place / name for name in (*SEEDS, *WRITTEN)}
     needed = set(names)
     for name, words in reversed(SEEDS.items()):
         if name in needed:
             needed |= {one for one in SEEDS if f"{{{one}}}" in words}
     for name, words in SEEDS.items():
         if name in needed and not folders[name].exists():
+            if f"{{{name}}}" not in words:
+                folders[name].mkdir(parents=True)
             _in_process(lambda words=words: main([word.format(**folders) for word in words]), 600)
-            if not folders[name].is_dir():
+            if not folders[name].is_dir() or not any(folders[name].iterdir()):
                 raise RuntimeError(f"{name} could not be made: {' '.join(words)}")
-    if "opencsp" in needed and not folders["opencsp"].exists():
-        write_opencsp(folders["opencsp"])
+    for name, write in WRITTEN.items():
+        if name in needed and not folders[name].exists():
+            folders[name].mkdir(parents=True)
+            write(folders[name])
     return folders
 
 
 def run_cases(place: Path, cases: Iterable[int], seed: int, targets: tuple[Target, ...] = TARGETS) -> Iterator[Outcome]:
     """Draw damaged folders and run what reads them; the number of a case and the seed decide on it."""
-    seeds = make_seeds(place / "seeds", {one.seed for one in targets})
+    seeds = make_seeds(place / "seeds", {name for one in targets for name in one.seeds()})
     # What every case needs is imported once: cases are copies of this process.
     with contextlib.suppress(SystemExit):
         quiet(lambda: main(["--help"]))
@@ -76,15 +81,15 @@ def run_cases(place: Path, cases: Iterable[int], seed: int, targets: tuple[Targe
 def run_case(place: Path, number: int, seed: int, seeds: dict[str, Path], target: Target) -> Outcome:
     """Run one case in a process of its own."""
     folder, out = place / "in", place / "out"
-    _remove(place, "in", "out")
+    _remove(place, "in", "out", "out-failed")
     copy_of(seeds[target.seed], folder)
     damage = spoil(folder, random.Random(f"{seed}-{number}-damage"))
     begin = time.monotonic()
-    fault, peak = _in_process(lambda: target.run(folder, out), HANG_S)
-    left = [one.name for one in place.iterdir() if one.name not in {"in", "out", "seeds"}]
+    fault, peak = _in_process(lambda: target.run(folder, out, seeds), HANG_S)
+    left = [one.name for one in place.iterdir() if one.name not in {"in", "out", "out-failed", "seeds"}]
     if left and not fault:
         fault = f"left behind: {', '.join(left)}"
-    _remove(place, "in", "out", *left)
+    _remove(place, "in", "out", "out-failed", *left)
     if not fault and peak > MOST_MEMORY_BYTES:
         fault = "took more than 2 GB of memory"
     return Outcome(number, target, damage, fault, time.monotonic() - begin, peak)
@@ -186,49 +191,3 @@ def _import_all() -> None:
                 importlib.import_module(one.name)
     for name in ("matplotlib.pyplot", "pandas", "xarray", "h5netcdf", "scipy.optimize"):
         importlib.import_module(name)
-
-
-def write_opencsp(folder: Path) -> None:
-    """Write small files of OpenCSP with every part that an import needs."""
-    import json
-
-    import h5py
-    import numpy as np
-
-    rng = np.random.default_rng(5)
-    content = {
-        "measurement": {
-            "MeasurementSofastFringe/fringe_images": rng.integers(0, 255, (6, 8, 12), dtype=np.uint8),
-            "MeasurementSofastFringe/mask_images": rng.integers(0, 255, (6, 8, 2), dtype=np.uint8),
-            "MeasurementSofastFringe/fringe_periods_x": [0.9, 4.0],
-            "MeasurementSofastFringe/fringe_periods_y": [0.8],
-            "MeasurementSofastFringe/dist_optic_screen": 9.5,
-            "MeasurementSofastFringe/v_measure_point_facet": [0.0, 0.1, 0.0],
-            "MeasurementSofastFringe/name": "made here",
-            "MeasurementSofastFringe/date": "2024-02-03T04:05:06",
-        },
-        "camera": {
-            "Camera/intrinsic_mat": np.array([[700.0, 0, 4.0], [0, 690.0, 3.0], [0, 0, 1.0]]),
-            "Camera/distortion_coef": [[-0.1, 0.2, 1e-4, 2e-4]],
-            "Camera/image_shape_xy": [8, 6],
-            "Camera/name": "small",
-        },
-        "display": {
-            "DisplayShape/screen_model": "distorted2D",
-            "DisplayShape/name": "wall",
-            "DisplayShape/xy_screen_fraction": [[0.0, 1.0, 0.5], [0.0, 0.0, 0.9]],
-            "DisplayShape/xy_screen_coords": [[-2.0, 2.1, 0.0], [-1.0, -1.1, 0.8]],
-        },
-        "orientation": {
-            "SpatialOrientation/r_cam_screen": [-0.1, 0.3, -0.05],
-            "SpatialOrientation/v_cam_screen_cam": [[1.0], [0.2], [0.3]],
-        },
-    }
-    folder.mkdir(parents=True)
-    for name, parts in content.items():
-        with h5py.File(folder / f"{name}.h5", "w") as file:
-            for key, value in parts.items():
-                file[key] = value
-    corners = {"x": [0.5, -0.5, -0.5, 0.5], "y": [-0.4, -0.4, 0.4, 0.4], "z": [0.0] * 4}
-    facet = {"v_facet_corners": corners, "v_centroid_facet": {"x": [0.01], "y": [0.02], "z": [0.0]}}
-    (folder / "f.json").write_text(json.dumps(facet))

@@ -5,26 +5,36 @@ The one list of commands: a new command is one more line.
 
 import contextlib
 import io
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from heliogauge.running.cli import main
 
-#: How undamaged folders are made; each may use those before it. "{name}" is the folder of that name.
+#: How undamaged folders are made; each may use those before it. "{name}" is the folder of that name, small enough that
+#: reading it costs little.
 SEEDS: dict[str, tuple[str, ...]] = {
-    "fringes": ("deflectometry", "synth", "{fringes}", "--gamma", "2.2"),
-    "field": ("heliostat", "synth", "{field}", "--observations", "12"),
-    "points": ("photogrammetry", "synth", "{points}", "--points-only", "--photos", "10"),
+    "fringes": ("deflectometry", "synth", "{fringes}", "--gamma", "2.2", "--periods", "0.9,7.9", "--steps", "4"),
+    "field": ("heliostat", "synth", "{field}", "--heliostats", "2", "--observations", "12"),
+    "points": ("photogrammetry", "synth", "{points}", "--points-only", "--photos", "6"),
     "slopes": ("deflectometry", "measure", "{fringes}", "-o", "{slopes}", "--no-report"),
     "tracked": ("heliostat", "measure", "{field}", "-o", "{tracked}", "--quick", "--no-report"),
     "network": ("photogrammetry", "measure", "{points}", "-o", "{network}", "--no-report"),
     "colmap": ("photogrammetry", "export", "colmap", "{network}", "-o", "{colmap}"),
-    "targets": ("photogrammetry", "synth", "{targets}", "--scale", "0.6", "--photos", "6", "--jpeg-quality", "95"),
-    "board": ("camera", "synth", "{board}", "--scale", "0.5", "--photos", "5"),
+    "targets": ("photogrammetry", "synth", "{targets}", "--scale", "0.6", "--photos", "4", "--jpeg-quality", "95"),
+    "board": ("camera", "synth", "{board}", "--scale", "0.5", "--photos", "4"),
     "camera": ("camera", "measure", "{board}", "-o", "{camera}", "--no-leave-one-out", "--no-report"),
-    "trough": ("observer", "synth", "{trough}"),
+    "opencv": ("camera", "export", "opencv", "{camera}", "-o", "{opencv}/camera.yaml"),
+    "trough": ("observer", "synth", "{trough}", "--photos", "12"),
     "reflector": ("observer", "measure", "{trough}", "-o", "{reflector}", "--no-report"),
+    "tube": ("observer", "synth", "{tube}", "--preset", "absorber", "--scale", "0.5"),
+    "absorber": ("observer", "absorber", "{tube}", "-o", "{absorber}", "--no-report"),
+    "soltrace": ("deflectometry", "export", "soltrace", "{slopes}", "-o", "{soltrace}/map.sht"),
+    "mesh": ("deflectometry", "export", "ply", "{slopes}", "-o", "{mesh}/map.ply"),
+    "table": ("deflectometry", "export", "csv", "{slopes}", "-o", "{table}/map.csv"),
+    "imported": ("deflectometry", "import", "slopes", "{slopes}/slope_map.nc", "-o", "{imported}"),
+    "flights": ("observer", "init", "{flights}", "--plan"),
+    "stations": ("photogrammetry", "init", "{stations}", "--plan"),
 }
 
 
@@ -33,7 +43,8 @@ class Target:
     """Something that is run on a damaged folder.
 
     seed: Name of the folder that is damaged.
-    words: Words of the command; "{in}" is the damaged folder, "{out}" where it writes. None: the Python face.
+    words: Words of the command; "{in}" is the damaged folder, "{out}" where it writes, "{name}" an undamaged folder of
+        `SEEDS`. None: the Python face.
     weight: How often it is drawn, against the others: long ones less often.
     """
 
@@ -41,12 +52,20 @@ class Target:
     words: tuple[str, ...] | None
     weight: float = 1.0
 
-    def run(self, folder: Path, out: Path) -> None:
+    def run(self, folder: Path, out: Path, undamaged: Mapping[str, Path]) -> None:
         """Run it; the command line ends with SystemExit."""
         if self.words is None:
             look_at(folder)
+            return
+        words = [word.format(**{**undamaged, "in": folder, "out": out}) for word in self.words]
+        if words[0] == "view":
+            browse([Path(word) for word in words[1:]])
         else:
-            main([word.format(**{"in": folder, "out": out}) for word in self.words])
+            main(words)
+
+    def seeds(self) -> set[str]:
+        """Return the undamaged folders that it needs."""
+        return {self.seed} | {name for name in SEEDS if any(f"{{{name}}}" in word for word in self.words or ())}
 
     def __str__(self) -> str:
         return " ".join(self.words) if self.words else f"Python face of {self.seed}"
@@ -56,27 +75,69 @@ def _measure(instrument: str, seed: str, weight: float, *more: str) -> Target:
     return Target(seed, (instrument, "measure", "{in}", "-o", "{out}", "--no-report", "--jobs", "1", *more), weight)
 
 
+def _on(seed: str, weight: float, *commands: str) -> Iterator[Target]:
+    for command in commands:
+        yield Target(seed, tuple(command.split()), weight)
+
+
+_MEASURED = ("slopes", "tracked", "network", "camera", "reflector", "absorber")
+_MEASURABLE = ("fringes", "field", "points", "board", "trough", "targets", "imported", "grey", "flights", "stations")
+
 TARGETS: tuple[Target, ...] = (
-    _measure("heliostat", "field", 6.0, "--quick"),
-    _measure("photogrammetry", "points", 6.0),
+    _measure("heliostat", "field", 4.0, "--quick"),
+    _measure("photogrammetry", "points", 5.0),
     _measure("deflectometry", "fringes", 4.0),
-    _measure("photogrammetry", "targets", 1.0),
-    _measure("camera", "board", 1.0, "--no-leave-one-out"),
-    _measure("observer", "trough", 0.7),
-    *(Target(seed, ("report", "{in}"), 3.0) for seed in ("slopes", "tracked", "network", "camera", "reflector")),
-    *(Target(seed, None, 3.0) for seed in ("slopes", "tracked", "network", "camera", "reflector")),
-    *(Target(seed, None, 2.0) for seed in ("fringes", "field", "points", "board", "trough", "targets")),
+    _measure("deflectometry", "imported", 5.0),
+    _measure("screen", "grey", 3.0),
+    _measure("photogrammetry", "targets", 0.7),
+    _measure("camera", "board", 0.7, "--no-leave-one-out"),
+    _measure("observer", "trough", 0.4),
+    *(Target(seed, ("check", "{in}", "--jobs", "1"), 1.5) for seed in _MEASURABLE),
+    *(Target(seed, ("report", "{in}"), 2.0) for seed in _MEASURED),
+    *(Target(seed, ("view", "{in}"), 2.0) for seed in _MEASURED),
+    *(Target(seed, None, 2.0) for seed in (*_MEASURED, *_MEASURABLE)),
+    Target("slopes", ("view", "{in}", "{slopes}"), 2.0),
     Target("slopes", ("measure", "{in}", "-o", "{out}"), 0.5),
-    Target("network", ("photogrammetry", "export", "colmap", "{in}", "-o", "{out}"), 3.0),
-    Target("colmap", ("photogrammetry", "import", "colmap", "{in}", "-o", "{out}"), 4.0),
-    Target("tracked", ("heliostat", "export", "controllers", "{in}", "-o", "{out}"), 3.0),
-    Target("tracked", ("heliostat", "export", "artist", "{in}", "-o", "{out}"), 2.0),
-    Target("tracked", ("heliostat", "plan", "{in}", "-o", "{out}", "--no-report"), 0.5),
-    Target("reflector", ("observer", "align", "{in}", "-o", "{out}", "--no-report"), 2.0),
-    Target("reflector", ("observer", "overview", "{in}", "{in}", "-o", "{out}", "--no-report"), 1.0),
-    Target("opencsp", ("deflectometry", "import", "opencsp", "{in}/measurement.h5", "{in}/camera.h5", "{in}/display.h5",
-                       "{in}/orientation.h5", "{in}/f.json", "-o", "{out}"), 6.0),
+    Target("imported", ("measure", "{in}", "{grey}", "-o", "{out}", "--jobs", "1", "--no-report"), 3.0),
+    *_on("network", 2.0, "photogrammetry export colmap {in} -o {out}"),
+    *_on("colmap", 4.0, "photogrammetry import colmap {in} -o {out}"),
+    *_on("stations", 1.0, "photogrammetry plan {in} -o {out} --no-report"),
+    *_on("flights", 1.0, "observer plan {in} -o {out} --no-report"),
+    *_on("tracked", 2.0, "heliostat export controllers {in} -o {out}", "heliostat export artist {in} -o {out}"),
+    *_on("tracked", 0.5, "heliostat plan {in} -o {out} --no-report"),
+    *_on("reflector", 1.0, "observer align {in} -o {out} --no-report",
+         "observer overview {in} {reflector} -o {out} --no-report", "observer compare {in} {reflector} -o {out}"),
+    *_on("tube", 1.0, "observer absorber {in} -o {out} --no-report --jobs 1"),
+    *_on("slopes", 2.0, "deflectometry export soltrace {in} -o {out}", "deflectometry export ply {in} -o {out}",
+         "deflectometry export csv {in} -o {out}", "deflectometry import slopes {in}/slope_map.nc -o {out}"),
+    *_on("reflector", 1.0, "observer export soltrace {in} -o {out}"),
+    *_on("soltrace", 3.0, "deflectometry import soltrace {in}/map.sht -o {out}"),
+    *_on("mesh", 3.0, "deflectometry import surface {in}/map.ply -o {out}"),
+    *_on("table", 3.0, "deflectometry import slopes {in}/map.csv -o {out}"),
+    *_on("normals", 2.0, "deflectometry import surface {in}/points.csv -o {out}"),
+    *_on("nurbs", 4.0, "deflectometry import surface {in}/surface.h5 -o {out}"),
+    *_on("opencv", 4.0, "camera import opencv {in}/camera.yaml -o {out}"),
+    *_on("camera", 2.0, "camera export opencv {in} -o {out}", "camera export colmap {in} -o {out}",
+         "camera compare {in} {camera}"),
+    *_on("opencsp", 5.0, "deflectometry import opencsp {in}/measurement.h5 {in}/camera.h5 {in}/display.h5 "
+         "{in}/orientation.h5 {in}/f.json -o {out}"),
 )  # fmt: skip
+
+
+def browse(places: Sequence[Path]) -> None:
+    """Look at results as `heliogauge view` shows them: the first page, and all that it leads to."""
+    from heliogauge.errors import InputError
+    from heliogauge.view.server.opened import NotServedError, open_place
+    from heliogauge.view.server.site import Site
+
+    with contextlib.suppress(InputError):
+        site = Site([open_place(place) for place in places])
+        site.check()
+        names = [f"1/{file.name}" for file in sorted(places[0].iterdir())]
+        both = [("difference", {"first": "1/", "second": "2/"})] if len(places) == 2 else []
+        for address, query in [("", {}), ("1/", {}), *((name, {}) for name in names), *both]:
+            with contextlib.suppress(InputError, NotServedError):
+                site.answer(address, query)
 
 
 def look_at(folder: Path) -> None:

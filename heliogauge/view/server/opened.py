@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from heliogauge.errors import InputError
+from heliogauge.files.own_folder import refuse_links_out
 from heliogauge.results.folder import SUMMARY_FILE
 
 #: Files that are handed out as they are, by their ending. Pages and scripts that lie among results never are.
@@ -73,14 +74,11 @@ class Opened:
         return place
 
     def refuse_links(self, folder: Path) -> None:
-        """Check that nothing in a folder of results leads elsewhere, two levels deep: as deep as reports read.
+        """Check that nothing in a folder of results leads out of what was opened, as deep as reports read.
 
-        InputError: A symbolic link out of what was opened; the message names it.
+        InputError: A symbolic link does; the message names it.
         """
-        for place in _entries(folder):
-            for one in (place, *(_entries(Path(place.path)) if place.is_dir(follow_symlinks=False) else ())):
-                if one.is_symlink() and not Path(one.path).resolve().is_relative_to(self.root):
-                    raise InputError(f"{one.path}: a link that leads out of {self.root}; put the file itself there")
+        refuse_links_out(folder, self.root)
 
 
 def open_place(path: Path) -> Opened:

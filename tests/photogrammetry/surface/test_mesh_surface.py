@@ -112,7 +112,7 @@ def test_impossible_meshes_are_refused(tmp_path: Path) -> None:
         MeshSurface([[0.0, 0, 0], [1, 0, 0], [2, 0, 0]], [[0, 1, 2]], "line")
     with pytest.raises(InputError, match="corners are needed"):
         MeshSurface([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 3]], "gap")
-    with pytest.raises(InputError, match="no such mesh"):
+    with pytest.raises(InputError, match="there is no such mesh"):
         read_mesh(tmp_path / "absent.stl")
     (tmp_path / "part.step").write_text("x")
     with pytest.raises(InputError, match=r"a mesh is an .stl, .ply, .obj file"):
@@ -123,6 +123,25 @@ def test_file_without_triangles_is_refused(open3d, tmp_path: Path) -> None:
     (tmp_path / "part.stl").write_text("not a mesh")
     with pytest.raises(InputError, match="no triangles could be read"):
         read_mesh(tmp_path / "part.stl")
+
+
+def test_odd_mesh_files_are_refused_before_they_are_decoded(open3d, tmp_path: Path) -> None:
+    (tmp_path / "folder.ply").mkdir()
+    with pytest.raises(InputError, match="is a folder"):
+        read_mesh(tmp_path / "folder.ply")
+    head = "ply\nformat ascii 1.0\nelement vertex 90000000000\nproperty float x\nend_header\n"
+    (tmp_path / "claims.ply").write_text(head)
+    with pytest.raises(InputError, match="claims 90000000000 of vertex"):
+        read_mesh(tmp_path / "claims.ply")
+    (tmp_path / "odd.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 nan 0\nf 1 2 3\n")
+    with pytest.raises(InputError, match="no finite number"):
+        read_mesh(tmp_path / "odd.obj")
+
+
+def test_materials_of_a_mesh_are_not_followed(open3d, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "part.obj").write_text("mtllib /nowhere/secret.mtl\nusemtl m\nv 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    assert read_mesh(tmp_path / "part.obj").triangles.shape == (1, 3)
+    assert "secret" not in "".join(capfd.readouterr())
 
 
 def test_colours_are_grey_without_a_value() -> None:
