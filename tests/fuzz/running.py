@@ -2,6 +2,7 @@
 
 import contextlib
 import faulthandler
+import gc
 import os
 import random
 import resource
@@ -73,6 +74,8 @@ def run_cases(place: Path, cases: Iterable[int], seed: int, targets: tuple[Targe
     with contextlib.suppress(SystemExit):
         quiet(lambda: main(["--help"]))
     _import_all()
+    # Otherwise each case would copy most of this process to collect its garbage.
+    gc.freeze()
     weights = [one.weight for one in targets]
     for number in cases:
         yield run_case(place, number, seed, seeds, random.Random(f"{seed}-{number}").choices(targets, weights)[0])

@@ -15,9 +15,9 @@ from heliogauge.running.cli import main
 #: reading it costs little.
 SEEDS: dict[str, tuple[str, ...]] = {
     "fringes": ("deflectometry", "synth", "{fringes}", "--gamma", "2.2", "--periods", "0.9,7.9", "--steps", "4"),
-    "field": ("heliostat", "synth", "{field}", "--heliostats", "2", "--observations", "12"),
+    "field": ("heliostat", "synth", "{field}", "--preset", "juelich", "--heliostats", "2", "--observations", "20"),
     "points": ("photogrammetry", "synth", "{points}", "--points-only", "--photos", "6"),
-    "slopes": ("deflectometry", "measure", "{fringes}", "-o", "{slopes}", "--no-report"),
+    "slopes": ("deflectometry", "measure", "{fringes}", "-o", "{slopes}", "--no-report", "--grid-step-mm", "25"),
     "tracked": ("heliostat", "measure", "{field}", "-o", "{tracked}", "--quick", "--no-report"),
     "network": ("photogrammetry", "measure", "{points}", "-o", "{network}", "--no-report"),
     "colmap": ("photogrammetry", "export", "colmap", "{network}", "-o", "{colmap}"),
@@ -80,37 +80,38 @@ def _on(seed: str, weight: float, *commands: str) -> Iterator[Target]:
         yield Target(seed, tuple(command.split()), weight)
 
 
-_MEASURED = ("slopes", "tracked", "network", "camera", "reflector", "absorber")
+#: Results, and how often their reports are drawn: those of a second each less often.
+_MEASURED = {"slopes": 3.0, "tracked": 3.0, "absorber": 3.0, "network": 0.7, "camera": 0.7, "reflector": 0.4}
 _MEASURABLE = ("fringes", "field", "points", "board", "trough", "targets", "imported", "grey", "flights", "stations")
 
 TARGETS: tuple[Target, ...] = (
     _measure("heliostat", "field", 4.0, "--quick"),
-    _measure("photogrammetry", "points", 5.0),
-    _measure("deflectometry", "fringes", 4.0),
+    _measure("photogrammetry", "points", 1.0),
+    _measure("deflectometry", "fringes", 4.0, "--grid-step-mm", "25"),
     _measure("deflectometry", "imported", 5.0),
     _measure("screen", "grey", 3.0),
-    _measure("photogrammetry", "targets", 0.7),
-    _measure("camera", "board", 0.7, "--no-leave-one-out"),
-    _measure("observer", "trough", 0.4),
+    _measure("photogrammetry", "targets", 0.3),
+    _measure("camera", "board", 0.3, "--no-leave-one-out"),
+    _measure("observer", "trough", 0.2),
     *(Target(seed, ("check", "{in}", "--jobs", "1"), 1.5) for seed in _MEASURABLE),
-    *(Target(seed, ("report", "{in}"), 2.0) for seed in _MEASURED),
-    *(Target(seed, ("view", "{in}"), 2.0) for seed in _MEASURED),
-    *(Target(seed, None, 2.0) for seed in (*_MEASURED, *_MEASURABLE)),
+    *(Target(seed, ("report", "{in}"), weight) for seed, weight in _MEASURED.items()),
+    *(Target(seed, ("view", "{in}"), weight) for seed, weight in _MEASURED.items()),
+    *(Target(seed, None, 0.7 * weight) for seed, weight in _MEASURED.items()),
+    *(Target(seed, None, 2.0) for seed in _MEASURABLE),
     Target("slopes", ("view", "{in}", "{slopes}"), 2.0),
-    Target("slopes", ("measure", "{in}", "-o", "{out}"), 0.5),
     Target("imported", ("measure", "{in}", "{grey}", "-o", "{out}", "--jobs", "1", "--no-report"), 3.0),
     *_on("network", 2.0, "photogrammetry export colmap {in} -o {out}"),
     *_on("colmap", 4.0, "photogrammetry import colmap {in} -o {out}"),
-    *_on("stations", 1.0, "photogrammetry plan {in} -o {out} --no-report"),
-    *_on("flights", 1.0, "observer plan {in} -o {out} --no-report"),
+    *_on("stations", 0.7, "photogrammetry plan {in} -o {out} --no-report"),
+    *_on("flights", 0.2, "observer plan {in} -o {out} --no-report"),
     *_on("tracked", 2.0, "heliostat export controllers {in} -o {out}", "heliostat export artist {in} -o {out}"),
-    *_on("tracked", 0.5, "heliostat plan {in} -o {out} --no-report"),
-    *_on("reflector", 1.0, "observer align {in} -o {out} --no-report",
+    *_on("tracked", 0.5, "heliostat plan {in} -o {out}"),
+    *_on("reflector", 0.7, "observer align {in} -o {out} --no-report",
          "observer overview {in} {reflector} -o {out} --no-report", "observer compare {in} {reflector} -o {out}"),
     *_on("tube", 1.0, "observer absorber {in} -o {out} --no-report --jobs 1"),
-    *_on("slopes", 2.0, "deflectometry export soltrace {in} -o {out}", "deflectometry export ply {in} -o {out}",
+    *_on("slopes", 2.0, "deflectometry export soltrace {in} -o {in}/exported.sht", "deflectometry export ply {in} -o {out}",
          "deflectometry export csv {in} -o {out}", "deflectometry import slopes {in}/slope_map.nc -o {out}"),
-    *_on("reflector", 1.0, "observer export soltrace {in} -o {out}"),
+    *_on("reflector", 1.0, "observer export soltrace {in} -o {in}/exported.sht"),
     *_on("soltrace", 3.0, "deflectometry import soltrace {in}/map.sht -o {out}"),
     *_on("mesh", 3.0, "deflectometry import surface {in}/map.ply -o {out}"),
     *_on("table", 3.0, "deflectometry import slopes {in}/map.csv -o {out}"),
