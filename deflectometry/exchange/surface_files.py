@@ -91,6 +91,8 @@ def _read_nurbs(file: Path, heliostat: str | None, facet: str | None) -> tuple[F
         facets = surfaces[name]["surface/facets"]
         if facet is not None and facet not in facets:
             raise InputError(f"facet={facet}: not in {file}; there are {', '.join(facets)}")
+        if not len(facets):
+            raise InputError(f"{file}: heliostats/{name}/surface/facets is empty; export the heliostat again")
         chosen = [facets[one] for one in ([facet] if facet else facets)]
         try:
             grids = [(np.asarray(one["control_points"], float), [int(d) for d in one["degrees"]]) for one in chosen]

@@ -68,7 +68,10 @@ def test_nurbs_have_the_slopes_of_what_they_are_made_of(tmp_path: Path) -> None:
         for name in ("A1", "A2"):
             group = file.create_group(f"heliostats/{name}/surface/facets/facet_1")
             group["control_points"], group["degrees"] = control, [degree, degree]
-    with pytest.raises(InputError, match="2 heliostats"):
+        file.create_group("heliostats/A3/surface/facets")
+    with pytest.raises(InputError, match="facets is empty"):
+        read_surface(tmp_path / "s.h5", "A3")
+    with pytest.raises(InputError, match="3 heliostats"):
         read_surface(tmp_path / "s.h5")
     with pytest.raises(InputError, match="facet=facet_9: not in"):
         read_surface(tmp_path / "s.h5", "A1", "facet_9")

@@ -8,6 +8,7 @@ import sys
 import threading
 import zipfile
 import zlib
+from collections.abc import Callable
 from pathlib import Path
 
 import h5py
@@ -22,6 +23,9 @@ from heliogauge.files.image_headers import image_header
 from heliogauge.files.own_folder import refuse_leading_out, refuse_links_out
 from heliogauge.files.texts import read_csv, read_json, read_text, read_toml
 from heliogauge.images.photos import read_image
+from heliogauge.reporting.build import build_report
+from heliogauge.results.opened import Result
+from tests.heliogauge.view.served_results import slope_map, write_result
 
 
 class TestRegular:
@@ -366,6 +370,24 @@ class TestLinks:
         (folder / "inner" / "out").symlink_to("../../secret")
         with pytest.raises(InputError, match="inner/out: a symbolic link leads out"):
             refuse_links_out(folder)
+
+    @pytest.mark.parametrize("read", [build_report, Result])
+    def test_results_with_a_link_out_of_them(self, tmp_path: Path, read: Callable[[Path], object]) -> None:
+        folder = tmp_path / "folder"
+        write_result(folder, "mirror", slope_map(), 1e-3)
+        read(folder)
+        (tmp_path / "secret.csv").write_text("secret")
+        (folder / "points.csv").symlink_to("../secret.csv")
+        with pytest.raises(InputError, match=r"points.csv: a symbolic link leads out of .*folder.*copy the file"):
+            read(folder)
+
+    def test_links_within_what_was_named(self, tmp_path: Path) -> None:
+        (tmp_path / "one").mkdir()
+        (tmp_path / "other").write_text("x")
+        (tmp_path / "one" / "a").symlink_to("../other")
+        refuse_links_out(tmp_path / "one", tmp_path)
+        with pytest.raises(InputError, match="leads out"):
+            refuse_links_out(tmp_path / "one")
 
     def test_folder_that_is_a_link_itself(self, tmp_path: Path) -> None:
         (tmp_path / "real").mkdir()
