@@ -27,6 +27,9 @@ from heliogauge.validate import BoolArray, FloatArray
 _GAP = 1.5
 #: Points whose coordinates agree to this share of their spacing stand in one row.
 _ON_GRID = 1e-3
+#: Lines of a grid depart from equal steps by less than this share of a step, and are at most so many for each spacing
+#: of the points: numbers that were rounded stand on a grid, too, of a thousand.
+_OFF_LINE, _MOST_LINES = 0.02, 10
 _MOST_NODES = 4_000_000
 
 
@@ -196,7 +199,9 @@ def grid_points(points: SlopePoints, design: Quadric, step_m: float | None = Non
     values[same] = columns[nearest.reshape(x.shape)[same]]
     near = (distance < _GAP * spacing).reshape(x.shape)
     aperture: BoolArray = same | np.isfinite(values[..., 0])
-    seen = aperture & near
+    # Where all points are nodes, a node without a point was left out by whoever measured: it is not filled in.
+    is_grid = step_m is None and np.count_nonzero(same) >= len(np.unique(place, axis=0))
+    seen = same if is_grid else aperture & near
     slope_x, slope_y, sigma_x, sigma_y = (np.where(seen, values[..., k], np.nan) for k in range(4))
     design_x, design_y = design.gradient(x, y)
     return SlopeMap(
@@ -222,9 +227,13 @@ def grid_points(points: SlopePoints, design: Quadric, step_m: float | None = Non
 def _axis(values: FloatArray, spacing: float, step_m: float | None) -> FloatArray:
     """Return the lines of a grid: those on which the points stand, or lines of equal distance."""
     lines = np.unique(np.round(values / (_ON_GRID * spacing))) * (_ON_GRID * spacing)
-    steps = np.diff(lines)
-    if step_m is None and lines.size > 1 and np.ptp(steps) < 2 * _ON_GRID * spacing + 0.01 * steps.min():
-        return np.linspace(values.min(), values.max(), lines.size)
+    if step_m is None and lines.size > 1:
+        steps = np.diff(lines)
+        # Whole lines may be missing: the others still stand at multiples of the smallest step.
+        count = int(np.rint(np.ptp(lines) / steps[steps < 1.5 * steps.min()].mean()))
+        number = (lines - lines[0]) * (count / np.ptp(lines))
+        if count * spacing < _MOST_LINES * np.ptp(lines) and np.abs(number - np.rint(number)).max() < _OFF_LINE:
+            return np.linspace(values.min(), values.max(), count + 1)
     step = spacing if step_m is None else step_m
     count = int(np.ptp(values) / step) + 1
     return np.asarray(values.min() + 0.5 * (np.ptp(values) - (count - 1) * step) + step * np.arange(count))

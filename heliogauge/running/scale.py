@@ -183,20 +183,26 @@ def _in_processes(
     with environment(_OF_WORKERS):
         while True:
             running: dict[Future[Any], Any] = {}
+            # Taken, but not with a process yet: a pool that breaks at this moment does not take it.
+            taken: list[_TaskT] = []
             try:
                 with _pool(function, context, processes) as pool:
                     with _main_unseen():
                         for task in islice(waiting, _AHEAD * processes):
-                            running[pool.submit(_work, task)] = task
+                            taken.append(task)
+                            future = pool.submit(_work, task)
+                            running[future] = taken.pop()
                     while running:
-                        for future in wait(running, return_when=FIRST_COMPLETED).done:
-                            outcome = future.result()
-                            done = Done(running.pop(future), outcome)
+                        for ended in wait(running, return_when=FIRST_COMPLETED).done:
+                            outcome = ended.result()
+                            yield Done(running.pop(ended), outcome)
                             for task in islice(waiting, 1):
-                                running[pool.submit(_work, task)] = task
-                            yield done
+                                taken.append(task)
+                                future = pool.submit(_work, task)
+                                running[future] = taken.pop()
                 return
             except BrokenProcessPool:
+                waiting = chain(taken, waiting)
                 # Killed from outside, most often for want of memory: find out by which task, one at a time.
                 yield from _one_by_one(function, context, list(running.values()))
 

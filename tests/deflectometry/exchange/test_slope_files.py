@@ -56,6 +56,11 @@ def test_scattered_points_are_interpolated() -> None:
     np.testing.assert_allclose(found.slope_error_y[good], -1e-3 * y[good], atol=1e-12)
 
 
+def test_many_scattered_points_are_no_grid() -> None:
+    found = grid_points(scattered(n=20_000), plane())
+    assert found.x_m.size * found.y_m.size < 30_000
+
+
 def test_a_hole_is_not_filled() -> None:
     points = scattered()
     kept = np.hypot(points.x_m, points.y_m) > 0.2
@@ -65,6 +70,21 @@ def test_a_hole_is_not_filled() -> None:
     assert not found.valid[np.hypot(x, y) < 0.15].any()
     assert found.aperture[np.hypot(x, y) < 0.15].all()
     assert 0.8 < found.measured_share < 0.9
+
+
+@pytest.mark.parametrize("missing", ["nodes", "columns"])
+def test_missing_nodes_of_a_grid_are_not_filled(missing: str) -> None:
+    """A gap that is narrower than the reach of the interpolation is a hole, too."""
+    points = on_a_grid()
+    column = np.unique(points.x_m, return_inverse=True)[1]
+    chance = np.random.default_rng(3).random(column.size)
+    inside = (np.abs(points.x_m) < 0.8 * points.x_m.max()) & (np.abs(points.y_m) < 0.8 * points.y_m.max())
+    left_out = (inside & (chance < 0.3)) if missing == "nodes" else np.isin(column, (9, 10, 15, 20, 21))
+    one = SlopePoints(*(getattr(points, name)[~left_out] for name in SlopePoints.__slots__))
+    found = grid_points(one, plane())
+    assert found.shape == (21, 31)
+    np.testing.assert_array_equal(found.valid.ravel(), ~left_out)
+    assert found.aperture.all()
 
 
 def test_statistics_are_those_of_the_slopes(tmp_path: Path) -> None:

@@ -4,11 +4,16 @@ import os
 import subprocess
 import sys
 from collections.abc import Iterator
+from concurrent.futures import Future
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import nullcontext
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from heliogauge.errors import EstimationError, InputError
+from heliogauge.running import scale
 from heliogauge.running.scale import Done, Failure, Workers, run_each, usable_processors
 
 
@@ -36,6 +41,28 @@ def test_failures_are_outcomes(processes: int) -> None:
     assert isinstance(bug, Failure)
     assert bug.reason.startswith("unexpected ZeroDivisionError")
     assert "halve" in bug.trace
+
+
+class BreakingPool:
+    """Works at once, and is broken when it is given something for the ninth time."""
+
+    def __init__(self) -> None:
+        self.given = 0
+
+    def submit(self, _: Any, task: int) -> "Future[float]":
+        self.given += 1
+        if self.given == 9:
+            raise BrokenProcessPool
+        future: Future[float] = Future()
+        future.set_result(halve(1.0, task))
+        return future
+
+
+def test_what_is_given_to_a_pool_while_it_breaks_is_not_lost(monkeypatch: pytest.MonkeyPatch) -> None:
+    pool = BreakingPool()
+    monkeypatch.setattr(scale, "_pool", lambda *_: nullcontext(pool))
+    done = list(run_each(halve, 1.0, range(0, 40, 2), workers=Workers(), processes=2))
+    assert sorted(one.task for one in done) == list(range(0, 40, 2))
 
 
 @pytest.mark.slow
