@@ -13,6 +13,8 @@ def number_text(value: float, sigma: float | None, unit: str, name: str = "") ->
     '1.2346 ± 0.0012 mrad'
     >>> number_text(0.98765, None, "", "measured_share")
     '98.77 %'
+    >>> number_text(-1e-9, 1e-4, "rad")
+    '0.00 ± 0.10 mrad'
     """
     if name.endswith("_share"):
         return f"{100 * value:.2f} %"
@@ -24,4 +26,4 @@ def number_text(value: float, sigma: float | None, unit: str, name: str = "") ->
     if sigma is None or not math.isfinite(sigma) or sigma <= 0:
         return f"{value:.4g} {unit}".strip()
     digits = max(0, 1 - math.floor(math.log10(sigma)))
-    return f"{value:.{digits}f} \u00b1 {sigma:.{digits}f} {unit}".strip()
+    return f"{value:z.{digits}f} \u00b1 {sigma:.{digits}f} {unit}".strip()

@@ -129,7 +129,9 @@ def holes(slope_map: SlopeMap, of: str = "the mirror") -> tuple[str, ...]:
     """
     missing = slope_map.aperture & ~slope_map.valid
     edge = missing & ((slope_map.flags & np.uint32(REJECTED)) == np.uint32(SampleFlag.MIRROR_EDGE))
-    count = max(int(np.count_nonzero(slope_map.aperture)), 1)
+    count = int(np.count_nonzero(slope_map.aperture))
+    if not count:
+        return unmeasured(0.0, of)
     kept_edge = int(np.count_nonzero(edge))
     if kept_edge > WIDEST_EDGE_SHARE * count:
         kept_edge = 0

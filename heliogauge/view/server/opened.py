@@ -119,7 +119,7 @@ def folders_of_results(folder: Path) -> Iterator[Path]:
             place = here / name
             if name.startswith("."):
                 continue
-            if is_result(place):
+            if is_result(place) and not (place / SUMMARY_FILE).is_symlink():
                 yield place
             elif depth < _DEEPEST and seen < _MOST_FOLDERS:
                 waiting.append((place, depth + 1))

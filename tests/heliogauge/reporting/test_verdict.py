@@ -54,6 +54,11 @@ def test_a_box_over_a_hole_is_never_green() -> None:
         assert said == pytest.approx(100 * (1 - holed.measured_share), abs=0.051)
 
 
+def test_a_map_without_a_mirror_is_not_measured() -> None:
+    whole = make_map()
+    assert holes(replace(whole, aperture=np.zeros(whole.shape, bool))) == ("100.0 % of the mirror not measured",)
+
+
 def test_the_strip_along_the_edge_is_no_hole_unless_it_is_wide() -> None:
     shape = (100, 100)
     rows, columns = np.indices(shape)

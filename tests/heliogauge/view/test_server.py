@@ -179,6 +179,18 @@ def test_a_map_keeps_all_its_nodes_beside_the_page(tmp_path: Path) -> None:
         assert "451" in asker.page("1/")[1]
 
 
+@pytest.mark.skipif(os.name == "nt", reason="links need rights there")
+def test_a_folder_shows_no_result_that_a_link_leads_to(tmp_path: Path) -> None:
+    write_result(tmp_path / "outside", "nobody's business", None)
+    write_result(tmp_path / "in" / "a", "own", None)
+    (tmp_path / "in" / "b").mkdir()
+    (tmp_path / "in" / "b" / "summary.json").symlink_to(tmp_path / "outside" / "summary.json")
+    for asker in serve(tmp_path / "in"):
+        body = asker.page("1/")[1]
+        assert "own" in body
+        assert "nobody" not in body
+
+
 def test_a_difference_of_numbers_alone_is_made_anew_when_they_change(tmp_path: Path) -> None:
     for name, sdx_rad in (("a", 1e-3), ("b", 2e-3)):
         write_result(tmp_path / name, name, None, sdx_rad)
