@@ -19,6 +19,7 @@ PHONE = {"width": 390, "height": 844}
 # A4 without the margins that the style sheet asks for, at 96 px an inch.
 SHEET = {"width": 703, "height": 1020}
 SHEETS = 4
+PAGES = ("report.html", "why.html", "*/report.html", "*/why.html")
 ASKED_SHARE = 0.6
 _SHEET = re.compile(rb"/Type /Page\b(?!s)")
 COLUMNS = ("picture", "phone [px]", "cut there", "sheets", "cut there", "errors", "MB", "ready [s]")
@@ -56,12 +57,11 @@ CUT = """(width) => {
 }"""
 
 
-def results_in(folders: list[Path]) -> list[Path]:
-    """Return every report in the folders, and one level below."""
+def pages_in(folders: list[Path]) -> list[Path]:
+    """Return every report in the folders, one level below, and what failed runs leave."""
     found = []
     for folder in folders:
-        found += [folder] if (folder / "report.html").is_file() else []
-        found += sorted(path.parent for path in folder.glob("*/report.html"))
+        found += [path for pattern in PAGES for path in sorted(folder.glob(pattern))]
     return found
 
 
@@ -133,21 +133,22 @@ def main() -> None:
     parser.add_argument("folders", nargs="+", type=Path, help="results, or folders of results")
     parser.add_argument("--pictures", type=Path, help="keep the screens and sheets here")
     options = parser.parse_args()
-    path = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
-    if path is None:
+    chromium = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+    if chromium is None:
         sys.exit("no Chromium on this machine (as root: apt-get install chromium)")
-    folders = results_in(options.folders)
-    width = max(len(folder.name) for folder in folders) + 2
+    pages = pages_in(options.folders)
+    width = max(len(page.parent.name) for page in pages) + 2
     print(f"{'':{width}}" + "".join(f"{column:>12}" for column in COLUMNS))
     print(f"{'asked':{width}}" + "".join(f"{asked:>12}" for asked in ASKED))
     with tempfile.TemporaryDirectory() as scratch, sync_playwright() as playwright:
         pictures = options.pictures or Path(scratch)
         pictures.mkdir(parents=True, exist_ok=True)
-        browser = playwright.chromium.launch(executable_path=path, args=["--no-sandbox", "--disable-gpu"])
-        for folder in folders:
-            looker = Looker(browser, (folder / "report.html").resolve(), pictures, folder.name)
+        browser = playwright.chromium.launch(executable_path=chromium, args=["--no-sandbox", "--disable-gpu"])
+        for path in pages:
+            name = path.parent.name
+            looker = Looker(browser, path.resolve(), pictures, name)
             values, cut = looker.values()
-            print(f"{folder.name:{width}}" + "".join(f"{value:>12}" for value in values), flush=True)
+            print(f"{name:{width}}" + "".join(f"{value:>12}" for value in values), flush=True)
             for line in [*cut, *looker.errors]:
                 print(f"{'':{width}}  {line}")
         browser.close()

@@ -75,6 +75,10 @@ STATE_WORDS: dict[State, str] = {
 MOST_REMARKS = 5
 
 
+#: Letters of a headline number that stay on one line: more do not fit beside its label on a phone.
+_LONGEST_UNBROKEN = 24
+
+
 class HasSummary(Protocol):
     """Results of any kind: what title, doubts, times and inputs are shown of."""
 
@@ -152,7 +156,8 @@ def headline_numbers(rows: Iterable[tuple[str, ...]]) -> Html:
     lines = []
     for label, value, *notes in rows:
         note = "".join(f"<small>{html.escape(text)}</small>" for text in notes if text)
-        lines.append(f"<tr><th>{html.escape(label)}{note}</th><td>{html.escape(value)}</td></tr>")
+        kind = ' class="long"' if len(value) > _LONGEST_UNBROKEN else ""
+        lines.append(f"<tr><th>{html.escape(label)}{note}</th><td{kind}>{html.escape(value)}</td></tr>")
     return Html(f'<table class="numbers"><tbody>{"".join(lines)}</tbody></table>' if lines else "")
 
 

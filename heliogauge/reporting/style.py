@@ -55,6 +55,7 @@ code {{ font-size: .9em; background: var(--code); padding: .1em .3em; border-rad
 .numbers {{ width: 100%; }}
 .numbers th {{ font-weight: 400; padding-right: .8em; }}
 .numbers small {{ display: block; color: var(--faint); font-size: .82em; line-height: 1.25; }}
+.numbers td.long {{ white-space: normal; }}
 .numbers td {{ text-align: right; font-weight: 600; white-space: nowrap; font-variant-numeric: tabular-nums;
   padding-right: 0; }}
 .doubts {{ padding-left: 1.2em; }}

@@ -125,7 +125,7 @@ def _mean(values: FloatArray) -> float:
     return float(np.nanmean(values)) if np.isfinite(values).any() else 0.0
 
 
-def _rows(results: OverviewResults) -> list[tuple[str, str]]:
+def _rows(results: OverviewResults) -> list[tuple[str, str, str]]:
     """Return median and range over the modules of the headline numbers."""
     rows = []
     for key, title, unit in _COLUMNS:
@@ -133,7 +133,7 @@ def _rows(results: OverviewResults) -> list[tuple[str, str]]:
         found = found[np.isfinite(found)]
         if found.size and key != "photos_count":
             texts = [number_text(float(one), None, unit, key) for one in (np.median(found), found.min(), found.max())]
-            rows.append((f"{title}, median (range)", f"{texts[0]} ({texts[1]} to {texts[2]})"))
+            rows.append((title, texts[0], f"median of the modules; {texts[1]} to {texts[2]}"))
     return rows
 
 

@@ -34,6 +34,8 @@ if TYPE_CHECKING:
 _ARROW_SHARE = 0.06
 #: At least this share of a target is shown, however close together the beams are.
 _LEAST_REACH = 0.25
+#: Share by which arrows may widen the picture.
+_MOST_ROOM = 1.5
 _TRAIN, _TEST = LINE_X, LINE_Y
 #: Colours of a map of uncertainty end at this multiple of its least value or at its largest, whichever is smaller.
 _SKY_RANGE = 8.0
@@ -80,7 +82,12 @@ def target_arrows(report: HeliostatReport, name: str) -> TargetArrows:
     reach = max(_LEAST_REACH, 1.1 * float(np.max(ends))) if here.any() else 1.0
     length = np.hypot(dx, dy)[here & rows.used]
     typical = float(np.median(length)) if length.size and np.median(length) > 0 else 1.0
-    return TargetArrows(here, dx, dy, max(1.0, _round_down(2 * _ARROW_SHARE * reach * half_x / typical)), reach)
+    factor = max(1.0, _round_down(2 * _ARROW_SHARE * reach * half_x / typical))
+    used = here & rows.used
+    tips = [np.abs(one[used]) / half for one, half in ((x + factor * dx, half_x), (y + factor * dy, half_y))]
+    # Room for the tips, but not for those of blunders: they would make all others small.
+    room = min(1.05 * float(np.max(tips)), _MOST_ROOM * reach) if used.any() else reach
+    return TargetArrows(here, dx, dy, factor, max(reach, room))
 
 
 def target_figure(report: HeliostatReport, name: str) -> "Figure":

@@ -77,7 +77,7 @@
       const step = (words, by) => element("button", {
         type: "button", "aria-label": by < 0 ? "Previous photo" : "Next photo", click: () => this.step(by),
       }, words);
-      this.bar = element("div", { class: "view-bar" });
+      this.bar = element("div", { class: "view-bar turn" });
       if (photos.length > 1) this.bar.append(step("\u2190", -1), this.list, step("\u2192", 1));
       this.place.append(this.bar);
       this.legendPlace = element("div");

@@ -7,6 +7,8 @@ from typing import Any
 import pytest
 
 from heliogauge.reporting.build import build_report
+from heliogauge.reporting.page import headline_numbers
+from heliogauge.reporting.style import STYLE
 from tests.heliogauge.view.conftest import DESKTOP
 from tests.photogrammetry.report.drawn_results import NASTY, PHOTOS, write_network
 
@@ -44,6 +46,19 @@ def test_nothing_is_wider_than_a_phone(open_page: Any, report: Path) -> None:
     page.wait_for_selector('[data-view="scene"] canvas', state="attached")
     page.evaluate("document.querySelectorAll('details').forEach(one => { one.open = true; })")
     assert page.evaluate("document.documentElement.scrollWidth") <= 390
+
+
+def test_long_headline_numbers_wrap_on_a_phone(open_page: Any) -> None:
+    rows = [
+        ("Image covered", "64 % of its cells, out to 68 % of the way to its corners"),
+        ("Principal point x, y", "806.002 \u00b1 0.012 px, 592.983 \u00b1 0.012 px"),
+        ("SD", "0.38656 \u00b1 0.00052 mrad"),
+    ]
+    body = f"<style>{STYLE}</style><main>{headline_numbers(rows).text}</main>"
+    page = open_page.body(body, viewport={"width": 390, "height": 844})
+    assert page.evaluate("document.documentElement.scrollWidth") <= 390
+    # What is short stays on one line.
+    assert page.query_selector_all(".numbers td")[2].bounding_box()["height"] < 30
 
 
 def test_paper_takes_at_most_four_pages_and_cuts_nothing(open_page: Any, report: Path) -> None:

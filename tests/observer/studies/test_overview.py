@@ -79,7 +79,7 @@ def test_the_report_shows_every_module_and_links_to_those_below_it(tmp_path):
     first = report.head(results).text
     assert first.count("<img") == 1
     assert "1 of 3 modules not measured" in first
-    assert "3 mrad (3 mrad to 3 mrad)" in first
+    assert "median of the modules; 3 mrad to 3 mrad" in first
     # theta_r and the intercept factor of the modules that were measured.
     assert report.numbers(results).text.count("<img") == 2
     layers = report.head(results).picture.layers
