@@ -168,5 +168,5 @@ def test_flights_that_cannot_be_are_refused(tmp_path: Path, change: tuple[str, s
 
 
 def test_a_flight_is_no_single_measurement(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"observer\.pipeline\.modules"):
+    with pytest.raises(InputError, match="a flight over 2 collectors; `heliogauge observer measure"):
         pipeline.run(load_observer(flight(tmp_path)))

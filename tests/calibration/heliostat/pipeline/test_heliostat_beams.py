@@ -93,7 +93,7 @@ def test_a_place_that_is_told_is_kept(tmp_path: Path) -> None:
     [
         ([{"target": "roof", "whole": "edge"}], "target 'roof' is not known; there are north face"),
         ([{"target": TARGET.name, "whole": "edge"}] * 2, "described twice"),
-        ([{"target": TARGET.name, "whole": "edge", "camera": "no.json"}], r"no\.json: cannot be read"),
+        ([{"target": TARGET.name, "whole": "edge", "camera": "no.json"}], r"no\.json: there is no such file"),
         ([{"target": TARGET.name, "whole": "edge", "empty": "e*.png"}], r"images\.empty = 'e\*\.png': no file"),
     ],
 )
