@@ -47,11 +47,14 @@ def first_screen(report: ResponseReport) -> Html:
     summary, numbers = report.summary, report.summary.numbers
 
     def said(key: str, factor: float, unit: str) -> str:
-        value, sigma = (factor * float(numbers[name] or 0.0) for name in (key, f"sigma_{key}"))
+        known, scatter = numbers[key], numbers[f"sigma_{key}"]
+        if known is None or scatter is None:
+            return "not determined"
+        value, sigma = factor * float(known), factor * float(scatter)
         digits = max(0, 1 - int(np.floor(np.log10(sigma)))) if sigma > 0 else 2
         return f"{value:.{digits}f} \u00b1 {sigma:.{digits}f} {unit}"
 
-    spread = float(numbers["brightness_spread_share"] or 0.0)
+    spread = numbers["brightness_spread_share"]
     rows = [
         ("Nonlinearity", said("nonlinearity_share", 100, "%"), "largest departure from a straight line, of the range"),
         ("Darkest reading", said("darkest_dn", 1, "DN")),
@@ -60,7 +63,7 @@ def first_screen(report: ResponseReport) -> Html:
         (
             "Pixels",
             f"{numbers['pixels_count']}",
-            f"brightness differs by {spread:.0%}",
+            "" if spread is None else f"brightness differs by {float(spread):.0%}",
         ),
     ]
     line = f"response of camera and display; {summary.texts.get('range', '')}; heliogauge {summary.version}"
