@@ -75,12 +75,13 @@ def write_failure(folder: Path, error: MetrologyError) -> Path | None:
             name = "".join(letter if letter.isalnum() or letter in "-_." else "-" for letter in Path(one.name).stem)
             (working / f"{number:02d}-{name[:60]}.jpg").write_bytes(data.tobytes())
         said = "".join(f"<p>{html.escape(line)}</p>" for line in str(error).splitlines())
-        box = f'<h1>No result</h1><div class="verdict failed"><strong>Why</strong>{said}</div>'
+        box = f'<div class="answer"><div class="verdict failed"><strong>Why</strong>{said}</div></div>'
         view = PhotoView(
             "What was seen", tuple(_photo(one, image) for one, image in zip(pictures, images, strict=True))
         )
-        cells = [ShownCell(box, printed=True), ShownCell(in_page(view, IN_PAGE), printed=True)]
-        (working / PAGE).write_text(page_frame("No result", cells), encoding="utf-8")
+        seen = f'<div class="picture">{in_page(view, IN_PAGE)}</div>'
+        cell = ShownCell(f'<h1>No result</h1><div class="first">{box}{seen}</div>', printed=True)
+        (working / PAGE).write_text(page_frame("No result", [cell]), encoding="utf-8")
     return folder / PAGE
 
 
