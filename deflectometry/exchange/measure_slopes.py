@@ -187,6 +187,8 @@ def grid_points(points: SlopePoints, design: Quadric, step_m: float | None = Non
     except QhullError as error:
         raise EstimationError(f"{len(place)} points on one line; slopes of a surface are needed") from error
     spacing = float(np.sqrt(area / len(place)))
+    if not 0 < spacing < np.inf:
+        raise EstimationError(f"{len(place)} points at the same place; slopes of a surface are needed")
     x_m, y_m = (_axis(values, spacing, step_m) for values in (points.x_m, points.y_m))
     if x_m.size * y_m.size > _MOST_NODES:
         raise InputError(f"a map of {x_m.size} x {y_m.size} nodes; give a larger grid_step_mm")
@@ -235,6 +237,11 @@ def _axis(values: FloatArray, spacing: float, step_m: float | None) -> FloatArra
         if count * spacing < _MOST_LINES * np.ptp(lines) and np.abs(number - np.rint(number)).max() < _OFF_LINE:
             return np.linspace(values.min(), values.max(), count + 1)
     step = spacing if step_m is None else step_m
+    # Multiplied: divided by a step of 1e-300 mm it would overflow.
+    if np.ptp(values) > _MOST_NODES * step:
+        raise InputError(
+            f"grid_step_mm = {1e3 * step:.3g}: too fine for {np.ptp(values):.4g} m; give a larger grid_step_mm"
+        )
     count = int(np.ptp(values) / step) + 1
     return np.asarray(values.min() + 0.5 * (np.ptp(values) - (count - 1) * step) + step * np.arange(count))
 

@@ -19,6 +19,8 @@ from heliogauge.validate import FloatArray
 SLOPES_FILE = "slopes.csv"
 COLUMNS = ("x_m", "y_m", "slope_x", "slope_y")
 SIGMAS = ("sigma_slope_x", "sigma_slope_y")
+# Beyond every mirror, and where squares are still far from what a number can hold: 10 km, and 89.94 deg.
+_FARTHEST_M, _STEEPEST = 1e4, 1e3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,7 +60,32 @@ def read_soltrace(file: Path) -> SlopePoints:
         raise InputError(f"{file}: an angle of {np.abs(table[:, 2:]).max():.3g} rad; angles of slopes are in radians")
     unknown = np.full(count, np.nan)
     slope_x, slope_y = np.tan(table[:, 2:]).T
-    return SlopePoints(table[:, 0], table[:, 1], slope_x, slope_y, unknown, unknown)
+    return refuse_implausible(file, SlopePoints(table[:, 0], table[:, 1], slope_x, slope_y, unknown, unknown))
+
+
+def refuse_implausible(file: Path, points: SlopePoints) -> SlopePoints:
+    """Check that numbers can be those of a mirror.
+
+    file: For messages.
+    Returns: The same points.
+    InputError: Places or slopes beyond all mirrors, or a sigma that is none.
+    """
+    rows = (
+        ("x", points.x_m, -_FARTHEST_M, _FARTHEST_M, "metres"),
+        ("y", points.y_m, -_FARTHEST_M, _FARTHEST_M, "metres"),
+        ("slope_x", points.slope_x, -_STEEPEST, _STEEPEST, "dz/dx"),
+        ("slope_y", points.slope_y, -_STEEPEST, _STEEPEST, "dz/dy"),
+        ("sigma_slope_x", points.sigma_x, 0.0, _STEEPEST, "standard deviations of slopes"),
+        ("sigma_slope_y", points.sigma_y, 0.0, _STEEPEST, "standard deviations of slopes"),
+    )
+    for name, values, least, most, what in rows:
+        odd = values[(values < least) | (values > most)]
+        if odd.size:
+            raise InputError(
+                f"{file}: {name} = {odd[0]:.6g} ({odd.size} such values); {what} from {least:g} to {most:g} are "
+                "needed: correct the unit or the rows"
+            )
+    return points
 
 
 def read_slopes(file: Path) -> SlopePoints:
@@ -82,7 +109,7 @@ def read_slopes(file: Path) -> SlopePoints:
         points = SlopePoints(*(table[name][good] for name in COLUMNS), *sigmas)
     if points.x_m.size == 0:
         raise InputError(f"{file}: no point has both slopes, so there is nothing to evaluate")
-    return points
+    return refuse_implausible(file, points)
 
 
 def import_slopes(

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from deflectometry.exchange.slope_files import SlopePoints
+from deflectometry.exchange.slope_files import SlopePoints, refuse_implausible
 from heliogauge.errors import InputError
 from heliogauge.files.hdf5 import open_hdf5
 from heliogauge.files.regular import read_regular
@@ -75,7 +75,7 @@ def _slopes(file: Path, points: FloatArray, normals: FloatArray) -> SlopePoints:
         )
     slope_x, slope_y = -normals[:, 0] / normals[:, 2], -normals[:, 1] / normals[:, 2]
     unknown = np.full(len(points), np.nan)
-    return SlopePoints(points[:, 0], points[:, 1], slope_x, slope_y, unknown, unknown)
+    return refuse_implausible(file, SlopePoints(points[:, 0], points[:, 1], slope_x, slope_y, unknown, unknown))
 
 
 def _read_nurbs(file: Path, heliostat: str | None, facet: str | None) -> tuple[FloatArray, FloatArray]:

@@ -35,7 +35,7 @@ def main() -> None:
             if outcome.fault:
                 kinds[WORDS.get(outcome.fault.split()[0].strip(":"), "tracebacks")] += 1
                 print(outcome, flush=True)
-            if done % 250 == 0:
+            if done % 100 == 0:
                 print(f"-- {done} cases, {time.monotonic() - begin:.0f} s, {dict(kinds)}", flush=True)
     found = ", ".join(f"{kinds[kind]} {kind}" for kind in ("tracebacks", *WORDS.values()))
     seconds = time.monotonic() - begin

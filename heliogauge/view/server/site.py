@@ -199,5 +199,9 @@ def _file(place: Path) -> Answer:
 
 def _stamp(files: Sequence[Path]) -> str:
     """Return a short word that changes with names, times and sizes of files."""
-    marks = [(str(file), (state := file.stat()).st_mtime_ns, state.st_size) for file in files]
+    try:
+        marks = [(str(file), (state := file.stat()).st_mtime_ns, state.st_size) for file in files]
+    except OSError as error:
+        # A link to nothing or to itself, or a file that is being replaced.
+        raise InputError(f"{error.filename}: cannot be read ({error.strerror}); remove it, or put it back") from error
     return hashlib.sha256(repr(marks).encode()).hexdigest()[:16]

@@ -164,3 +164,26 @@ def test_a_table_without_slopes_is_refused(tmp_path: Path) -> None:
     (tmp_path / "m.csv").write_text("x_m,y_m,slope_x\n0,0,0\n", encoding="utf-8")
     with pytest.raises(InputError, match="slope_y"):
         read_slopes(tmp_path / "m.csv")
+
+
+@pytest.mark.parametrize(
+    ("row", "message"),
+    [
+        ("1e308,0,0,0,1e-4,1e-4", r"m.csv: x = 1e\+308 \(1 such values\); metres"),
+        ("1,0,0,-1e20,1e-4,1e-4", r"slope_y = -1e\+20"),
+        ("1,0,0,0,-1,1e-4", r"sigma_slope_x = -1 "),
+    ],
+)
+def test_numbers_that_no_mirror_has_are_named(tmp_path: Path, row: str, message: str) -> None:
+    head = "x_m,y_m,slope_x,slope_y,sigma_slope_x,sigma_slope_y\n0,0,0,0,1e-4,1e-4\n0,1,0,0,1e-4,1e-4\n"
+    (tmp_path / "m.csv").write_text(f"{head}{row}\n", encoding="utf-8")
+    with pytest.raises(InputError, match=message):
+        read_slopes(tmp_path / "m.csv")
+
+
+@pytest.mark.parametrize("step_m", [1e-12, 1e-303, 5e-324])
+def test_a_step_that_no_memory_holds_is_refused(step_m: float) -> None:
+    x, y = np.array([0.0, 1.0, 0.0, 1.1]), np.array([0.0, 0.0, 1.0, 1.2])
+    none = np.full(4, np.nan)
+    with pytest.raises(InputError, match="grid_step_mm"):
+        grid_points(SlopePoints(x, y, 0 * x, 0 * x, none, none), plane(), step_m)

@@ -153,6 +153,13 @@ def test_a_result_with_a_link_out_of_it_is_refused(asker: Asker) -> None:
     assert "leads_out.csv" in body
 
 
+def test_a_link_to_itself_is_named(tmp_path: Path) -> None:
+    write_result(tmp_path / "one", "Mirror", slope_map(), 1e-3)
+    (tmp_path / "one" / "loop.csv").symlink_to("loop.csv")
+    with pytest.raises(InputError, match=r"loop.csv: cannot be read .*remove it"):
+        Site([open_place(tmp_path / "one")]).answer("1/", {})
+
+
 def test_a_map_keeps_all_its_nodes_beside_the_page(tmp_path: Path) -> None:
     one = slope_map(nodes=450)
     write_slope_map(tmp_path / "slope_map.nc", {"": one})
