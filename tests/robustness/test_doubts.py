@@ -159,5 +159,5 @@ def test_impossible_faults_of_synthetic_frames(text):
 def test_damaged_hdf5_of_opencsp(tmp_path):
     file = tmp_path / "m.h5"
     file.write_bytes(b"\x89HDF\r\n\x1a\n" + b"0" * 50)
-    with pytest.raises(InputError, match="not a readable HDF5 .* or damaged"):
+    with pytest.raises(InputError, match=r"not a readable HDF5 .* or damaged"):
         read_opencsp_file(file)
