@@ -86,8 +86,8 @@ def read_collector(path: Path) -> Collector:
     try:
         glass = content.pop("glass")
         return Collector(**content, glass=None if glass is None else GlassTube(**glass))
-    except (KeyError, TypeError) as error:
-        raise InputError(f"{path}: not the design of a trough ({error})") from error
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise InputError(f"{path}: not the design of a trough ({error}); measure it again, or copy the file") from error
 
 
 def write_slices(path: Path, slices: Slices, eyes_m: FloatArray, names: Sequence[str]) -> None:

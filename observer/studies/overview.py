@@ -159,6 +159,9 @@ def _read_map(folder: Path, label: str) -> ModuleMap | None:
     if not (folder / ANGLES).is_file():
         return None
     found, _ = read_arrays(folder / ANGLES, ("x", "y", "theta_ra", "theta_r"))
+    odd = [name for name, one in found.items() if one.dtype.kind not in "iuf"]
+    if odd:
+        raise InputError(f"{folder / ANGLES}: {odd[0]} holds {found[odd[0]].dtype}, not numbers; copy the file again")
     steps = tuple(max(-(-found[axis].size // _MOST_NODES), 1) for axis in "yx")
     angles = [found[name][:: steps[0], :: steps[1]] for name in ("theta_ra", "theta_r")]
     return ModuleMap(label, found["x"][:: steps[1]], found["y"][:: steps[0]], *angles)
