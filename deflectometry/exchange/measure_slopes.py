@@ -1,5 +1,6 @@
 """Slopes that were measured otherwise: on a grid, against a design, with statistics and report."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import ClassVar, Literal, Self
@@ -7,7 +8,7 @@ from typing import ClassVar, Literal, Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from deflectometry.exchange.slope_files import SlopePoints, read_slopes
+from deflectometry.exchange.slope_files import MAP_SUFFIXES, SlopePoints, read_slopes
 from deflectometry.pipeline.headline import Numbers, facet_numbers, headline_text
 from heliogauge.doubts import Doubt
 from heliogauge.errors import EstimationError, InputError
@@ -18,6 +19,7 @@ from heliogauge.measurement.load import MEASUREMENT_FILE, read_measurement, refu
 from heliogauge.measurement.models import DesignKeys, MeasurementModel, Positive, Section, Text
 from heliogauge.results.folder import Summary, hash_files, write_slope_map
 from heliogauge.results.frame import InstrumentResult
+from heliogauge.results.slope_map_file import read_slope_map
 from heliogauge.running.progress import Progress, SilentProgress
 from heliogauge.slopes.map import SlopeMap, no_common_modes
 from heliogauge.slopes.removal import Removal, remove
@@ -149,9 +151,9 @@ def run(measurement: SlopesMeasurement, progress: Progress | None = None) -> Slo
     with progress.stage("statistics"):
         slope_map = remove(as_measured, Removal(model.evaluation.remove))
         numbers = facet_numbers(slope_map, as_measured)
-    doubts: tuple[Doubt, ...] = ()
+    doubts = tuple(_doubts_of_map(measurement.folder / model.slopes.file, as_measured.design))
     if not known and model.slopes.sigma_slope_mrad is None:
-        doubts = (
+        doubts += (
             Doubt(
                 "sigma_of_slopes_missing",
                 "the slopes come without sigmas: they count as exact, and every sigma here is too small; give "
@@ -167,6 +169,25 @@ def run(measurement: SlopesMeasurement, progress: Progress | None = None) -> Slo
         durations_s=dict(progress.durations_s),
         input_sha256=hash_files(measurement.input_files, measurement.folder),
     )
+
+
+def _doubts_of_map(file: Path, design: str) -> Iterator[Doubt]:
+    """Yield what a slope map of ours says that its slopes alone do not: another design, a common share of sigma."""
+    if file.suffix.lower() not in MAP_SUFFIXES:
+        return
+    stored = read_slope_map(file)
+    if stored.design != design:
+        yield Doubt(
+            "design_is_not_that_of_the_map",
+            f"the map's own design is {stored.design}, here its slopes are compared with {design}; if that is not "
+            "meant, correct [mirror] in measurement.toml",
+        )
+    if stored.common.sources:
+        yield Doubt(
+            "common_share_counts_as_random",
+            f"what {', '.join(dict.fromkeys(stored.common.sources))} may have done to the whole map counts as noise of "
+            "each node here: sigmas of SDx, SDy and focal lengths are too small; those of the original result hold",
+        )
 
 
 def grid_points(points: SlopePoints, design: Quadric, step_m: float | None = None) -> SlopeMap:

@@ -1,5 +1,6 @@
 """Slopes that another program or instrument measured: SolTrace's VSHOT files and slope maps become a measurement."""
 
+import shutil
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,9 +17,11 @@ from heliogauge.results.tables import read_columns_csv, read_table_csv, write_ta
 from heliogauge.results.whole_folder import WholeFolder
 from heliogauge.validate import FloatArray
 
-SLOPES_FILE = "slopes.csv"
+SLOPES_FILE, MAP_FILE = "slopes.csv", "slopes.nc"
 COLUMNS = ("x_m", "y_m", "slope_x", "slope_y")
 SIGMAS = ("sigma_slope_x", "sigma_slope_y")
+#: Files that are slope maps of ours.
+MAP_SUFFIXES = (".nc", ".nc4")
 # Beyond every mirror, and where squares are still far from what a number can hold: 10 km, and 89.94 deg.
 _FARTHEST_M, _STEEPEST = 1e4, 1e3
 
@@ -94,7 +97,7 @@ def read_slopes(file: Path) -> SlopePoints:
     Returns: The points that have both slopes.
     InputError: The file cannot be read, lacks a column, or has no slopes.
     """
-    if file.suffix.lower() in (".nc", ".nc4"):
+    if file.suffix.lower() in MAP_SUFFIXES:
         slope_map = read_slope_map(file)
         good = slope_map.valid
         x, y = np.meshgrid(slope_map.x_m, slope_map.y_m)
@@ -137,17 +140,23 @@ def import_slopes(
         points = read_surface(file, heliostat, facet)
     else:
         points = read_soltrace(file) if form == "soltrace" else read_slopes(file)
+    # A map of ours stays what it is: with its own design and what makes its sigma.
+    is_map = form == "slopes" and file.suffix.lower() in MAP_SUFFIXES
+    kept = MAP_FILE if is_map else SLOPES_FILE
     content = {
         "kind": "slopes",
         "name": " ".join(filter(None, (heliostat, facet))) or file.stem,
-        "slopes": {"file": SLOPES_FILE},
+        "slopes": {"file": kept},
         "mirror": design or {"design": "plane"},
     }
     columns = dict(zip(COLUMNS, (points.x_m, points.y_m, points.slope_x, points.slope_y), strict=True))
     if np.isfinite(points.sigma_x).any():
         columns |= dict(zip(SIGMAS, (points.sigma_x, points.sigma_y), strict=True))
     with WholeFolder(folder, IMPORTED, force=force) as working:
-        write_table_csv(working / SLOPES_FILE, columns)
+        if is_map:
+            shutil.copyfile(file, working / MAP_FILE)
+        else:
+            write_table_csv(working / SLOPES_FILE, columns)
         write_measurement(working, content, comment=f"Slopes imported from {file.name}.")
         write_imported(working, form, [file])
     size = f"{np.ptp(points.x_m):.4g} x {np.ptp(points.y_m):.4g} m"

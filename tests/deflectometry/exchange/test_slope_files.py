@@ -120,9 +120,27 @@ def test_there_and_back_through_soltrace(tmp_path: Path) -> None:
     np.testing.assert_allclose(again.slope_map["slope_x"], first.slope_x, atol=2e-9)
     assert [doubt.code for doubt in again.doubts] == ["sigma_of_slopes_missing"]
     assert leave("deflectometry", "import", "slopes", tmp_path / "r" / "slope_map.nc", "-o", tmp_path / "m3") == 0
-    np.testing.assert_allclose(read_slopes(tmp_path / "m3" / "slopes.csv").sigma_x, 1e-4, rtol=1e-6)
+    np.testing.assert_allclose(read_slopes(tmp_path / "m3" / "slopes.nc").sigma_x, 1e-4, rtol=1e-6)
+    assert [doubt.code for doubt in hg.measure(tmp_path / "m3").doubts] == []
     assert leave("deflectometry", "import", "slopes", tmp_path / "mirror.csv", "-o", tmp_path / "m") == 2
     assert leave("deflectometry", "import", "slopes", tmp_path / "mirror.csv", "-o", tmp_path / "m", "--force") == 0
+
+
+def test_a_map_of_ours_keeps_what_it_knows(tmp_path: Path) -> None:
+    """Another design than its own, and a common share of sigma that is lost, are said."""
+    result = hg.measure(hg.synth("deflectometry", tmp_path / "facet"), tmp_path / "r")
+    import_slopes(result.folder / "slope_map.nc", tmp_path / "plane", "slopes")
+    import_slopes(
+        result.folder / "slope_map.nc",
+        tmp_path / "own",
+        "slopes",
+        {"design": "paraboloid", "focal_length_m": 100.0},
+    )
+    plane, own = hg.measure(tmp_path / "plane"), hg.measure(tmp_path / "own")
+    assert [doubt.code for doubt in own.doubts] == ["common_share_counts_as_random"]
+    assert [doubt.code for doubt in plane.doubts] == ["design_is_not_that_of_the_map", "common_share_counts_as_random"]
+    assert own.summary["sd_rad"] == pytest.approx(result.summary["sd_rad"], rel=1e-3)
+    assert plane.summary["sd_rad"] > 3 * own.summary["sd_rad"]
 
 
 def test_a_measured_panel_of_soltrace(shared_data: Path) -> None:
