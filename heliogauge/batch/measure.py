@@ -9,10 +9,20 @@ from typing import TYPE_CHECKING, Any
 from heliogauge.batch.batch_folder import RESERVED, BatchFolder, Finished
 from heliogauge.batch.folders import BatchTask, find_measurements
 from heliogauge.batch.inputs import input_digest
-from heliogauge.batch.rows import INDEX_FILE, Row, batch_summary, failed_row, measured_row, write_index
+from heliogauge.batch.rows import (
+    INDEX_FILE,
+    Row,
+    batch_summary,
+    failed_row,
+    link_to,
+    measured_row,
+    write_index,
+)
 from heliogauge.doubts import Doubt
 from heliogauge.errors import EstimationError, InputError, MetrologyError
+from heliogauge.reporting.build import REPORT_HTML
 from heliogauge.results.folder import SUMMARY_FILE, Summary, write_summary
+from heliogauge.results.frame import add_report
 from heliogauge.running.progress import Progress, SilentProgress
 from heliogauge.running.scale import Failure, Workers, run_each
 from heliogauge.running.verbs import measure_into
@@ -200,7 +210,8 @@ def _fill(
             task, outcome = done.task, done.outcome
             if isinstance(outcome, Finished) and not outcome.row:
                 resumed += 1
-                row = folder.before[task.name].row | {"folder": str(task.folder)}
+                changes = {"folder": str(task.folder), "link": link_to(folder.path / task.name)}
+                row = folder.before[task.name].row | changes
                 folder.keep(task.name, outcome.digest, row)
             elif isinstance(outcome, Finished) and (folder.path / task.name / SUMMARY_FILE).is_file():
                 folder.keep(task.name, outcome.digest, outcome.row)
@@ -259,6 +270,8 @@ def measure_one(shared: BatchShared, task: BatchTask) -> Finished:
     digest = input_digest(task.folder, dict(shared.options))
     place = shared.out / task.name
     if digest == task.earlier:
+        if shared.report and not (place / REPORT_HTML).is_file():
+            add_report(place, SilentProgress())
         return Finished(digest, {})
     start, before = perf_counter(), _stamp(place)
     try:

@@ -9,6 +9,7 @@ from urllib.parse import quote
 
 from heliogauge.batch.folders import BatchTask
 from heliogauge.doubts import Doubt, Severity
+from heliogauge.reporting.build import REPORT_HTML
 from heliogauge.results.folder import SUMMARY_FILE, Summary, read_summary, write_table_csv
 
 INDEX_FILE = "index.csv"
@@ -42,7 +43,6 @@ def measured_row(task: BatchTask, place: Path, duration_s: float) -> Row:
     """
     summary = read_summary(place)
     severities = Counter(one.severity for one in summary.doubts)
-    report = "report.html" if (place / "report.html").is_file() else SUMMARY_FILE
     return {
         "name": task.name,
         "kind": summary.kind,
@@ -55,8 +55,13 @@ def measured_row(task: BatchTask, place: Path, duration_s: float) -> Row:
         "duration_s": round(duration_s, 3),
         "reason": "",
         "folder": str(task.folder),
-        "link": f"{quote(task.name)}/{report}",
+        "link": link_to(place),
     }
+
+
+def link_to(place: Path) -> str:
+    """Return the address, within the batch, of what says most of a measurement's results."""
+    return f"{quote(place.name)}/{REPORT_HTML if (place / REPORT_HTML).is_file() else SUMMARY_FILE}"
 
 
 def failed_row(task: BatchTask, kind: str, reason: str, link: str = "") -> Row:

@@ -127,6 +127,17 @@ def test_only_what_changed_is_measured_again(days: Path, tmp_path: Path) -> None
     assert made(out)["tuesday_field"] != first["tuesday_field"]
 
 
+def test_reports_that_are_asked_for_later_are_made(days: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    measure(days, out, report=False)
+    assert "tuesday_field/summary.json" in (out / "index.csv").read_text(encoding="utf-8")
+    first = made(out)
+    assert measure(days, out, report=True).resumed == 2
+    assert made(out) == first
+    assert (out / "tuesday_field" / "report.html").is_file()
+    assert "tuesday_field/report.html" in (out / "index.csv").read_text(encoding="utf-8")
+
+
 def test_other_options_measure_again(days: Path, tmp_path: Path) -> None:
     measure(days / "monday", tmp_path / "out")
     again = measure_batch([days / "monday"], tmp_path / "out", HERE, SilentProgress(), {"only": "H01"}, report=False)
