@@ -106,9 +106,9 @@ def headline_chart(batch: Batch) -> ChartView | None:
         labels=labels,
         size_px=5,
     )
-    return ChartView(
-        f"{_words(name)} ({kind})", "measurement, in the order of the index", f"{_words(name)} [{unit}]", (series,)
-    )
+    words = _words(name)
+    place = "measurement, in the order of the index"
+    return ChartView(f"{words} ({kind})", place, f"{words} [{unit}]", (series,), x_counts=True)
 
 
 def index_table(batch: Batch) -> TableView:

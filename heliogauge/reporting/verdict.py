@@ -1,5 +1,6 @@
 """What a reader needs first: whether a result can be used, what is doubtful, and what is missing."""
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
@@ -16,7 +17,8 @@ SMALLEST_HOLE_SHARE = 0.005
 #: More than the strip along the edge that an image of 100 x 100 px of a mirror loses, three pixels wide.
 WIDEST_EDGE_SHARE = 0.12
 
-#: A clause of a doubt that is longer than this is cut at a word; the full text stands below.
+#: A clause of a doubt that is longer than this loses what is in brackets, then what follows a colon, and is cut at a
+#: word only then; the full text stands below.
 _MOST_LETTERS = 110
 
 
@@ -102,9 +104,15 @@ def first_clause(text: str) -> str:
 
     >>> first_clause("3 photos only; 12 are better")
     '3 photos only'
+    >>> first_clause(f"no sigma is given for the camera ([camera] {'x' * 90}): counted as exact")
+    'no sigma is given for the camera: counted as exact'
     """
     for end in ("; ", ". "):
         text = text.partition(end)[0]
+    if len(text) > _MOST_LETTERS:
+        text = re.sub(r" \([^()]*\)", "", text)
+    if len(text) > _MOST_LETTERS:
+        text = text.partition(": ")[0]
     if len(text) <= _MOST_LETTERS:
         return text
     return text[:_MOST_LETTERS].rpartition(" ")[0].rstrip(",:") + " \u2026"

@@ -64,6 +64,7 @@ class ChartView:
     note: A line under the title.
     equal: One scale for both axes.
     x_log, y_log: Logarithmic axes.
+    x_counts: x numbers things from 1 on: whole ticks, and half a step of room on each side.
     y_down: y grows downwards, as in images.
     figures: Static figures for notebook and print; empty: the chart, drawn here.
     InputError: Lengths of a series do not fit.
@@ -77,6 +78,7 @@ class ChartView:
     equal: bool = False
     x_log: bool = False
     y_log: bool = False
+    x_counts: bool = False
     y_down: bool = False
     figures: "Sequence[Figure]" = field(default=())
 
@@ -98,6 +100,7 @@ class ChartView:
     def page_html(self, store: ArrayStore = PAGE) -> str:
         """Return the view for a page."""
         axes = {"equal": self.equal, "x_log": self.x_log, "y_log": self.y_log, "y_down": self.y_down}
+        axes["x_counts"] = self.x_counts
         labels = {"name": self.name, "note": self.note, "x_label": self.x_label, "y_label": self.y_label}
         spec = {**labels, **axes, "series": [self._series_spec(one, store) for one in self.series]}
         return view_frame("chart", self.name, spec, self.static)
@@ -163,6 +166,8 @@ class ChartView:
             axes.set_yscale("log")
         if self.y_down:
             axes.invert_yaxis()
+        if self.x_counts:
+            axes.xaxis.get_major_locator().set_params(integer=True)
         if len(self.series) > 1:
             add_legend(axes, loc="best")
         return figure
@@ -174,11 +179,21 @@ class ChartView:
         spans = [part for y, sigma in reach for part in ((y,) if sigma is None else (y - sigma, y + sigma))]
         based = [np.zeros(1)] if any(one.mark in (Mark.BARS, Mark.STEPS) for one in self.series) else []
         x_limits = chart_limits([one.x for one in self.series], log=self.x_log, spare=0.02)
+        if self.x_counts:
+            numbers = np.concatenate([np.asarray(one.x, dtype=np.float64) for one in self.series])
+            x_limits = float(numbers.min()) - 0.5, float(numbers.max()) + 0.5
         y_limits = chart_limits([*spans, *based], log=self.y_log)
         if self.equal:
             x_limits, y_limits = equal_limits(x_limits, y_limits, box)
         sheet = Sheet(
-            WIDTH_PX, height, box, x_limits, y_limits[::-1] if self.y_down else y_limits, self.x_log, self.y_log
+            WIDTH_PX,
+            height,
+            box,
+            x_limits,
+            y_limits[::-1] if self.y_down else y_limits,
+            self.x_log,
+            self.y_log,
+            least_x_step=1.0 if self.x_counts else 0.0,
         )
         sheet.title(self.name, self.note)
         sheet.axes(self.x_label, self.y_label, grid=True)

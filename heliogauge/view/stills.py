@@ -40,6 +40,7 @@ class Sheet:
     box: Left, top, right and bottom edge of the axes' box.
     x_limits, y_limits: Values at its left and right edge, and at its bottom and top edge.
     x_log, y_log: Logarithmic axes.
+    least_x_step: Ticks along x are at least so far apart.
     """
 
     width: float
@@ -49,6 +50,7 @@ class Sheet:
     y_limits: tuple[float, float]
     x_log: bool = False
     y_log: bool = False
+    least_x_step: float = 0.0
     parts: list[str] = field(default_factory=list)
 
     def place_x(self, values: npt.ArrayLike) -> FloatArray:
@@ -77,11 +79,11 @@ class Sheet:
         """Draw ticks, their numbers and the names of the axes."""
         left, top, right, bottom = self.box
         lines = []
-        for value in _ticks(self.x_limits, self.x_log, most=max(int((right - left) / 62), 2)):
+        for value in _ticks(self.x_limits, self.x_log, max(int((right - left) / 62), 2), self.least_x_step):
             x = float(self.place_x(value))
             lines.append(f"M{x:.1f},{bottom:.1f}v4" + (f"M{x:.1f},{top:.1f}V{bottom:.1f}" if grid else ""))
             self.write(x, bottom + 16, _number(value, self.x_limits, self.x_log), text_anchor="middle")
-        for value in _ticks(self.y_limits, self.y_log, most=max(int((bottom - top) / 34), 2)):
+        for value in _ticks(self.y_limits, self.y_log, max(int((bottom - top) / 34), 2)):
             y = float(self.place_y(value))
             lines.append(f"M{left:.1f},{y:.1f}h-4" + (f"M{left:.1f},{y:.1f}H{right:.1f}" if grid else ""))
             self.write(left - 7, y + 4, _number(value, self.y_limits, self.y_log), text_anchor="end")
@@ -247,7 +249,7 @@ def _places(values: npt.ArrayLike, limits: tuple[float, float], start: float, en
     return start + (array - low) / ((high - low) or 1.0) * (end - start)
 
 
-def _ticks(limits: tuple[float, float], log: bool, most: int) -> list[float]:
+def _ticks(limits: tuple[float, float], log: bool, most: int, least_step: float = 0.0) -> list[float]:
     low, high = min(limits), max(limits)
     if log:
         powers = np.arange(np.floor(np.log10(low)), np.ceil(np.log10(high)) + 1)
@@ -258,7 +260,7 @@ def _ticks(limits: tuple[float, float], log: bool, most: int) -> list[float]:
     if not np.isfinite(raw) or raw <= 0:
         return [low]
     power = 10.0 ** np.floor(np.log10(raw))
-    step = power * next(one for one in (1, 2, 5, 10) if one * power >= raw * (1 - 1e-9))
+    step = max(power * next(one for one in (1, 2, 5, 10) if one * power >= raw * (1 - 1e-9)), least_step)
     first = int(np.ceil(low / step - 1e-9))
     return [number * float(step) for number in range(first, int(np.floor(high / step + 1e-9)) + 1)]
 

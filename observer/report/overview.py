@@ -178,7 +178,7 @@ def _chart(results: OverviewResults, key: str, title: str, factor: float) -> Cha
     names = [results.table["result"][row] for row in rows]
     series = ChartSeries("modules", place, values, LINE_X, Mark.POINTS, np.nan_to_num(sigmas), names, size_px=6.0)
     note = f"in the order of the table: {', '.join(names[:8])}{' ...' if len(names) > 8 else ''}; error bars: 1 sigma"
-    return ChartView(title.partition(" [")[0], "module", title, (series,), note)
+    return ChartView(title.partition(" [")[0], "module", title, (series,), note, x_counts=True)
 
 
 def maps(results: OverviewResults) -> Html:

@@ -49,7 +49,7 @@
   }
 
   class Chart {
-    // content: {name, note, x_label, y_label, equal, x_log, y_log, y_down, series: [{name, x, y, sigma, ...}]} with
+    // content: {name, note, x_label, y_label, equal, x_log, y_log, x_counts, y_down, series: [{name, x, y, sigma, ...}]} with
     // numbers as arrays. at(series, index) is told which value is shown; null where none is.
     constructor(place, content, at = () => {}) {
       this.place = place;
@@ -124,7 +124,8 @@
         const [low, high] = extentOf([one.px]);
         return [[low - half, high + half]];
       });
-      let x = widened(extentOf([...this.series.map((one) => one.px), ...barX]), 0.03);
+      const reach = extentOf([...this.series.map((one) => one.px), ...barX]);
+      let x = content.x_counts ? [reach[0] - 0.5, reach[1] + 0.5] : widened(reach, 0.03);
       let y = widened(extentOf([...this.series.flatMap(ends), ...(bars.length && !this.scales.y ? [[0]] : [])]), 0.05);
       if (bars.length && !this.scales.y && extentOf(bars.map((one) => one.py))[0] >= 0 && y[0] < 0) y = [0, y[1]];
       if (content.equal) {
@@ -137,7 +138,7 @@
       const labels = (log) => ({ color: color.ink, hideOverlap: true, showMinLabel: false, showMaxLabel: false, ...format(log) });
       const option = figure.axes(box, x, y, {
         xName: content.x_label, yName: content.y_label, yDown: content.y_down,
-        xAxis: { axisLabel: labels(content.x_log), splitNumber: narrow ? 4 : 8, nameGap: 26 },
+        xAxis: { axisLabel: labels(content.x_log), splitNumber: narrow ? 4 : 8, nameGap: 26, minInterval: content.x_counts ? 1 : 0 },
         yAxis: { axisLabel: labels(content.y_log), nameGap: narrow ? 38 : 48 },
       });
       option.series = this.series.flatMap((one, index) => this.hidden.has(index) ? [] : this.parts(one, index));

@@ -52,6 +52,15 @@ def test_the_pointer_reads_the_nearest_point_with_its_name(open_chart: Any) -> N
     assert shown(page).startswith("<b>3; radius 2.000 px; residual 1.000 mrad")
 
 
+def test_things_that_are_counted_have_whole_ticks(open_chart: Any) -> None:
+    two = ChartSeries("modules", np.array([1.0, 2.0]), np.array([0.31, 0.47]), "#1b6ca8", Mark.POINTS)
+    page = open_chart(two, x_counts=True)
+    axis = "echarts.getInstanceByDom(document.querySelector('.view-figure [_echarts_instance_]'))"
+    ticks = page.evaluate(f"{axis}.getModel().getComponent('xAxis').axis.scale.getTicks().map((tick) => tick.value)")
+    assert [tick for tick in ticks if tick == int(tick)] == [1, 2]
+    assert set(ticks) <= {0.5, 1, 2, 2.5}
+
+
 def test_a_logarithmic_axis_keeps_small_values(open_chart: Any) -> None:
     x = np.array([1e-6, 1e-3, 1.0])
     page = open_chart(ChartSeries("a", x, x, "#1b6ca8"), x_log=True, y_log=True)

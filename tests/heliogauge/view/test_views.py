@@ -16,7 +16,7 @@ from heliogauge.slopes.statistics import statistics
 from heliogauge.validate import FloatArray
 from heliogauge.view.arrays import PAGE, ServedStore, reading_step
 from heliogauge.view.assets import page_assets
-from heliogauge.view.charts import ChartSeries, ChartView
+from heliogauge.view.charts import ChartSeries, ChartView, Mark
 from heliogauge.view.maps import MapLayer, MapView, slope_map_view
 from heliogauge.view.photos import Photo, PhotoMarks, PhotoView
 from heliogauge.view.scenes import SceneGroup, SceneView
@@ -183,3 +183,13 @@ def test_assets_are_those_of_the_views_in_the_page() -> None:
     assert page_assets("<p>no view</p>") == ""
     table = TableView("t", (TableColumn("a", ["1"]),))
     assert "tr.further" in page_assets(table.page_html())
+
+
+def test_a_still_chart_of_counted_things_has_whole_ticks() -> None:
+    series = ChartSeries("modules", np.array([1.0, 2.0]), np.array([30.0, 40.0]), "#1b6ca8", Mark.POINTS)
+    chart = ChartView("Modules", "module", "length [m]", (series,), x_counts=True)
+    data = re.search(r"base64,([^\"]*)", chart.static.text)
+    assert data is not None
+    svg = base64.b64decode(data[1]).decode()
+    below = re.findall(r'text-anchor="middle">([\d.]+)<', svg)
+    assert below == ["1", "2"]
