@@ -6,7 +6,7 @@ from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
-from heliogauge.batch.batch_folder import RESERVED, BatchFolder, Finished
+from heliogauge.batch.batch_folder import RESERVED, BatchFolder
 from heliogauge.batch.folders import BatchTask, find_measurements
 from heliogauge.batch.inputs import input_digest
 from heliogauge.batch.rows import (
@@ -23,6 +23,7 @@ from heliogauge.errors import EstimationError, InputError, MetrologyError
 from heliogauge.reporting.build import REPORT_HTML
 from heliogauge.results.folder import SUMMARY_FILE, Summary, write_summary
 from heliogauge.results.frame import add_report
+from heliogauge.results.growing_folder import Finished
 from heliogauge.running.progress import Progress, SilentProgress
 from heliogauge.running.scale import Failure, Workers, run_each
 from heliogauge.running.verbs import measure_into
@@ -212,14 +213,14 @@ def _fill(
                 resumed += 1
                 changes = {"folder": str(task.folder), "link": link_to(folder.path / task.name)}
                 row = folder.before[task.name].row | changes
-                folder.keep(task.name, outcome.digest, row)
+                folder.note(task.name, outcome.digest, row)
             elif isinstance(outcome, Finished) and (folder.path / task.name / SUMMARY_FILE).is_file():
-                folder.keep(task.name, outcome.digest, outcome.row)
+                folder.note(task.name, outcome.digest, outcome.row)
             else:
                 failure = outcome if isinstance(outcome, Failure) else Failure(_NOT_HERE.format(folder.path))
                 folder.remove(task.name)
                 link = folder.keep_trace(task.name, failure.trace) if failure.trace else ""
-                folder.keep(task.name, "", failed_row(task, _kind_name(task.folder), failure.reason, link))
+                folder.note(task.name, "", failed_row(task, _kind_name(task.folder), failure.reason, link))
                 progress.say(f"{task.name}: failed: {failure.reason}")
             stage.advance()
     named = [task.name for task in tasks]
@@ -233,7 +234,7 @@ def _fill(
         summary = batch_summary(folder.path.name, rows, progress.durations_s, digests)
         write_index(folder.path / INDEX_FILE, rows)
         write_summary(folder.path / SUMMARY_FILE, summary)
-        folder.close_journal(names)
+        folder.rewrite_journal(names)
     return BatchResult(rows, summary, resumed)
 
 

@@ -129,6 +129,8 @@ class ChartView:
 
     def figure(self) -> "Figure":
         """Draw the chart."""
+        from matplotlib.ticker import MaxNLocator
+
         from heliogauge.reporting.canvas import add_legend, chart_figure, set_equal_limits
 
         figure, axes = chart_figure(self.name, self.note, self.x_label, self.y_label)
@@ -167,7 +169,7 @@ class ChartView:
         if self.y_down:
             axes.invert_yaxis()
         if self.x_counts:
-            axes.xaxis.get_major_locator().set_params(integer=True)
+            axes.xaxis.set_major_locator(MaxNLocator(integer=True))
         if len(self.series) > 1:
             add_legend(axes, loc="best")
         return figure
