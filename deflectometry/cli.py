@@ -164,14 +164,8 @@ def _import_slopes(form: str, help_of_file: str) -> Callable[..., None]:
     ) -> None:
         from deflectometry.exchange.slope_files import import_slopes
 
-        numbers = {"focal_length_m": focal_length_m, "radius_m": radius_m}
-        keys = {"design": design} | {name: value for name, value in numbers.items() if value is not None}
-        said = import_slopes(file, out, form, keys, force=force)
-        if not quiet:
-            typer.echo(said)
-            typer.echo(
-                f"measurement folder: {out}; evaluate it with `heliogauge deflectometry measure {out} -o RESULT`"
-            )
+        keys = _design_keys(design, focal_length_m, radius_m)
+        _say_imported(import_slopes(file, out, form, keys, force=force), out, quiet=quiet)
 
     return import_command
 

@@ -1,5 +1,6 @@
 """``heliogauge camera``: photos of a board or targets to a calibrated camera."""
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated
 
@@ -130,35 +131,23 @@ def import_opencv_command(
         typer.echo(f'{out / "cameras.json"}: use it with file = "cameras.json" in [camera] of a measurement')
 
 
-@exports.command("opencv")
-def export_opencv_command(
-    result: CameraPath,
-    out: OutPath,
-    camera: CameraName = None,
-    force: Replace = False,
-    quiet: Quiet = False,
-    verbose: Verbose = False,
-) -> None:
-    """Write a camera as OpenCV reads it (YAML of cv2.FileStorage)."""
-    from calibration.camera.files.opencv_files import export_camera
+def _export(form: str) -> Callable[..., None]:
+    def export_command(
+        result: CameraPath,
+        out: OutPath,
+        camera: CameraName = None,
+        force: Replace = False,
+        quiet: Quiet = False,
+        verbose: Verbose = False,
+    ) -> None:
+        from calibration.camera.files.opencv_files import export_camera
 
-    export_camera(result, out, "opencv", name=camera, force=force)
-    if not quiet:
-        typer.echo(out)
+        export_camera(result, out, form, name=camera, force=force)
+        if not quiet:
+            typer.echo(out)
+
+    return export_command
 
 
-@exports.command("colmap")
-def export_colmap_command(
-    result: CameraPath,
-    out: OutPath,
-    camera: CameraName = None,
-    force: Replace = False,
-    quiet: Quiet = False,
-    verbose: Verbose = False,
-) -> None:
-    """Write a camera as COLMAP reads it (cameras.txt)."""
-    from calibration.camera.files.opencv_files import export_camera
-
-    export_camera(result, out, "colmap", name=camera, force=force)
-    if not quiet:
-        typer.echo(out)
+exports.command("opencv", help="Write a camera as OpenCV reads it (YAML of cv2.FileStorage).")(_export("opencv"))
+exports.command("colmap", help="Write a camera as COLMAP reads it (cameras.txt).")(_export("colmap"))

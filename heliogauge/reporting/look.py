@@ -6,7 +6,7 @@ from typing import Any, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from heliogauge.slopes.map import SlopeMap
+from heliogauge.slopes.map import NODE_FIELDS, SlopeMap
 from heliogauge.validate import BoolArray, FloatArray
 
 INK = "#1f2a36"
@@ -124,17 +124,6 @@ def thinned_map(slope_map: SlopeMap) -> SlopeMap:
     """Return a map of every n-th node, so that no side has more than `MOST_NODES`; the same map where none has."""
     if max(slope_map.shape) <= MOST_NODES:
         return slope_map
-    fields = (
-        "slope_x",
-        "slope_y",
-        "design_slope_x",
-        "design_slope_y",
-        "sigma_random_x",
-        "sigma_random_y",
-        "height_m",
-        "flags",
-        "aperture",
-    )
-    kept: dict[str, Any] = {name: thinned(getattr(slope_map, name)) for name in fields}
+    kept: dict[str, Any] = {name: thinned(getattr(slope_map, name)) for name in NODE_FIELDS}
     axes: dict[str, Any] = {"x_m": thinned(slope_map.x_m[None, :])[0], "y_m": thinned(slope_map.y_m[:, None])[:, 0]}
     return replace(slope_map, **axes, **kept)

@@ -8,6 +8,18 @@ from heliogauge.flags import REJECTED
 from heliogauge.short_repr import ShortRepr
 from heliogauge.validate import BoolArray, FlagArray, FloatArray, float_array
 
+_VALUE_FIELDS = (
+    "slope_x",
+    "slope_y",
+    "design_slope_x",
+    "design_slope_y",
+    "sigma_random_x",
+    "sigma_random_y",
+    "height_m",
+)
+#: What a slope map has at each node.
+NODE_FIELDS = (*_VALUE_FIELDS, "flags", "aperture")
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CommonModes:
@@ -145,15 +157,7 @@ class SlopeMap(ShortRepr):
         for name in ("x_m", "y_m"):
             object.__setattr__(self, name, float_array(name, getattr(self, name), (None,)))
         shape = self.shape
-        for name in (
-            "slope_x",
-            "slope_y",
-            "design_slope_x",
-            "design_slope_y",
-            "sigma_random_x",
-            "sigma_random_y",
-            "height_m",
-        ):
+        for name in _VALUE_FIELDS:
             object.__setattr__(self, name, float_array(name, getattr(self, name), shape, finite=False))
         for name, dtype in (("flags", np.uint32), ("aperture", np.bool_)):
             array = np.array(getattr(self, name), dtype=dtype).reshape(shape)

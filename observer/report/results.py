@@ -9,7 +9,7 @@ import numpy.typing as npt
 from heliogauge.reporting.results import Results, open_results
 from heliogauge.results.arrays import read_arrays
 from heliogauge.results.folder import PhotoPose, PointTable, read_cameras_json, read_points_csv, read_table_csv
-from heliogauge.slopes.map import SlopeMap
+from heliogauge.slopes.map import NODE_FIELDS, SlopeMap
 from heliogauge.validate import BoolArray, FloatArray, IntArray
 from observer.files import ANGLES, COLLECTOR, SLICES, StoredSlices, read_collector, read_slices
 from observer.selection.edge_refusal import EdgeFate
@@ -42,20 +42,6 @@ class EdgeTable:
     def used(self) -> BoolArray:
         """Those that the result rests on."""
         return np.asarray(self.fate == EdgeFate.USED.code)
-
-
-#: What a slope map has at each node.
-_NODE_FIELDS = (
-    "slope_x",
-    "slope_y",
-    "design_slope_x",
-    "design_slope_y",
-    "sigma_random_x",
-    "sigma_random_y",
-    "height_m",
-    "flags",
-    "aperture",
-)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -129,7 +115,7 @@ def _outline(aperture: BoolArray) -> tuple[slice, slice]:
 
 def _cut_out(slope_map: SlopeMap, rows: slice, columns: slice) -> SlopeMap:
     """Return some rows and columns of a map."""
-    fields = {name: getattr(slope_map, name)[rows, columns] for name in _NODE_FIELDS}
+    fields = {name: getattr(slope_map, name)[rows, columns] for name in NODE_FIELDS}
     return replace(slope_map, x_m=slope_map.x_m[columns], y_m=slope_map.y_m[rows], **fields)
 
 
