@@ -67,6 +67,7 @@ class ChartView:
     x_counts: x numbers things from 1 on: whole ticks, and half a step of room on each side.
     y_down: y grows downwards, as in images.
     figures: Static figures for notebook and print; empty: the chart, drawn here.
+    stills: Still pictures that stand for it in notebook and print; empty: drawn here.
     InputError: Lengths of a series do not fit.
     """
 
@@ -81,6 +82,7 @@ class ChartView:
     x_counts: bool = False
     y_down: bool = False
     figures: "Sequence[Figure]" = field(default=())
+    stills: Sequence[Html] = ()
 
     def __post_init__(self) -> None:
         for one in self.series:
@@ -92,6 +94,8 @@ class ChartView:
     @cached_property
     def static(self) -> Html:
         """The figures, drawn once."""
+        if self.stills:
+            return side_by_side(self.stills)
         return show(*self.figures) if self.figures else side_by_side([self._still()])
 
     def _repr_html_(self) -> str:

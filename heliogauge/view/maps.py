@@ -20,7 +20,8 @@ from heliogauge.slopes.statistics import SlopeStatistics, statistics
 from heliogauge.validate import BoolArray, FlagArray, FloatArray
 from heliogauge.view.arrays import PAGE, ArrayStore, reading_step
 from heliogauge.view.markup import view_frame
-from heliogauge.view.stills import MapPicture, side_by_side
+from heliogauge.view.still_maps import MapPicture
+from heliogauge.view.stills import side_by_side
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -108,6 +109,7 @@ class MapView:
     y_down: y grows downwards, as in images; otherwise upwards.
     lines: Vertices of thin lines over the map, such as edges of panels, shape (n, 2) each, in `axis_unit`.
     figures: Static figures for notebook and print; empty: the first two layers as maps.
+    stills: Still pictures that stand for it in notebook and print; empty: drawn here.
     InputError: Sizes do not fit, or two layers have one key.
     """
 
@@ -123,6 +125,7 @@ class MapView:
     y_down: bool = False
     lines: Sequence[FloatArray] = ()
     figures: "Sequence[Figure]" = field(default=())
+    stills: Sequence[Html] = ()
 
     def __post_init__(self) -> None:
         shape = (self.y_m.size, self.x_m.size)
@@ -138,6 +141,8 @@ class MapView:
     @cached_property
     def static(self) -> Html:
         """The figures, drawn once."""
+        if self.stills:
+            return side_by_side(self.stills)
         return show(*self.figures) if self.figures else side_by_side([self._still(one) for one in self.layers[:2]])
 
     def figure(self, quantity: str | None = None) -> "Figure":
@@ -182,6 +187,7 @@ class MapView:
             high=high,
             diverging=layer.diverging,
             y_down=self.y_down,
+            lines=self.lines,
         )
         return picture.still()
 

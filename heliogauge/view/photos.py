@@ -16,6 +16,7 @@ from heliogauge.reporting.html import Html, show
 from heliogauge.validate import FloatArray
 from heliogauge.view.arrays import PAGE, ArrayStore
 from heliogauge.view.markup import view_frame
+from heliogauge.view.stills import side_by_side
 
 # 1000 px fill the page's width; 30 photos of that size at this quality take 2 MB.
 MOST_PIXELS_IN_PAGE = 1000
@@ -96,12 +97,14 @@ class PhotoView:
     name: What they show.
     photos: At least one.
     figures: Static figures for notebook and print; empty: the first photo with its marks, drawn here.
+    stills: Still pictures that stand for it in notebook and print; empty: drawn here.
     InputError: No photo.
     """
 
     name: str
     photos: tuple[Photo, ...]
     figures: Sequence[Figure] = field(default=())
+    stills: Sequence[Html] = ()
 
     def __post_init__(self) -> None:
         if not self.photos:
@@ -110,7 +113,7 @@ class PhotoView:
     @cached_property
     def static(self) -> Html:
         """The figures, drawn once."""
-        return show(*(self.figures or [self.figure()]))
+        return side_by_side(self.stills) if self.stills else show(*(self.figures or [self.figure()]))
 
     def _repr_html_(self) -> str:
         return self.static.text

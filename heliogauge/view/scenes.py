@@ -14,6 +14,7 @@ from heliogauge.reporting.html import Html, show
 from heliogauge.validate import FloatArray, float_array
 from heliogauge.view.arrays import PAGE, ArrayStore
 from heliogauge.view.markup import view_frame
+from heliogauge.view.stills import side_by_side
 
 #: Coordinates are kept to this share of the scene's size: a thousandth of a pixel.
 _STEP_SHARE = 1e-6
@@ -63,6 +64,7 @@ class SceneView:
     note: A line under it.
     height_px: Height in the page.
     figures: Static figures for notebook and print; empty: the scene from one side, drawn here.
+    stills: Still pictures that stand for it in notebook and print; empty: drawn here.
     InputError: There is nothing to show.
     """
 
@@ -71,6 +73,7 @@ class SceneView:
     note: str = ""
     height_px: int = 560
     figures: Sequence[Figure] = field(default=())
+    stills: Sequence[Html] = ()
 
     def __post_init__(self) -> None:
         if not any(len(group.xyz_m) for group in self.groups):
@@ -79,7 +82,7 @@ class SceneView:
     @cached_property
     def static(self) -> Html:
         """The figures, drawn once."""
-        return show(*(self.figures or [self.figure()]))
+        return side_by_side(self.stills) if self.stills else show(*(self.figures or [self.figure()]))
 
     def _repr_html_(self) -> str:
         return self.static.text

@@ -1,0 +1,153 @@
+"""Still pictures of grids: maps on a mirror or an image, why nodes have no value, correlations."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from heliogauge.flags import FLAG_TEXTS, SampleFlag, count_flags
+from heliogauge.reporting.html import Html
+from heliogauge.reporting.look import FAINT, INK, extent_of, thinned
+from heliogauge.slopes.map import SlopeMap
+from heliogauge.validate import BoolArray, FloatArray
+from heliogauge.view.stills import WIDTH_PX, LegendEntry, Sheet, color_table, fitted_sheet
+
+# Qualitative colours that differ in lightness too; the first flag in the list wins where a node has several.
+_FLAG_COLORS = ("#d94f30", "#f0a23c", "#7b5ea7", "#2f8f83", "#b2336e", "#4d7ebf", "#8a6d3b", "#5b8c2a", "#111111")
+_MEASURED = "#e9f1ea"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MapPicture:
+    """A quantity on a grid.
+
+    title, note: Lines over it.
+    unit: Unit of the values.
+    values (ny, nx): Values in the printed unit; NaN where there is none: grey and hatched.
+    aperture (ny, nx): Outside of it nothing is drawn.
+    extent: Left, right, bottom and top edge of the grid's cells.
+    axis_unit: Unit of the axes.
+    low, high: Where the colours end.
+    diverging: Colours from blue over white to red; otherwise from dark to light.
+    y_down: y grows downwards.
+    lines: Vertices of thin lines over the map, shape (n, 2) each.
+    """
+
+    title: str
+    note: str
+    unit: str
+    values: FloatArray
+    aperture: BoolArray
+    extent: tuple[float, float, float, float]
+    axis_unit: str
+    low: float
+    high: float
+    diverging: bool
+    y_down: bool
+    lines: Sequence[FloatArray] = ()
+
+    def still(self, *, tallest_px: float = 480.0) -> Html:
+        """Draw the map in its own proportions."""
+        return self.sheet(tallest_px=tallest_px).html(f"{self.title}. {self.note}")
+
+    def sheet(self, *, width: float = WIDTH_PX, tallest_px: float = 480.0) -> Sheet:
+        """Draw the map in its own proportions, for more to be drawn over it."""
+        left, right, bottom, top = self.extent
+        sheet = fitted_sheet(
+            (left, right), (top, bottom) if self.y_down else (bottom, top), width=width, tallest_px=tallest_px
+        )
+        sheet.title(self.title, self.note)
+        missing = self.aperture & ~np.isfinite(self.values)
+        share = (self.values - self.low) / max(self.high - self.low, 1e-300)
+        index = np.clip(np.nan_to_num(share, nan=0.0) * 255 + 0.5, 0, 255).astype(np.uint8)
+        _paint(sheet, color_table(diverging=self.diverging)[index], missing, self.aperture)
+        for line in self.lines:
+            sheet.line(line[:, 0], line[:, 1], FAINT, width=0.7)
+        sheet.axes(f"x [{self.axis_unit}]", f"y [{self.axis_unit}]", grid=False)
+        sheet.color_bar(self.low, self.high, self.unit, diverging=self.diverging)
+        return sheet
+
+
+def flag_still(slope_map: SlopeMap, lines: Sequence[FloatArray] = ()) -> Html:
+    """Draw why nodes of the mirror have no value or a doubtful one, with a legend.
+
+    lines: Vertices of thin lines over the map, shape (n, 2) each [m].
+    """
+    counts = count_flags(slope_map.flags, slope_map.aperture)
+    counts.pop(SampleFlag.OUTSIDE_MIRROR, None)
+    order = sorted(counts, key=lambda flag: counts[flag], reverse=True)[: len(_FLAG_COLORS)]
+    flags, aperture = thinned(slope_map.flags), thinned(slope_map.aperture)
+    codes = np.where(thinned(slope_map.valid), 0, -1)
+    # Rare reasons are painted last, over the common ones.
+    for number, flag in enumerate(order, start=1):
+        codes[(flags & np.uint32(flag)) != 0] = number
+    colors = [_MEASURED, *_FLAG_COLORS[: len(order)]]
+    table = np.array([[int(one[place : place + 2], 16) for place in (1, 3, 5)] for one in colors], dtype=np.uint8)
+    left, right, bottom, top = extent_of(slope_map)
+    sheet = fitted_sheet((left, right), (bottom, top))
+    title, note = "What was measured, and why not the rest", f"{slope_map.measured_share:.2%} of the mirror measured"
+    sheet.title(title, note)
+    _paint(sheet, table[codes], aperture & (codes < 0), aperture)
+    for line in lines:
+        sheet.line(line[:, 0], line[:, 1], FAINT, width=0.7)
+    sheet.axes("x [m]", "y [m]", grid=False)
+    total = int(np.count_nonzero(slope_map.aperture))
+    reasons = [f"{FLAG_TEXTS[flag]}: {counts[flag] / total:.2%}" for flag in order]
+    names = ["measured, no remark", *reasons]
+    entries = [LegendEntry(name, color, "box") for name, color in zip(names, colors, strict=True)]
+    sheet.legend([*entries, LegendEntry("no value, no flag", FAINT, "hatched")])
+    return sheet.html(f"{title}. {note}: {'; '.join(names)}")
+
+
+def correlation_still(names: Sequence[str], matrix: FloatArray, title: str, note: str) -> Html:
+    """Draw the correlations of parameters, from -1 to 1, with their numbers.
+
+    names: Of the parameters.
+    Shapes: matrix (n, n).
+    title, note: Lines over it.
+    """
+    count = len(names)
+    longest = 6.2 * max(len(name) for name in names)
+    left, cell = longest + 20.0, min((WIDTH_PX - longest - 112.0) / count, 40.0)
+    size = cell * count
+    box = (left, 50.0, left + size, 50.0 + size)
+    sheet = Sheet(WIDTH_PX, 62.0 + size + 0.8 * longest, box, (-0.5, count - 0.5), (count - 0.5, -0.5))
+    sheet.title(title, note)
+    index = np.clip(np.nan_to_num(0.5 * (matrix + 1)) * 255 + 0.5, 0, 255).astype(np.uint8)
+    _paint(sheet, color_table(diverging=True)[index], ~np.isfinite(matrix), np.ones(matrix.shape, dtype=bool))
+    font = f"{min(11.0, cell / 2.6):.3g}"
+    for row, column in np.ndindex(matrix.shape):
+        value = float(matrix[row, column])
+        # Numbers that nobody could read are left out.
+        if row == column or cell < 16 or not np.isfinite(value):
+            continue
+        text = f"{value:.2f}".replace("0.", ".").replace("-", "\u2212")
+        x, y = float(sheet.place_x(column)), float(sheet.place_y(row))
+        color = "#fff" if abs(value) > 0.6 else INK
+        sheet.write(x, y + 0.13 * cell, text, text_anchor="middle", font_size=font, fill=color)
+    small = f"{min(11.5, 0.9 * cell):.3g}"
+    for place, name in enumerate(names):
+        x, y = float(sheet.place_x(place)), float(sheet.place_y(place))
+        sheet.write(left - 6, y + 4, name, text_anchor="end", font_size=small)
+        below = box[3] + 12
+        sheet.write(
+            x + 4, below, name, text_anchor="end", font_size=small, transform=f"rotate(-50 {x:.1f} {below:.1f})"
+        )
+    sheet.color_bar(-1.0, 1.0, "", diverging=True)
+    return sheet.html(f"{title}. {note}")
+
+
+def _paint(sheet: Sheet, colors: npt.NDArray[np.uint8], missing: BoolArray, inside: BoolArray) -> None:
+    """Fill the box with the cells of a grid: what has no value is hatched, what does not belong to it white.
+
+    Shapes: colors (ny, nx, 3), missing (ny, nx), inside (ny, nx).
+    """
+    if missing.any():
+        sheet.hatched()
+    picture = np.full((*missing.shape, 4), 255, dtype=np.uint8)
+    picture[..., :3] = np.where(inside[..., None], colors, 255)
+    picture[..., 3] = np.where(missing, 0, 255)
+    # Images begin at the top.
+    is_up = sheet.y_limits[1] > sheet.y_limits[0]
+    sheet.cells(picture[::-1] if is_up else picture, (*sheet.x_limits, *sheet.y_limits))
