@@ -22,8 +22,7 @@ import cv2
 import numpy as np
 from _measure import EXPECTED, import_real_facet
 
-from data_synth.fringes import FringeScene, Knowledge, expected_light, measurement_content, preset_scene
-from data_synth.fringes.knowledge import screen_table
+from data_synth.fringes import FringeScene, Knowledge, expected_light, measurement_content, preset_scene, screen_table
 from deflectometry import Options, load_deflectometry, run
 from deflectometry.setup import make_pattern
 from heliogauge.doubts import Severity

@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from data_synth.fringes.knowledge import Knowledge as Knowledge
     from data_synth.fringes.knowledge import measurement_content as measurement_content
     from data_synth.fringes.knowledge import response_table as response_table
+    from data_synth.fringes.knowledge import screen_table as screen_table
     from data_synth.fringes.presets import preset_scene as preset_scene
     from data_synth.fringes.scene import FringeScene as FringeScene
     from data_synth.fringes.scene import expected_light as expected_light
