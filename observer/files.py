@@ -31,7 +31,7 @@ OVERLAY_PHOTO = "reflection_overlay.jpg"
 NETWORK_FOLDER = "network"
 #: Studies of finished measurements: modules side by side, panels aligned, several orientations.
 OVERVIEW_TABLE, OVERVIEW_MAPS = "overview.csv", "overview.nc"
-ALIGNMENT_OVERLAY, ALIGNMENT_MOVES = "overlay.png", "mounts.png"
+ALIGNMENT_OVERLAY, ALIGNMENT_MOVES = "overlay.svg", "mounts.svg"
 ORIENTATION_PROFILES, ORIENTATION_SAGS, ORIENTATION_CHANGES = "profiles.csv", "sags.csv", "theta_r_change.nc"
 
 #: Columns of a table that says where the absorber is.

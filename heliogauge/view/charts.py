@@ -8,13 +8,14 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import numpy.typing as npt
 
 from heliogauge.errors import InputError
 from heliogauge.reporting.html import Html, show
 from heliogauge.validate import FloatArray
 from heliogauge.view.arrays import PAGE, ArrayStore, reading_step
 from heliogauge.view.markup import view_frame
-from heliogauge.view.stills import WIDTH_PX, Sheet, chart_limits, equal_limits, path_of, side_by_side
+from heliogauge.view.stills import WIDTH_PX, Sheet, chart_limits, equal_limits, jpeg_of, path_of, side_by_side
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -54,6 +55,18 @@ class ChartSeries:
     size_px: float = 1.5
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class ChartImage:
+    """A grey picture behind the series of a chart.
+
+    image (rows, columns): Grey values, from the top.
+    extent: x at its left and right edge, y at its bottom and top edge.
+    """
+
+    image: npt.NDArray[np.uint8]
+    extent: tuple[float, float, float, float]
+
+
 @dataclass(frozen=True, eq=False)
 class ChartView:
     """A chart whose values are read with the pointer.
@@ -66,6 +79,7 @@ class ChartView:
     x_log, y_log: Logarithmic axes.
     x_counts: x numbers things from 1 on: whole ticks, and half a step of room on each side.
     y_down: y grows downwards, as in images.
+    background: A picture behind the series; None: paper.
     figures: Static figures for notebook and print; empty: the chart, drawn here.
     stills: Still pictures that stand for it in notebook and print; empty: drawn here.
     InputError: Lengths of a series do not fit.
@@ -81,6 +95,7 @@ class ChartView:
     y_log: bool = False
     x_counts: bool = False
     y_down: bool = False
+    background: ChartImage | None = None
     figures: "Sequence[Figure]" = field(default=())
     stills: Sequence[Html] = ()
 
@@ -96,7 +111,7 @@ class ChartView:
         """The figures, drawn once."""
         if self.stills:
             return side_by_side(self.stills)
-        return show(*self.figures) if self.figures else side_by_side([self._still()])
+        return show(*self.figures) if self.figures else side_by_side([self.still()])
 
     def _repr_html_(self) -> str:
         return self.static.text
@@ -106,7 +121,11 @@ class ChartView:
         axes = {"equal": self.equal, "x_log": self.x_log, "y_log": self.y_log, "y_down": self.y_down}
         axes["x_counts"] = self.x_counts
         labels = {"name": self.name, "note": self.note, "x_label": self.x_label, "y_label": self.y_label}
-        spec = {**labels, **axes, "series": [self._series_spec(one, store) for one in self.series]}
+        spec: dict[str, Any] = {**labels, **axes, "series": [self._series_spec(one, store) for one in self.series]}
+        if self.background is not None:
+            data = jpeg_of(self.background.image)
+            picture = {"image": store.content(data, "image/jpeg"), "extent": list(self.background.extent)}
+            spec["background"] = picture
         return view_frame("chart", self.name, spec, self.static)
 
     def _series_spec(self, one: ChartSeries, store: ArrayStore) -> dict[str, Any]:
@@ -178,7 +197,12 @@ class ChartView:
             add_legend(axes, loc="best")
         return figure
 
-    def _still(self) -> Html:
+    def still(self) -> Html:
+        """Draw the chart for notebook and print."""
+        return self.sheet().html(f"{self.name}. {self.note}")
+
+    def sheet(self) -> Sheet:
+        """Draw the chart as a picture."""
         height = 380.0
         box = (70.0, 50.0, WIDTH_PX - 16, height - 46)
         reach = [(np.asarray(one.y, dtype=np.float64), one.sigma) for one in self.series]
@@ -189,6 +213,8 @@ class ChartView:
             numbers = np.concatenate([np.asarray(one.x, dtype=np.float64) for one in self.series])
             x_limits = float(numbers.min()) - 0.5, float(numbers.max()) + 0.5
         y_limits = chart_limits([*spans, *based], log=self.y_log)
+        if self.background is not None:
+            x_limits, y_limits = self.background.extent[:2], self.background.extent[2:]
         if self.equal:
             x_limits, y_limits = equal_limits(x_limits, y_limits, box)
         sheet = Sheet(
@@ -202,6 +228,8 @@ class ChartView:
             least_x_step=1.0 if self.x_counts else 0.0,
         )
         sheet.title(self.name, self.note)
+        if self.background is not None:
+            sheet.photo(self.background.image, self.background.extent)
         sheet.axes(self.x_label, self.y_label, grid=True)
         left, top, right, bottom = box
         sheet.add(
@@ -210,7 +238,7 @@ class ChartView:
         sheet.add(f'<g clip-path="url(#b)">{"".join(_drawn(one, sheet) for one in self.series)}</g>')
         if len(self.series) > 1:
             _legend(self.series, sheet)
-        return sheet.html(f"{self.name}. {self.note}")
+        return sheet
 
 
 def _drawn(one: ChartSeries, sheet: Sheet) -> str:

@@ -140,10 +140,14 @@ class MapView:
 
     @cached_property
     def static(self) -> Html:
-        """The figures, drawn once."""
-        if self.stills:
-            return side_by_side(self.stills)
-        return show(*self.figures) if self.figures else side_by_side([self._still(one) for one in self.layers[:2]])
+        """The still pictures, drawn once."""
+        if self.figures:
+            return show(*self.figures)
+        return side_by_side(self.stills or [self._still(one) for one in self.layers[:2]])
+
+    def layer_still(self, key: str) -> Html:
+        """Draw the still picture of one layer."""
+        return self._still(next(layer for layer in self.layers if layer.key == key))
 
     def figure(self, quantity: str | None = None) -> "Figure":
         """Draw one layer.

@@ -51,11 +51,11 @@ class MapPicture:
         """Draw the map in its own proportions."""
         return self.sheet(tallest_px=tallest_px).html(f"{self.title}. {self.note}")
 
-    def sheet(self, *, width: float = WIDTH_PX, tallest_px: float = 480.0) -> Sheet:
+    def sheet(self, *, width: float = WIDTH_PX, tallest_px: float = 480.0, bar: bool = True) -> Sheet:
         """Draw the map in its own proportions, for more to be drawn over it."""
         left, right, bottom, top = self.extent
         sheet = fitted_sheet(
-            (left, right), (top, bottom) if self.y_down else (bottom, top), width=width, tallest_px=tallest_px
+            (left, right), (top, bottom) if self.y_down else (bottom, top), width=width, tallest_px=tallest_px, bar=bar
         )
         sheet.title(self.title, self.note)
         missing = self.aperture & ~np.isfinite(self.values)
@@ -65,7 +65,8 @@ class MapPicture:
         for line in self.lines:
             sheet.line(line[:, 0], line[:, 1], FAINT, width=0.7)
         sheet.axes(f"x [{self.axis_unit}]", f"y [{self.axis_unit}]", grid=False)
-        sheet.color_bar(self.low, self.high, self.unit, diverging=self.diverging)
+        if bar:
+            sheet.color_bar(self.low, self.high, self.unit, diverging=self.diverging)
         return sheet
 
 

@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from heliogauge.reporting.html import Html
 from heliogauge.reporting.look import FAINT, INK, MISSING, MISSING_HATCH
-from heliogauge.validate import FloatArray
+from heliogauge.validate import BoolArray, FloatArray
 
 #: Two stills side by side fill a page of 1160 px; one of the other width stands alone.
 WIDTH_PX = 576.0
@@ -36,6 +36,11 @@ _HATCH = (
     '<pattern id="h" width="7" height="7" patternUnits="userSpaceOnUse" patternTransform="rotate(45)">'
     f'<rect width="7" height="7" fill="{MISSING}"/><path d="M0,0V7" stroke="{MISSING_HATCH}" '
     'stroke-width="1.6"/></pattern>'
+)
+#: What has a value that is to be doubted.
+_STRIPES = (
+    '<pattern id="t" width="7" height="7" patternUnits="userSpaceOnUse" patternTransform="rotate(45)">'
+    f'<path d="M0,0V7" stroke="{INK}" stroke-width="1.6"/></pattern>'
 )
 #: Dots and vertices of lines beyond this number are drawn as an image: 4000 take 60 kB as text.
 _MOST_DRAWN = 4000
@@ -230,9 +235,7 @@ class Sheet:
         image (rows, columns) or (rows, columns, 3): Grey or RGB, from the top.
         extent: Values at its left, right, bottom and top edge.
         """
-        ordered = image if image.ndim == 2 else np.ascontiguousarray(image[:, :, ::-1])
-        _, data = cv2.imencode(".jpg", ordered, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
-        self.inside(self._image("jpeg", data.tobytes(), extent))
+        self.inside(self._image("jpeg", jpeg_of(image), extent))
 
     def cells(self, rgba: npt.NDArray[np.uint8], extent: tuple[float, float, float, float]) -> None:
         """Draw coloured cells with sharp edges.
@@ -249,6 +252,25 @@ class Sheet:
             f'{_HATCH}<rect x="{left:.1f}" y="{top:.1f}" width="{right - left:.1f}" height="{bottom - top:.1f}" '
             'fill="url(#h)"/>'
         )
+
+    def hatch(self, cells: BoolArray) -> None:
+        """Draw stripes over some cells of a grid that fills the box, whatever lies under them.
+
+        cells (rows, columns): Which; the first row is the lowest where y grows upwards.
+        """
+        rows, columns = cells.shape
+        left, top, right, bottom = self.box
+        wide, tall = (right - left) / columns, (bottom - top) / rows
+        drawn = cells[::-1] if self.y_limits[1] > self.y_limits[0] else cells
+        areas = []
+        for row, line in enumerate(drawn):
+            # One area for neighbours in a row.
+            ends = np.flatnonzero(np.diff(np.concatenate([[0], line.astype(np.int8), [0]])))
+            for first, end in ends.reshape(-1, 2).tolist():
+                x, y = left + first * wide, top + row * tall
+                areas.append(f"M{x:.1f},{y:.1f}h{(end - first) * wide:.1f}v{tall:.1f}h{-(end - first) * wide:.1f}Z")
+        if areas:
+            self.add(f'{_STRIPES}<path d="{"".join(areas)}" fill="url(#t)"/>')
 
     def color_bar(self, low: float, high: float, unit: str, *, diverging: bool) -> None:
         """Draw the colours beside the box, with their values.
@@ -400,6 +422,17 @@ def fitted_sheet(
     height = max(across * share, lowest_px)
     left = 58 + 0.5 * (room - across)
     return Sheet(width, height + 96, (left, 48.0, left + across, 48.0 + height), x_limits, y_limits)
+
+
+def jpeg_of(image: npt.NDArray[np.uint8]) -> bytes:
+    """Return a grey or RGB picture as a JPEG file.
+
+    image (rows, columns) or (rows, columns, 3): From the top.
+    """
+    # OpenCV writes blue, green, red.
+    ordered = image if image.ndim == 2 else np.ascontiguousarray(image[:, :, ::-1])
+    _, data = cv2.imencode(".jpg", ordered, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
+    return data.tobytes()
 
 
 def side_by_side(pictures: Sequence[Html], *, caption: str = "") -> Html:

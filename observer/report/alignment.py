@@ -14,8 +14,9 @@ from heliogauge.reporting.verdict import verdict_of
 from heliogauge.results.folder import Summary, read_summary, read_table_csv
 from heliogauge.validate import FloatArray
 from heliogauge.view.maps import MapLayer, MapView
+from heliogauge.view.stills import side_by_side
 from observer.files import ALIGNMENT_OVERLAY, COLLECTOR, read_collector
-from observer.report.figures_alignment import moves_figure
+from observer.report.figures_alignment import moves_sheet
 from observer.report.lines import listed
 from observer.report.maps import panel_lines
 from observer.report.results import Columns, numbers
@@ -56,7 +57,7 @@ def open_alignment(folder: str | Path = ".") -> AlignmentResults:
 
 
 def panels_view(results: AlignmentResults) -> MapView:
-    """Return the mean angles of the panels as a map; its static figure has the moves of the mounts."""
+    """Return the mean angles of the panels as a map."""
     collector = results.collector
     edges = collector.panel_edges_x_m, collector.panel_edges_y_m
     x, y = (np.linspace(one[0], one[-1], _NODES) for one in edges)
@@ -76,9 +77,6 @@ def panels_view(results: AlignmentResults) -> MapView:
         for name, words in (("theta_ra", "to the absorber as it is"), ("theta_r", "to the design's focal line"))
         if np.isfinite(values := spread(f"{name}_rad")).any() or name == "theta_ra"
     )
-    mounts, tilts = results.mounts, numbers(results.panels, "theta_ra_rad")
-    places = np.stack([numbers(mounts, "x_m"), numbers(mounts, "y_m")], axis=1)
-    moves = tuple(1e-3 * numbers(mounts, name) for name in ("move_mm", "sigma_move_mm"))
     return MapView(
         "Panels",
         x,
@@ -88,7 +86,6 @@ def panels_view(results: AlignmentResults) -> MapView:
         np.ones(panel.shape, np.bool_),
         note="Grey: less than half of the panel is measured, no prescription.",
         lines=panel_lines(collector),
-        figures=[moves_figure(collector, tilts, places, (moves[0], moves[1]))],
     )
 
 
@@ -112,12 +109,16 @@ def doubts(results: AlignmentResults) -> Html:
 def moves(results: AlignmentResults) -> Html:
     """Return how far each mount is to be moved."""
     note = (
-        "Moves along the mirror's normal, positive towards the absorber; a panel turns about its middle. Colours of "
-        "the map: mean theta_ra of each panel, positive where its normal is turned towards +x. Move to design is for "
-        "the design's focal line instead of the absorber as it is."
+        "Moves along the mirror's normal, positive towards the absorber; a panel turns about its middle. Colours: mean "
+        "theta_ra of each panel, positive where its normal is turned towards +x. Move to design is for the design's "
+        "focal line instead of the absorber as it is."
     )
-    caption = Html(f'<p class="caption">{html.escape(note)}</p>')
-    return join(caption, listed(results.panels, "panels"), listed(results.mounts, "mounts"))
+    mounts = results.mounts
+    places = np.stack([numbers(mounts, "x_m"), numbers(mounts, "y_m")], axis=1)
+    moved, sigma = (1e-3 * numbers(mounts, name) for name in ("move_mm", "sigma_move_mm"))
+    sheet = moves_sheet(results.collector, numbers(results.panels, "theta_ra_rad"), places, (moved, sigma))
+    picture = side_by_side([sheet.html("Panels with the move of each mount")], caption=note)
+    return join(picture, listed(results.panels, "panels"), listed(results.mounts, "mounts"))
 
 
 def overlay(results: AlignmentResults) -> Html:
@@ -138,5 +139,5 @@ def inputs(results: AlignmentResults) -> Html:
 def _image(path: Path, note: str) -> Html:
     data = base64.b64encode(read_regular(path)).decode("ascii")
     words = html.escape(note, quote=True)
-    image = Html(f'<figure class="wide"><img alt="{words}" src="data:image/png;base64,{data}"></figure>')
+    image = Html(f'<figure class="wide"><img alt="{words}" src="data:image/svg+xml;base64,{data}"></figure>')
     return join(wrap('<div class="figures">', [image], "</div>"), Html(f'<p class="caption">{html.escape(note)}</p>'))

@@ -7,24 +7,23 @@ from pathlib import Path
 import numpy as np
 
 from heliogauge.reporting import page
-from heliogauge.reporting.canvas import robust_limit
-from heliogauge.reporting.html import FirstScreen, Html, join, show, table
+from heliogauge.reporting.html import FirstScreen, Html, beside, join, table
+from heliogauge.reporting.look import robust_limit
 from heliogauge.reporting.notation import number_text
 from heliogauge.reporting.verdict import verdict_of
 from heliogauge.results.arrays import read_arrays
 from heliogauge.results.folder import Summary, read_summary, read_table_csv
-from heliogauge.view.charts import ChartSeries, ChartView
 from heliogauge.view.maps import MapLayer, MapView
 from heliogauge.view.tables import TableColumn, TableView
 from observer.files import COLLECTOR, ORIENTATION_CHANGES, ORIENTATION_PROFILES, ORIENTATION_SAGS, read_collector
 from observer.product.orientation_study import SpanSags
-from observer.report.figures_modules import CHANGES_TITLE, OneMap, maps_figure
-from observer.report.figures_orientation import COLORS, Profile, orientation_figure
+from observer.report.figures_modules import CHANGES_TITLE, OneMap, maps_sheet
 from observer.report.maps import panel_lines
+from observer.report.orientations import Profile, orientation_views, profile_view
 from observer.report.results import Columns, numbers
 from observer.trough.collector import Collector
 
-_MM, _MRAD = 1e3, 1e3
+_MRAD = 1e3
 _CHANGES = ("theta_r_change", "sigma_theta_r_change")
 
 
@@ -92,7 +91,7 @@ def head(results: StudyResults) -> FirstScreen:
             rows.append((f"theta_r changed, RMS: {name}", number_text(values[0], None, "rad"), noise))
     missing = [] if results.by_weight["from_y_m"] else ["no span was measured at two orientations"]
     line = f"one trough at {len(results.profiles)} orientations; heliogauge {summary.version}"
-    view = change_view(results) or profile_view(results)
+    view = change_view(results) or profile_view(results.profiles, "z")
     return page.first_screen(summary.name, line, verdict_of(summary, missing), rows, view)
 
 
@@ -124,19 +123,8 @@ def change_view(results: StudyResults) -> MapView | None:
         np.ones(shape, np.bool_),
         note=note,
         lines=panel_lines(results.collector),
-        figures=[maps_figure(results.changes, CHANGES_TITLE)],
+        stills=[maps_sheet(results.changes, CHANGES_TITLE).html(CHANGES_TITLE)],
     )
-
-
-def profile_view(results: StudyResults) -> ChartView:
-    """Return Z_a along the trough at all orientations, from the mean of all."""
-    mean = float(np.nanmean(np.concatenate([one.z_m for one in results.profiles])))
-    series = tuple(
-        ChartSeries(one.label, one.y_m, _MM * (one.z_m - mean), color, sigma=_MM * np.nan_to_num(one.sigma_z_m))
-        for one, color in zip(results.profiles, np.resize(COLORS, len(results.profiles)).tolist(), strict=True)
-    )
-    words = f"from {mean:.4f} m, the mean of all; + away from the mirror"
-    return ChartView("Absorber along the optical axis", "y along the trough [m]", "z [mm]", series, words)
 
 
 def weight(results: StudyResults) -> Html:
@@ -164,7 +152,8 @@ def absorber(results: StudyResults) -> Html:
         "X_a and Z_a as in each result's own report, in the collector's frame, which turns with it. The sag of a span "
         "is the distance of its middle from the middle between its supports; by weight it turns as (sin t, -cos t)."
     )
-    return join(show(orientation_figure(results.profiles, results.sags), caption=note), _orientations(results))
+    shown = beside(*orientation_views(results.profiles, results.sags))
+    return join(shown, Html(f'<p class="caption">{note}</p>'), _orientations(results))
 
 
 def _orientations(results: StudyResults) -> TableView:

@@ -4,8 +4,8 @@ from typing import Protocol
 
 import numpy as np
 
-from heliogauge.reporting.canvas import FAINT, INK, LINE_X, LINE_Y
 from heliogauge.reporting.html import Html, beside, join, table
+from heliogauge.reporting.look import FAINT, INK, LINE_X, LINE_Y
 from heliogauge.reporting.notation import number_text
 from heliogauge.validate import FloatArray
 from heliogauge.view.charts import ChartSeries, ChartView, Mark

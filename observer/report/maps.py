@@ -1,28 +1,17 @@
 """Maps of a trough in its report: angles, uncertainty and what was not measured."""
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
-from heliogauge.reporting.canvas import (
-    FAINT,
-    INK,
-    LINE_X,
-    LINE_Y,
-    MapStyle,
-    map_figure,
-    robust_limit,
-)
-from heliogauge.reporting.html import Html, join, show, table
+from heliogauge.reporting.html import Html, join, table
+from heliogauge.reporting.look import INK, LINE_X, LINE_Y, robust_limit
 from heliogauge.reporting.uncertainty import uncertainty_shares
 from heliogauge.validate import FloatArray
 from heliogauge.view.charts import ChartSeries, ChartView, Mark
 from heliogauge.view.maps import MapLayer, MapView, Removals, slope_removals
+from heliogauge.view.still_maps import flag_still
+from heliogauge.view.stills import side_by_side
 from observer.report.results import TroughResults
 from observer.trough.collector import Collector
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 _MRAD = 1e3
 #: What the angles are of, by their names in angles.nc.
@@ -85,39 +74,29 @@ def mirror_view(results: TroughResults) -> MapView:
         removals,
         "Positive where the mirror's normal is turned towards +x. Grey: not measured.",
         lines=panel_lines(results.collector),
-        figures=[first_figure(results)],
+        stills=[] if valid.any() else [_reasons(results)],
     )
 
 
-def first_figure(results: TroughResults) -> "Figure":
-    """Draw the mirror's slope error, or why there is none."""
-    from heliogauge.reporting.flag_figure import flag_map
-
-    if results.base.slope_map.valid.any():
-        return theta_r_map(results, _limit(results))
-    return with_panels(flag_map(results.base.slope_map), results.collector)
+def _reasons(results: TroughResults) -> Html:
+    """Draw why parts of the mirror have no value."""
+    return flag_still(results.base.slope_map, panel_lines(results.collector))
 
 
 def maps(results: TroughResults) -> Html:
     """Return the maps beside the first one, the distribution of the angles, and where their uncertainty comes from."""
-    from heliogauge.reporting.flag_figure import flag_map
-
     slope_map = results.base.slope_map
     if not slope_map.valid.any():
         return Html("<p>No point of the mirror was measured.</p>")
-    drawn = [
-        _angle_map(results, "theta_ra", _limit(results)),
-        _angle_map(results, "theta_a", None),
-        _sigma_map(results, "theta_r"),
-        with_panels(flag_map(slope_map), results.collector),
-    ]
+    view = mirror_view(results)
+    drawn = [*map(view.layer_still, ("theta_a", "sigma_theta_r")), _reasons(results)]
     note = (
         'What the sun meets is theta_ra = theta_r + theta_a, all across the trough. "+ to +x": positive where the '
         "mirror's normal is turned towards +x. "
         "slope_map.nc holds dz/dx, whose sign is the opposite: theta_r = atan(design slope) - atan(measured slope). "
-        "Thin lines: edges of the panels; dashed lines: receiver supports."
+        "Thin lines: edges of the panels and receiver supports."
     )
-    return show(*drawn, caption=note)
+    return side_by_side(drawn, caption=note)
 
 
 def spread(results: TroughResults) -> Html:
@@ -137,28 +116,6 @@ def _shares(results: TroughResults) -> Html:
     shares = uncertainty_shares(results.base.slope_map)
     rows = [(name, f"{_MRAD * across:.4f} mrad") for name, (across, _) in shares.items()]
     return table(("uncertainty of theta_r, RMS over the mirror", "1 sigma"), rows, numbers=(1,))
-
-
-def theta_r_map(results: TroughResults, limit: float | None = None) -> "Figure":
-    """Draw the mirror's slope error.
-
-    limit: Where the colours end [mrad].
-    """
-    return _angle_map(results, "theta_r", limit)
-
-
-def _angle_map(results: TroughResults, name: str, limit: float | None) -> "Figure":
-    values = np.where(results.base.slope_map.valid, results.angles[name], np.nan)
-    title = f"{name} (+ to +x): {_ANGLES[name]}"
-    note = f"RMS {_MRAD * _rms(values):.3f}, mean {_MRAD * float(np.nanmean(values)):+.3f} mrad"
-    return _panelled(results, values, MapStyle(title, "mrad", _MRAD, limit=limit, note=note))
-
-
-def _sigma_map(results: TroughResults, angle: str) -> "Figure":
-    values = np.where(results.base.slope_map.valid, results.angles[f"sigma_{angle}"], np.nan)
-    note = f"median {_MRAD * float(np.nanmedian(values)):.3f} mrad"
-    style = MapStyle(f"Uncertainty of {angle} (1 sigma)", "mrad", _MRAD, diverging=False, note=note)
-    return _panelled(results, values, style)
 
 
 def histogram(results: TroughResults) -> ChartView:
@@ -185,10 +142,6 @@ def histogram(results: TroughResults) -> ChartView:
     )
 
 
-def _panelled(results: TroughResults, values: FloatArray, style: MapStyle) -> "Figure":
-    return with_panels(map_figure(results.base.slope_map, values, style), results.collector)
-
-
 def panel_lines(collector: Collector) -> tuple[FloatArray, ...]:
     """Return the edges between panels and the supports as lines on the mirror, of shape (2, 2) each [m]."""
     x, y = collector.panel_edges_x_m, collector.panel_edges_y_m
@@ -196,21 +149,5 @@ def panel_lines(collector: Collector) -> tuple[FloatArray, ...]:
     return (*(np.array([[one, y[0]], [one, y[-1]]]) for one in x[1:-1]), *across)
 
 
-def with_panels(figure: "Figure", collector: Collector) -> "Figure":
-    """Draw edges between panels, and supports, over a map."""
-    axes = figure.axes[0]
-    for x in collector.panel_edges_x_m[1:-1]:
-        axes.axvline(x, color=FAINT, linewidth=0.5, zorder=5)
-    for y in collector.panel_edges_y_m[1:-1]:
-        axes.axhline(y, color=FAINT, linewidth=0.5, zorder=5)
-    for y in _inner_supports(collector):
-        axes.axhline(y, color=FAINT, linewidth=0.8, linestyle=(0, (6, 3)), zorder=5)
-    return figure
-
-
 def _inner_supports(collector: Collector) -> list[float]:
     return [float(y) for y in collector.support_y_m if abs(y) < collector.length_m / 2 - 0.01]
-
-
-def _rms(values: FloatArray) -> float:
-    return float(np.sqrt(np.nanmean(values**2)))

@@ -1,25 +1,31 @@
 """Sections of the report of several modules; each is one cell of its notebook."""
 
+import html
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from heliogauge.reporting import page
-from heliogauge.reporting.canvas import LINE_X, robust_limit
-from heliogauge.reporting.html import FirstScreen, Html, beside, join, show
+from heliogauge.reporting.html import FirstScreen, Html, beside, join
+from heliogauge.reporting.look import LINE_X, robust_limit
 from heliogauge.reporting.notation import number_text
 from heliogauge.reporting.verdict import SMALLEST_HOLE_SHARE, verdict_of
 from heliogauge.results.folder import Summary, read_summary, read_table_csv
 from heliogauge.validate import FloatArray
 from heliogauge.view.charts import ChartSeries, ChartView, Mark
 from heliogauge.view.maps import MapLayer, MapView
+from heliogauge.view.stills import side_by_side
 from heliogauge.view.tables import TableColumn, TableView
 from observer.files import OVERVIEW_MAPS, OVERVIEW_TABLE, ModuleMap, read_maps
-from observer.report.figures_modules import modules_figure
+from observer.report.figures_modules import maps_sheet, module_angle
 from observer.report.sections import numbers_table
 
 _MRAD = 1e3
+_TITLES = {
+    "theta_ra": "theta_ra: mirror and absorber, what the sun meets",
+    "theta_r": "theta_r without its mean: mirror alone",
+}
 #: Columns of the table of modules, and what they are called there.
 _COLUMNS = (
     ("rms_theta_r_rad", "theta_r RMS", "rad"),
@@ -95,8 +101,20 @@ def head(results: OverviewResults) -> FirstScreen:
 
 def first_view(results: OverviewResults) -> MapView | ChartView:
     """Return the maps of the modules with the largest errors; numbers where there are no maps on one grid."""
-    still = [modules_figure(results.maps, "theta_r")] if results.maps else []
-    maps_, first = list(results.maps), results.maps[0] if results.maps else None
+    view = module_view(results, "theta_r")
+    if view is not None:
+        return view
+    chart = _chart(results, *_CHARTS[0])
+    return replace(chart, stills=[_still(results, "theta_r")]) if results.maps else chart
+
+
+def module_view(results: OverviewResults, angle: str) -> MapView | None:
+    """Return one angle of the modules with the largest errors as maps; None where there are none on one grid.
+
+    angle: "theta_ra", or "theta_r", which is shown without each module's mean.
+    """
+    maps_ = [module_angle(one, angle) for one in results.maps]
+    first = maps_[0] if maps_ else None
     if first is None or any(
         one.x_m.shape != first.x_m.shape
         or one.y_m.shape != first.y_m.shape
@@ -104,21 +122,27 @@ def first_view(results: OverviewResults) -> MapView | ChartView:
         or not np.allclose(one.y_m, first.y_m)
         for one in maps_
     ):
-        return replace(_chart(results, *_CHARTS[0]), figures=still)
-    fields = {one.name: one.theta_r_rad - _mean(one.theta_r_rad) for one in maps_}
-    shown = sorted(fields, key=lambda name: -_mean(fields[name] ** 2))[:_MOST_MAPS]
-    limit = robust_limit(*(_MRAD * one for one in fields.values()))
+        return None
+    shown = sorted(maps_, key=lambda one: -_mean(one.angle_rad**2))[:_MOST_MAPS]
+    limit = robust_limit(*(_MRAD * one.angle_rad for one in maps_))
+    words = " without its mean" if angle == "theta_r" else ""
     layers = tuple(
-        MapLayer(name, f"{name}: theta_r without its mean", "mrad", fields[name], _MRAD, limit=limit)
-        for name in fields
-        if name in shown
+        MapLayer(one.name, f"{one.name}: {angle}{words}", "mrad", one.angle_rad, _MRAD, limit=limit)
+        for one in maps_
+        if one in shown
     )
     note = "Positive where the mirror's normal is turned towards +x. Grey: not measured."
-    if len(shown) < len(fields):
+    if len(shown) < len(maps_):
         note += f" The {len(shown)} modules with the largest errors."
-    shape = fields[first.name].shape
-    flags, aperture = np.zeros(shape, np.uint32), np.ones(shape, np.bool_)
-    return MapView("Modules", first.x_m, first.y_m, layers, flags, aperture, note=note, figures=still)
+    flags = np.zeros(first.angle_rad.shape, np.uint32)
+    still = [_still(results, angle)]
+    return MapView(_TITLES[angle], first.x_m, first.y_m, layers, flags, first.aperture, note=note, stills=still)
+
+
+def _still(results: OverviewResults, angle: str) -> Html:
+    """Draw one angle of all modules beside each other."""
+    maps_ = [module_angle(one, angle) for one in results.maps]
+    return maps_sheet(maps_, _TITLES[angle]).html(_TITLES[angle])
 
 
 def _mean(values: FloatArray) -> float:
@@ -189,7 +213,8 @@ def maps(results: OverviewResults) -> Html:
         "Each module in its own frame: x across the aperture, y along the trough, seen from the front. Positive where "
         "the mirror's normal is turned towards +x. Grey and hatched: not measured; the module's own report says why."
     )
-    return show(modules_figure(results.maps, "theta_ra"), caption=note)
+    caption = Html(f'<p class="caption">{html.escape(note)}</p>')
+    return join(module_view(results, "theta_ra") or side_by_side([_still(results, "theta_ra")]), caption)
 
 
 def making(results: OverviewResults) -> Html:

@@ -1,36 +1,23 @@
 """What the camera saw, in a trough's report: photos with what was found, slices of the mirror through all of them."""
 
 from collections import defaultdict
-from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 import numpy.typing as npt
 
 from heliogauge.images.thumbnails import decode_thumbnail
-from heliogauge.reporting.canvas import (
-    FAINT,
-    INK,
-    LINE_X,
-    WIDTH_IN,
-    add_legend,
-    add_title,
-    axes_in_inches,
-    chart_figure,
-    new_figure,
-)
-from heliogauge.reporting.html import Html, beside, join, show
+from heliogauge.reporting.html import Html, beside, join
+from heliogauge.reporting.look import FAINT, INK, LINE_X
 from heliogauge.results.folder import read_table_csv
 from heliogauge.results.thumbnails import read_thumbnails
 from heliogauge.validate import BoolArray, FloatArray
-from heliogauge.view.charts import ChartSeries, ChartView, Mark
+from heliogauge.view.charts import ChartImage, ChartSeries, ChartView, Mark
+from heliogauge.view.contours import zero_lines
 from heliogauge.view.photos import Photo, PhotoLines, PhotoMarks, PhotoView
 from observer.files import NETWORK_FOLDER, OVERLAY, StoredOverlay, read_overlay
 from observer.report.results import TroughResults, numbers
 from observer.report.scene import mirror_lines
 from observer.selection.edge_refusal import FATE_TEXTS, EdgeFate
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 _MRAD = 1e3
 #: Colours that stay apart from grey brightness and from each other.
@@ -38,8 +25,9 @@ _DESIGN, _MEASURED = "#ffb000", "#00b7eb"
 _LOWER, _UPPER, _REJECTED = "#00b7eb", "#ffb000", "#e4572e"
 #: Edges shown in one photo; a flight of 500 photos has 100,000.
 _MOST_EDGES = 600
-_HEIGHT_IN = 4.4
-_TALLEST_IN = 6.5
+#: Pixels of a slice in the page: as many as a chart has, and the grey of what a photo does not show.
+_MOST_COLUMNS, _MOST_ROWS = 500, 400
+_NOT_SEEN = 201
 
 
 def photos(results: TroughResults) -> Html:
@@ -52,8 +40,8 @@ def photos(results: TroughResults) -> Html:
         return Html("<p>The folder holds no photo.</p>")
     note = (
         "Dark or bright band: the absorber as the mirror shows it. Where the two outlines of the first photo part, "
-        "mirror or absorber are not as designed; where the solid one leaves the band, the result would be wrong. Gaps "
-        "in the solid outline: not measured. In the other photos: edges of the band that were found, and targets with "
+        "mirror or absorber are not as designed; where the measured one leaves the band, the result would be wrong. "
+        "Gaps in it: not measured. In the other photos: edges of the band that were found, and targets with "
         "what remains of their places."
     )
     return join(view, Html(f'<p class="caption">{note}</p>'))
@@ -62,8 +50,7 @@ def photos(results: TroughResults) -> Html:
 def photo_view(results: TroughResults) -> PhotoView | None:
     """Return the photos as a view, the one with outlines first; None without any."""
     found = []
-    has_overlay = (results.base.folder / OVERLAY).is_file()
-    if has_overlay:
+    if (results.base.folder / OVERLAY).is_file():
         found.append(_outlined(read_overlay(results.base.folder)))
     thumbnails = read_thumbnails(results.base.folder / NETWORK_FOLDER, results.photos)
     if thumbnails:
@@ -76,23 +63,19 @@ def photo_view(results: TroughResults) -> PhotoView | None:
             found.append(_with_marks(results, name, image, marks))
     if not found:
         return None
-    figures = [overlay_figure(results)] if has_overlay else []
-    return PhotoView("Photos with what was found in them", tuple(found), figures)
+    return PhotoView("Photos with what was found in them", tuple(found))
 
 
 def _outlined(stored: StoredOverlay) -> Photo:
     """Return the photo that gave most edges with the outlines of the reflection, predicted and as measured."""
-    from contourpy import contour_generator
-
     rows, columns = stored.image.shape
     lines = []
     for kind, color, words in (
         ("design", _DESIGN, "mirror and absorber as designed"),
         ("measured", _MEASURED, "mirror and absorber as measured"),
     ):
-        nodes = np.ma.masked_invalid(stored.nodes[f"beside_{kind}"])
-        found = contour_generator(stored.nodes["x_px"], stored.nodes["y_px"], nodes).lines(0.0)
-        lines.append(PhotoLines(words, [np.asarray(line, dtype=np.float64) for line in found], color))
+        found = zero_lines(stored.nodes["x_px"], stored.nodes["y_px"], stored.nodes[f"beside_{kind}"])
+        lines.append(PhotoLines(words, found, color))
     note = "part of the photo; lines: where the reflected line of sight touches the tube"
     return Photo(f"{stored.photo}, outlines", columns, rows, stored.image, lines=tuple(lines), note=note)
 
@@ -194,47 +177,13 @@ def _refused_targets(results: TroughResults) -> dict[str, list[PhotoMarks]]:
     }
 
 
-def overlay_figure(results: TroughResults) -> "Figure":
-    """Draw the photo that gave most edges with both outlines."""
-    from matplotlib.lines import Line2D
-
-    image, nodes, name = read_overlay(results.base.folder)
-    rows, columns = image.shape
-    width = 2 * WIDTH_IN - 0.2
-    height = width * rows / columns
-    if height > _TALLEST_IN:
-        width, height = _TALLEST_IN * columns / rows, _TALLEST_IN
-    figure = new_figure(height + 0.95, 2 * WIDTH_IN)
-    axes = axes_in_inches(figure, (2 * WIDTH_IN - width) / 2, 0.1, width, height)
-    axes.imshow(image, cmap="gray", vmin=0, vmax=255, interpolation="antialiased")
-    kinds: tuple[tuple[str, str, Literal["--", "-"], str], ...] = (
-        ("design", _DESIGN, "--", "mirror and absorber as designed"),
-        ("measured", _MEASURED, "-", "mirror and absorber as measured"),
-    )
-    for kind, color, style, _ in kinds:
-        beside = np.ma.masked_invalid(nodes[f"beside_{kind}"])
-        axes.contour(nodes["x_px"], nodes["y_px"], beside, levels=[0.0], colors=color, linewidths=1.1, linestyles=style)
-    axes.set_xlim(-0.5, columns - 0.5)
-    axes.set_ylim(rows - 0.5, -0.5)
-    axes.set(xticks=[], yticks=[])
-    lines = [Line2D([], [], color=color, linestyle=style, label=label) for _, color, style, label in kinds]
-    legend_axes = axes_in_inches(figure, 0.05, height + 0.08, 2 * WIDTH_IN - 0.1, 0.32)
-    legend_axes.set_axis_off()
-    legend_axes.legend(handles=lines, loc="center left", ncols=2, fontsize=8, frameon=False, labelcolor=INK)
-    legend_axes.patch.set_alpha(0.0)
-    note = "lines: where the reflected line of sight touches the tube"
-    add_title(figure, f"The absorber's reflection in {name}", note)
-    return figure
-
-
 def slices(results: TroughResults) -> Html:
     """Return slices of the mirror through all photos, and what each edge says of the angle there.
 
-    Returns: Figure and chart of each slice.
+    Returns: Two charts of each slice.
     """
     drawn = [
-        beside(show(slice_figure(results, number)), angle_view(results, number))
-        for number in range(len(results.slices.y_m))
+        beside(slice_view(results, number), angle_view(results, number)) for number in range(len(results.slices.y_m))
     ]
     note = (
         "Left: one row of the mirror in every photo, one photo above the other; the band is the absorber's reflection, "
@@ -244,50 +193,63 @@ def slices(results: TroughResults) -> Html:
     return join(*drawn, Html(f'<p class="caption">{note}</p>'))
 
 
-def slice_figure(results: TroughResults, number: int) -> "Figure":
-    """Draw one row of the mirror in all photos with the edges that were found.
+def slice_view(results: TroughResults, number: int) -> ChartView:
+    """Return one row of the mirror in all photos with the edges that were found.
 
     Returns: Brightness over place across the mirror and place of the camera.
     """
-    stored = results.slices
+    stored, edges = results.slices, results.edges
     order = np.argsort(stored.eyes_m[:, 0], kind="stable")
     camera = stored.eyes_m[order, 0]
-    brightness = np.ma.masked_equal(stored.brightness[number][order], 0)
-    figure, axes = chart_figure(
-        f"The absorber's reflection at y = {stored.y_m[number]:.2f} m",
-        f"{camera.size} photos; brightness, and edges that were found",
-        "x on the mirror [m]",
-        "camera, x [m]",
-        _HEIGHT_IN,
-    )
-    axes.grid(visible=False)
-    axes.set_facecolor("#c9cdd2")
-    high = float(np.percentile(brightness.compressed(), 99.5)) if brightness.count() else 255.0
-    axes.pcolormesh(_borders(stored.x_m), _borders(camera), brightness, cmap="gray", vmin=0, vmax=high, rasterized=True)
-    edges = results.edges
     here = _in_row(results, float(stored.y_m[number]))
     place = results.eyes_m[edges.photo, 0]
     kinds = (
-        ("lower edge", edges.used & (edges.side < 0), _LOWER, "."),
-        ("upper edge", edges.used & (edges.side > 0), _UPPER, "."),
-        ("not used", ~edges.used, _REJECTED, "x"),
+        ("lower edge", edges.used & (edges.side < 0), _LOWER),
+        ("upper edge", edges.used & (edges.side > 0), _UPPER),
+        ("not used", ~edges.used, _REJECTED),
     )
-    for label, chosen, color, marker in kinds:
+    series = []
+    for words, chosen, color in kinds:
         own = here & chosen
-        axes.plot(
-            edges.x_m[own],
-            place[own],
-            marker,
-            color=color,
-            markersize=2.2,
-            linestyle="none",
-            label=f"{label} ({int(own.sum())})",
-            markeredgewidth=0.6,
-        )
-    axes.set_xlim(stored.x_m[0], stored.x_m[-1])
-    # The reflection runs from the lower left to the upper right, whatever the mirror.
-    add_legend(axes, loc="lower right", markerscale=3)
-    return figure
+        if own.any():
+            labels = [_edge_label(results, row) for row in np.flatnonzero(own).tolist()]
+            name = f"{words} ({int(own.sum())})"
+            series.append(ChartSeries(name, edges.x_m[own], place[own], color, Mark.POINTS, labels=labels, size_px=2.5))
+    return ChartView(
+        f"The absorber's reflection at y = {stored.y_m[number]:.2f} m",
+        "x on the mirror [m]",
+        "camera, x [m]",
+        tuple(series),
+        f"{camera.size} photos; brightness, and edges that were found",
+        background=_brightness(stored.brightness[number][order], stored.x_m, camera),
+    )
+
+
+def _edge_label(results: TroughResults, row: int) -> str:
+    edges = results.edges
+    photo = results.photos[edges.photo[row]]
+    if not edges.used[row]:
+        return f"{photo}: {FATE_TEXTS[EdgeFate[str(edges.fate[row]).upper()]]}"
+    return f"{photo}: residual {_MRAD * edges.residual_rad[row]:+.3f} mrad"
+
+
+def _brightness(rows: npt.NDArray[np.uint8], x_m: FloatArray, camera_m: FloatArray) -> ChartImage:
+    """Return the rows of a slice, one above the other at the places of their cameras.
+
+    rows (n, m): Brightness; zero where the photo does not show the mirror.
+    camera_m (n,): Ascending.
+    """
+    across, along = _borders(x_m), _borders(camera_m)
+    shown = rows[:, :: max(1, rows.shape[1] // _MOST_COLUMNS)]
+    height = min(4 * camera_m.size, _MOST_ROWS)
+    middles = along[0] + (np.arange(height) + 0.5) / height * (along[-1] - along[0])
+    picture = shown[np.clip(np.searchsorted(along, middles, "right") - 1, 0, camera_m.size - 1)]
+    seen = picture[picture > 0]
+    high = float(np.percentile(seen, 99.5)) if seen.size else 255.0
+    grey = np.clip(255 / max(high, 1.0) * picture.astype(np.float64), 0, 255)
+    # From the top, where the camera is farthest along x.
+    image = np.where(picture > 0, grey, _NOT_SEEN)[::-1].astype(np.uint8)
+    return ChartImage(image, (float(across[0]), float(across[-1]), float(along[0]), float(along[-1])))
 
 
 def angle_view(results: TroughResults, number: int) -> ChartView:

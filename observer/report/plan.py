@@ -1,22 +1,23 @@
 """Sections of the report of a planned pass; each is one cell of its notebook."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from heliogauge.reporting import page
-from heliogauge.reporting.canvas import FAINT, INK, LINE_X, LINE_Y
-from heliogauge.reporting.html import FirstScreen, Html, beside, join, show, table, wrap
+from heliogauge.reporting.html import FirstScreen, Html, beside, join, table, wrap
+from heliogauge.reporting.look import FAINT, INK, LINE_X, LINE_Y
 from heliogauge.reporting.results import Results, open_results
 from heliogauge.reporting.verdict import SMALLEST_HOLE_SHARE, verdict_of
 from heliogauge.results.folder import read_table_csv
 from heliogauge.view.charts import ChartSeries, ChartView, Mark
 from heliogauge.view.maps import MapLayer, MapView
 from heliogauge.view.scenes import SceneGroup, SceneView
+from heliogauge.view.still_maps import flag_still
 from observer.files import COLLECTOR, read_collector
 from observer.report.lines import listed
-from observer.report.maps import panel_lines, with_panels
+from observer.report.maps import panel_lines
 from observer.report.results import Columns, numbers
 from observer.report.scene import mirror_lines
 from observer.report.sections import headline_rows, numbers_table
@@ -90,7 +91,7 @@ def sigma_view(results: PlanResults) -> MapView:
             ("random", "Its random share: noise and gaps between photos", slope_map.sigma_random_x),
         )
     )
-    view = MapView(
+    return MapView(
         "What to expect",
         slope_map.x_m,
         slope_map.y_m,
@@ -100,8 +101,6 @@ def sigma_view(results: PlanResults) -> MapView:
         note="Grey: will not be measured. What the two layers do not share is common to the whole map.",
         lines=panel_lines(results.collector),
     )
-    # The still picture is the first layer alone.
-    return replace(view, figures=[view.figure()])
 
 
 def overview(results: PlanResults) -> Html:
@@ -112,9 +111,7 @@ def overview(results: PlanResults) -> Html:
 
 def missing(results: PlanResults) -> Html:
     """Return why parts of the mirror will be missing."""
-    from heliogauge.reporting.flag_figure import flag_map
-
-    reasons = show(with_panels(flag_map(results.base.slope_map), results.collector))
+    reasons = flag_still(results.base.slope_map, panel_lines(results.collector))
     columns = results.table("missing.csv") or {"reason": [], "share": []}
     rows = [(reason, f"{float(share):.2%}") for reason, share in zip(*columns.values(), strict=True)]
     causes = table(("not measured, or doubtful", "share of the mirror"), rows, numbers=(1,)) if rows else Html("")

@@ -4,8 +4,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from heliogauge.reporting.canvas import FAINT, INK, LINE_X, LINE_Y
 from heliogauge.reporting.html import Html, join
+from heliogauge.reporting.look import FAINT, INK, LINE_X, LINE_Y
 from heliogauge.results.folder import PhotoPose
 from heliogauge.validate import FloatArray
 from heliogauge.view.scenes import SceneGroup, SceneView

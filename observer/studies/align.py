@@ -3,14 +3,13 @@
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
 from heliogauge.camera.model import Camera
 from heliogauge.doubts import Doubt
 from heliogauge.errors import InputError
-from heliogauge.reporting.canvas import png_of
 from heliogauge.results.arrays import read_arrays
 from heliogauge.results.folder import PhotoPose, Summary, hash_files, write_table_csv
 from heliogauge.results.frame import InstrumentResult
@@ -18,6 +17,7 @@ from heliogauge.results.slope_map_file import read_slope_map
 from heliogauge.results.tables import read_cameras_json, read_table_csv
 from heliogauge.slopes.map import SlopeMap
 from heliogauge.validate import FloatArray
+from heliogauge.view.stills import Sheet
 from observer.files import (
     ALIGNMENT_MOVES,
     ALIGNMENT_OVERLAY,
@@ -31,12 +31,9 @@ from observer.files import (
     write_collector,
 )
 from observer.product.panel_alignment import LEAST_SHARE, PanelTilts, image_edges, mount_moves, panel_tilts
-from observer.report.figures_alignment import moves_figure
+from observer.report.figures_alignment import moves_sheet, theory_sheet
 from observer.trough.absorber_path import AbsorberPath
 from observer.trough.collector import Collector
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 KIND = "observer-alignment"
 #: Distance of assumed mounts from the edges of their panel [m].
@@ -66,7 +63,7 @@ class Result(InstrumentResult):
     mounts_m: FloatArray
     absorber: AbsorberPath
     cameras: dict[str, tuple[Camera, PhotoPose]]
-    picture: "Figure | None" = None
+    picture: Sheet | None = None
 
     def summarise(self) -> Summary:
         """Collect the headline numbers with their sigmas, doubts and provenance."""
@@ -119,9 +116,9 @@ class Result(InstrumentResult):
         write_table_csv(folder / "overlay.csv", _overlay(self))
         write_collector(folder / COLLECTOR, self.collector)
         if self.picture is not None:
-            (folder / ALIGNMENT_OVERLAY).write_bytes(png_of(self.picture))
-        drawn = moves_figure(self.collector, absorber.tilt_rad, self.mounts_m, (moves.move_m, moves.sigma_m))
-        (folder / ALIGNMENT_MOVES).write_bytes(png_of(drawn))
+            (folder / ALIGNMENT_OVERLAY).write_text(self.picture.svg(), encoding="utf-8")
+        drawn = moves_sheet(self.collector, absorber.tilt_rad, self.mounts_m, (moves.move_m, moves.sigma_m))
+        (folder / ALIGNMENT_MOVES).write_text(drawn.svg(), encoding="utf-8")
 
     def headline(self) -> str:
         """Return the most important numbers in a few lines for the terminal."""
@@ -182,11 +179,9 @@ def run(folder: Path, mounts: Path | None = None) -> Result:
 
 def _picture(
     folder: Path, slope_map: SlopeMap, collector: Collector, absorber: AbsorberPath, poses: dict[str, PhotoPose]
-) -> "Figure | None":
+) -> Sheet | None:
     """Draw the theoretical image over the photo that the result holds."""
     from scipy.interpolate import RegularGridInterpolator
-
-    from observer.report.figures_alignment import theory_figure
 
     image, nodes, name = read_overlay(folder)
     if name not in poses:
@@ -206,7 +201,7 @@ def _picture(
         found = image_edges(eye, along, collector, absorber)
         columns = found.reshape(along.size, -1).T
         lines += [where(np.stack([along, column], axis=1)) for column in columns if np.isfinite(column).all()]
-    return theory_figure(image, name, lines, (nodes["x_px"], nodes["y_px"], nodes["beside_measured"]))
+    return theory_sheet(image, name, lines, (nodes["x_px"], nodes["y_px"], nodes["beside_measured"]))
 
 
 def _corners(collector: Collector) -> FloatArray:

@@ -9,7 +9,6 @@ import numpy as np
 
 from heliogauge.doubts import Doubt
 from heliogauge.errors import EstimationError, InputError
-from heliogauge.reporting.canvas import png_of
 from heliogauge.results.arrays import LabelledArray, write_arrays
 from heliogauge.results.folder import Summary, hash_files, read_summary, write_table_csv
 from heliogauge.results.frame import InstrumentResult
@@ -34,13 +33,13 @@ from observer.product.orientation_study import (
     sag_by_weight,
     theta_r_change,
 )
-from observer.report.figures_modules import CHANGES_TITLE, OneMap, maps_figure
-from observer.report.figures_orientation import Profile, orientation_figure
+from observer.report.figures_modules import CHANGES_TITLE, OneMap, maps_sheet
+from observer.report.orientations import Profile, orientation_sheet
 from observer.trough.collector import Collector
 
 KIND = "observer-compare"
-FIGURE = "orientations.png"
-CHANGES_FIGURE = "theta_r_change.png"
+FIGURE = "orientations.svg"
+CHANGES_FIGURE = "theta_r_change.svg"
 #: Spans whose supports differ by less are the same one [m].
 _SAME_M = 0.05
 #: A sag that departs from weight and bend by more than so many sigma is reported.
@@ -103,9 +102,9 @@ class Comparison(InstrumentResult):
         write_table_csv(folder / ORIENTATION_SAGS, _long(sags, "orientation_rad", [k + 1 for k, _ in known]))
         write_changes(folder / ORIENTATION_CHANGES, changes)
         write_collector(folder / COLLECTOR, self.orientations[0].collector)
-        (folder / FIGURE).write_bytes(png_of(orientation_figure(profiles, sags)))
+        (folder / FIGURE).write_text(orientation_sheet(profiles, sags).svg(), encoding="utf-8")
         if changes:
-            (folder / CHANGES_FIGURE).write_bytes(png_of(maps_figure(changes, CHANGES_TITLE)))
+            (folder / CHANGES_FIGURE).write_text(maps_sheet(changes, CHANGES_TITLE).svg(), encoding="utf-8")
 
     def headline(self) -> str:
         """Return the most important numbers in a few lines for the terminal."""

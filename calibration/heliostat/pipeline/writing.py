@@ -20,7 +20,7 @@ def write_heliostat_files(result: HeliostatResult, shared: Shared, folder: Path)
     """
     write_heliostat(result, shared, folder)
     if result.beams is not None:
-        # OpenCV and matplotlib cost 0.5 s, which only photos are worth.
+        # OpenCV costs 0.2 s, which only photos are worth.
         from calibration.heliostat.pipeline.beam_pictures import write_beam_files
 
         write_beam_files(result, shared, folder, pictures=shared.thorough)

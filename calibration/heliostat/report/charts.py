@@ -9,7 +9,7 @@ from calibration.heliostat.files.beam_files import BEAMS_FILE, PICTURE_COLUMNS, 
 from calibration.heliostat.report import figures_residuals as figures
 from calibration.heliostat.report.results import FieldReport, HeliostatReport, ResidualTable
 from heliogauge.images.thumbnails import decode_thumbnail
-from heliogauge.reporting.canvas import FAINT, INK, LINE_X, LINE_Y
+from heliogauge.reporting.look import FAINT, INK, LINE_X, LINE_Y
 from heliogauge.results.folder import read_table_csv
 from heliogauge.results.thumbnails import read_thumbnails
 from heliogauge.validate import BoolArray, FloatArray
@@ -59,7 +59,6 @@ def target_view(report: HeliostatReport, name: str) -> ChartView:
         tuple(series),
         arrows.note,
         equal=True,
-        figures=[figures.target_figure(report, name)],
     )
 
 
@@ -74,7 +73,6 @@ def first_view(report: HeliostatReport) -> ChartView:
 def series_views(report: HeliostatReport) -> dict[str, ChartView]:
     """Return residuals to the right and up against time, the sun's azimuth and its elevation, as far as known."""
     rows, labels = report.residuals, _labels(report)
-    still = figures.series_figures(report)
     views = {}
     for name, (words, axis, values) in figures.residual_axes(rows).items():
         if np.issubdtype(values.dtype, np.datetime64):
@@ -102,7 +100,6 @@ def series_views(report: HeliostatReport) -> dict[str, ChartView]:
             "measured minus predicted [mrad]",
             tuple(series),
             "as seen from the mirror",
-            figures=[still[name]],
         )
     return views
 
@@ -266,7 +263,6 @@ def field_view(report: FieldReport) -> ChartView:
         tuple(found),
         "RMS on positions that were not fitted",
         equal=True,
-        figures=[figures.field_map_figure(east, north, beam)],
     )
 
 

@@ -20,9 +20,10 @@ from calibration.heliostat.report.charts import (
 )
 from calibration.heliostat.report.results import FieldReport, HeliostatReport
 from heliogauge.reporting import page
-from heliogauge.reporting.html import FirstScreen, Html, beside, join, show, table
+from heliogauge.reporting.html import FirstScreen, Html, beside, join, table
 from heliogauge.reporting.notation import number_text
 from heliogauge.reporting.verdict import State, verdict_of
+from heliogauge.view.stills import side_by_side
 from heliogauge.view.tables import TableColumn, TableView
 
 #: A larger share of observations that were not used is a hole.
@@ -176,7 +177,8 @@ def sky_section(report: HeliostatReport) -> Html:
     if not report.content.get("sky"):
         return Html("<p>Not made for fields of many heliostats; <code>--thorough</code> makes it.</p>")
     caption = "Includes what the residuals show beyond the noise of the observations."
-    return show(figures.sky_figure(report), caption=caption)
+    sheet = figures.sky_sheet(report)
+    return side_by_side([sheet.html("Predicted uncertainty over the sky")], caption=caption)
 
 
 def parameter_table(report: HeliostatReport) -> Html:
@@ -219,7 +221,7 @@ def model_section(report: HeliostatReport) -> Html:
             table(head, rows, numbers=(1, 2, 3)),
         ]
     if len(content["correlation"]["names"]) > 1:
-        parts.append(show(figures.correlation_figure(content["correlation"])))
+        parts.append(side_by_side([figures.correlation_picture(content["correlation"])]))
     return join(*parts)
 
 

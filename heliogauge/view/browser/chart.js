@@ -128,6 +128,7 @@
       let x = content.x_counts ? [reach[0] - 0.5, reach[1] + 0.5] : widened(reach, 0.03);
       let y = widened(extentOf([...this.series.flatMap(ends), ...(bars.length && !this.scales.y ? [[0]] : [])]), 0.05);
       if (bars.length && !this.scales.y && extentOf(bars.map((one) => one.py))[0] >= 0 && y[0] < 0) y = [0, y[1]];
+      if (content.background) [x, y] = [content.background.extent.slice(0, 2), content.background.extent.slice(2)];
       if (content.equal) {
         const proportion = Math.max((x[1] - x[0]) / (y[1] - y[0]), 0.7);
         box.width = Math.min(box.width, box.height * proportion);
@@ -141,8 +142,17 @@
         xAxis: { axisLabel: labels(content.x_log), splitNumber: narrow ? 4 : 8, nameGap: 26, minInterval: content.x_counts ? 1 : 0 },
         yAxis: { axisLabel: labels(content.y_log), nameGap: narrow ? 38 : 48 },
       });
-      option.series = this.series.flatMap((one, index) => this.hidden.has(index) ? [] : this.parts(one, index));
+      const behind = content.background ? [this.custom([content.background.extent.slice(1, 3)], 1, (api) => this.picture(api))] : [];
+      option.series = behind.concat(this.series.flatMap((one, index) => this.hidden.has(index) ? [] : this.parts(one, index)));
       figure.chart.setOption(option, { replaceMerge: ["series"] });
+    }
+
+    // The picture behind the series.
+    picture(api) {
+      const { image, extent } = this.content.background;
+      const [left, top] = api.coord([extent[0], extent[3]]);
+      const [right, bottom] = api.coord([extent[1], extent[2]]);
+      return { type: "image", style: { image, x: left, y: top, width: right - left, height: bottom - top } };
     }
 
     equalRanges(x, y, box) {
@@ -319,6 +329,8 @@
       labels: await heliogauge.lines(one.labels),
     })));
     place.append(heliogauge.element("p", { class: "view-title" }, spec.name));
+    const { background } = spec;
+    if (background) background.image = await heliogauge.image(background.image);
     const chart = await heliogauge.drawChart(place, { ...spec, series });
     if (spec.note) place.append(heliogauge.element("p", { class: "view-note" }, spec.note));
     return { chart };

@@ -302,7 +302,7 @@ def test_every_section_shows_what_it_should(tmp_path) -> None:
 
     result_folder(tmp_path)
     results = report.open_trough(tmp_path)
-    assert report.maps(results).text.count("<img") == 4
+    assert report.maps(results).text.count("<img") == 3
     assert report.spread(results).text.count("<img") == 1
     assert report.absorber(results).text.count("<img") == 2
     assert report.intercept(results).text.count("<img") == 1
@@ -318,7 +318,7 @@ def test_every_section_shows_what_it_should(tmp_path) -> None:
     )
     first = report.head(results).text
     assert "&lt;trough&gt;" in first
-    assert first.count("<img") == 1
+    assert first.count("<img") == 2
     assert "<td>not determined</td>" in first
     assert "a reason" in first
     words = report.overview(results).text
@@ -326,8 +326,14 @@ def test_every_section_shows_what_it_should(tmp_path) -> None:
     assert "1.000 \u00b1 0.010 mrad" in words
     assert "odd" in words
     # All edges of the row are drawn although they do not lie on it to the last digit.
-    figure = report_pictures.slice_figure(results, 0)
-    assert [line.get_label() for line in figure.axes[0].lines] == ["lower edge (1)", "upper edge (1)", "not used (0)"]
+    view = report_pictures.slice_view(results, 0)
+    assert [one.name for one in view.series] == ["lower edge (1)", "upper edge (1)"]
+    # From the top: the camera farthest along x; as wide as the slice and half a cell on each side.
+    low, high = view.background.extent[2:]
+    eyes = np.sort(results.slices.eyes_m[:, 0])
+    assert low < eyes[0] < eyes[-1] < high
+    first = results.slices.brightness[0][np.argmax(results.slices.eyes_m[:, 0])]
+    assert ((view.background.image[0] != 201) == (first[: view.background.image.shape[1]] > 0)).all()
 
 
 def test_maps_of_a_single_panel_are_cut_out(tmp_path) -> None:
@@ -342,7 +348,7 @@ def test_maps_of_a_single_panel_are_cut_out(tmp_path) -> None:
     assert results.base.slope_map.x_m[-1] < 1.34
     assert results.base.slope_map.aperture.all()
     assert results.angles["theta_r"].shape == results.base.slope_map.shape
-    assert report.maps(results).text.count("<img") == 4
+    assert report.maps(results).text.count("<img") == 3
 
 
 def test_a_table_joins_values_and_their_sigmas() -> None:

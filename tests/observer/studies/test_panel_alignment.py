@@ -1,5 +1,6 @@
 """TOP alignment: checked figures of the effective edges, the place of the image by reflection, moves of mounts."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -157,7 +158,14 @@ def test_theoretical_image_lies_where_the_design_shows_the_absorber(tmp_path):
     assert result.picture is not None
     _, nodes, _ = read_overlay(tmp_path)
     places = np.stack([nodes["x_px"], nodes["y_px"]], axis=-1).reshape(-1, 2)
-    drawn = [line.get_xydata() for line in result.picture.axes[0].lines]
+    # Dashed lines of the picture, back from its places to pixels of the photo.
+    left, top, right, bottom = result.picture.box
+    (x_left, x_right), (y_bottom, y_top) = result.picture.x_limits, result.picture.y_limits
+    drawn = []
+    for path in re.findall(r'<path d="([^"]+)" [^>]*stroke-dasharray="6 4"', "".join(result.picture.parts)):
+        x, y = np.array(re.findall(r"[ML]([-\d.]+),([-\d.]+)", path), dtype=float).T
+        across = x_left + (x - left) / (right - left) * (x_right - x_left)
+        drawn.append(np.stack([across, y_top + (y - top) / (bottom - top) * (y_bottom - y_top)], axis=1))
     assert len(drawn) == 2
     beside = nodes["beside_design"].ravel()
     for line in drawn:
@@ -170,11 +178,12 @@ def test_theoretical_image_lies_where_the_design_shows_the_absorber(tmp_path):
     result.write(out)
     found = report.open_alignment(out)
     assert report.overlay(found).text.count("<img") == 1
-    assert report.head(found).text.count("<img") == 1
+    assert report.moves(found).text.count("<img") == 1
+    assert report.head(found).text.count("<img") == 2
     assert "panel alignment" in report.head(found).text
     view = report.head(found).picture
     row, column = (int(np.argmin(np.abs(nodes - place))) for nodes, place in ((view.y_m, 0.5), (view.x_m, 0.5)))
     tilt = read_table_csv(out / "panels.csv")["theta_ra_rad"]
     assert view.layers[0].values[row, column] == pytest.approx(float(tilt[0]))
-    (out / "overlay.png").unlink()
+    (out / "overlay.svg").unlink()
     assert "no photo" in report.overlay(found).text

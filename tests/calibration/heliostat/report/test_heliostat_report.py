@@ -15,10 +15,12 @@ from calibration.heliostat.pipeline.field import run_into
 from calibration.heliostat.pipeline.measure import Options
 from calibration.heliostat.report import charts, sections
 from calibration.heliostat.report import figures_residuals as figures
+from calibration.heliostat.report.charts import series_views, target_view
 from calibration.heliostat.report.results import FieldReport, HeliostatReport, open_field, open_heliostat
 from heliogauge.errors import InputError
 from heliogauge.reporting.build import build_report
 from heliogauge.results.tables import read_table_csv, write_table_csv
+from heliogauge.view.charts import Mark
 from tests.calibration.heliostat_folders import write_field
 
 
@@ -58,39 +60,38 @@ def test_the_row_that_was_left_out_is_told_with_its_reason(one):
     assert int((~one.residuals.used).sum()) == 1
 
 
-def test_arrows_on_the_target_lead_from_measured_to_predicted(one):
+def test_lines_on_the_target_lead_from_measured_to_predicted(one):
     (name,) = figures.targets_hit(one)
-    axes = figures.target_figure(one, name).axes[0]
-    quivers = [drawn for drawn in axes.collections if hasattr(drawn, "U")]
-    assert sum(len(drawn.U) for drawn in quivers) == one.residuals.used.sum()
+    view = target_view(one, name)
+    lines = [series for series in view.series if series.mark is Mark.LINE and series.name.startswith("to the")]
+    assert sum(len(series.x) // 3 for series in lines) == one.residuals.used.sum()
     # The factor that is printed is the factor that is drawn.
-    note = next(text.get_text() for text in axes.figure.texts if "arrows" in text.get_text())
-    found = re.search(r"([\d.]+) times", note)
+    found = re.search(r"([\d.]+) times", view.note)
     factor = float(found.group(1)) if found else 1.0
     rows = one.residuals.used & ~one.residuals.is_test
-    step = one.residuals.numbers["predicted_x_m"] - one.residuals.numbers["measured_x_m"]
-    np.testing.assert_allclose(quivers[0].U, factor * step[rows], rtol=1e-6)
+    for axis, drawn in (("x", lines[0].x), ("y", lines[0].y)):
+        start, end, gap = drawn.reshape(-1, 3).T
+        measured, predicted = (one.residuals.numbers[f"{kind}_{axis}_m"][rows] for kind in ("measured", "predicted"))
+        np.testing.assert_allclose(start, measured)
+        np.testing.assert_allclose(end - start, factor * (predicted - measured), rtol=1e-6, atol=1e-12)
+        assert np.isnan(gap).all()
     assert factor >= 1
 
 
 def test_residuals_against_time_and_sun_are_all_drawn(one):
-    for figure in figures.series_figures(one).values():
-        upper, lower = figure.axes
-        for axes, name in ((upper, "residual_right_mrad"), (lower, "residual_up_mrad")):
-            drawn = np.concatenate([line.get_ydata() for line in axes.lines[:2]])
+    for view in series_views(one).values():
+        for words, name in (("to the right", "residual_right_mrad"), ("up", "residual_up_mrad")):
+            drawn = np.concatenate([series.y for series in view.series if series.name.startswith(words)])
             np.testing.assert_allclose(np.sort(drawn), np.sort(one.residuals.numbers[name][one.residuals.used]))
-            low, high = axes.get_ylim()
-            assert low <= drawn.min()
-            assert drawn.max() <= high
 
 
 def test_residuals_without_time_and_sun_are_drawn_in_their_order(one):
     rows = one.residuals
     nowhere = {name: np.full(rows.used.size, np.nan) for name in ("sun_azimuth_deg", "sun_elevation_deg")}
     bare = replace(rows, time=np.full(rows.used.size, np.datetime64("NaT", "ms")), numbers={**rows.numbers, **nowhere})
-    drawn = figures.series_figures(replace(one, residuals=bare))
+    drawn = series_views(replace(one, residuals=bare))
     assert list(drawn) == ["row"]
-    x = np.concatenate([line.get_xdata() for line in drawn["row"].axes[0].lines if line.get_linestyle() == "None"])
+    x = np.concatenate([series.x for series in drawn["row"].series if series.name.startswith("up")])
     assert sorted(x) == [row + 1 for row in np.flatnonzero(rows.used)]
 
 
@@ -120,18 +121,21 @@ def test_findings_are_told_with_what_to_do(one):
 
 
 def test_sky_map_is_hatched_where_the_model_is_extrapolated(one):
-    figure = figures.sky_figure(one)
+    sheet = figures.sky_sheet(one)
     sky = one.content["sky"]
-    axes = figure.axes[0]
-    hatched = [drawn for drawn in axes.collections if drawn.get_hatch()]
     expected = sum(
         bool(beyond) and sigma is not None
         for row, sigmas in zip(sky["extrapolated"], sky["sigma_beam_mrad"], strict=True)
         for beyond, sigma in zip(row, sigmas, strict=True)
     )
-    assert len(hatched) == 1
-    assert hatched[0].get_array().count() == expected
     assert expected > 0
+    (path,) = re.findall(r'<path d="([^"]+)" fill="url\(#t\)"', "".join(sheet.parts))
+    left, top, right, bottom = sheet.box
+    azimuths, elevations = (np.array(sky[f"{name}_deg"]) for name in ("azimuth", "elevation"))
+    cell = np.diff(azimuths).min() / (sheet.x_limits[1] - sheet.x_limits[0]) * (right - left)
+    tall = np.diff(elevations).min() / (sheet.y_limits[1] - sheet.y_limits[0]) * (bottom - top)
+    areas = [(float(wide), float(high)) for wide, high in re.findall(r"h([\d.]+)v([\d.]+)h", path)]
+    assert sum(wide * high for wide, high in areas) / (cell * tall) == pytest.approx(expected, rel=0.02)
 
 
 def test_first_screen_says_what_passed_and_what_is_missing(one):
