@@ -192,8 +192,14 @@ class StoredOverlay(NamedTuple):
 
 
 def read_overlay(folder: Path) -> StoredOverlay:
-    """Read a photo and where the reflection is expected in it."""
+    """Read a photo and where the reflection is expected in it.
+
+    InputError: A file is missing or damaged.
+    """
     nodes, attributes = read_arrays(folder / OVERLAY, ("x_px", "y_px", "beside_design", "beside_measured"))
+    shapes = {name: nodes[name].shape for name in ("x_px", "y_px", "beside_design", "beside_measured")}
+    if len(set(shapes.values())) > 1 or nodes["x_px"].ndim != 2:
+        raise InputError(f"{folder / OVERLAY}: four fields on one grid are needed, not {shapes}; the file is damaged")
     return StoredOverlay(read_image(folder / OVERLAY_PHOTO), nodes, str(attributes["photo"]))
 
 

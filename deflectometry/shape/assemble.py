@@ -11,7 +11,8 @@ from deflectometry.shape.smooth_shape import Align, alignment_words
 from heliogauge.flags import SampleFlag
 from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.geometry.surfaces import Facet
-from heliogauge.slopes.map import CommonModes, SlopeMap, monomials
+from heliogauge.slopes.interpolation import read_map
+from heliogauge.slopes.map import VALUE_FIELDS, CommonModes, SlopeMap, monomials
 from heliogauge.slopes.removal import Removal
 from heliogauge.validate import BoolArray, FlagArray, FloatArray
 
@@ -34,9 +35,8 @@ def assemble_maps(mirror: Sequence[Facet], maps: Mapping[str, SlopeMap], align: 
     Returns: The map of the only facet, or the map of the ensemble: slopes, design slopes and heights in its frame,
         nodes between facets and facets that were not measured flagged.
 
-    Each node is taken into the facet that covers it, the facet's map is read at its nearest node, and measured and
-    design normal are turned into the ensemble's frame: canting shows as a step between facets. The maps of the facets
-    keep what the nearest node loses.
+    Each node is taken into the facet that covers it, the facet's map is interpolated there, and measured and design
+    normal are turned into the ensemble's frame: canting shows as a step between facets.
     """
     facets = {facet.name: facet for facet in mirror}
     if len(facets) == 1:
@@ -47,10 +47,10 @@ def assemble_maps(mirror: Sequence[Facet], maps: Mapping[str, SlopeMap], align: 
     step = max(float(first.x_m[1] - first.x_m[0]), default_step_m(0.0, float(np.prod((high - low)[:2]))))
     x_m, y_m = grid_axis(low[0], high[0], step), grid_axis(low[1], high[1], step)
     grid = np.meshgrid(x_m, y_m)
-    fields = np.full((7, *grid[0].shape), np.nan)
+    fields = np.full((len(VALUE_FIELDS), *grid[0].shape), np.nan)
     flags = np.full(grid[0].shape, np.uint32(SampleFlag.OUTSIDE_MIRROR))
     aperture = np.zeros(grid[0].shape, dtype=bool)
-    parts = []
+    parts, variance_of_means, variance_of_nodes = [], 0.0, 0.0
     for name, facet in facets.items():
         own, nodes = _nodes_of(facet, grid)
         aperture |= own
@@ -58,18 +58,14 @@ def assemble_maps(mirror: Sequence[Facet], maps: Mapping[str, SlopeMap], align: 
         if name in maps:
             fields[:, own], flags[own] = _read_facet(maps[name], nodes, facet.ensemble_from_facet)
             parts.append(_Part(maps[name].common, facet.ensemble_from_facet, nodes))
+            variance_of_means += maps[name].noise_correlation * _mean_variance(maps[name].sigma_random_x)
+            variance_of_nodes += _mean_variance(fields[VALUE_FIELDS.index("sigma_random_x"), own])
     return SlopeMap(
         x_m=x_m,
         y_m=y_m,
-        slope_x=fields[0],
-        slope_y=fields[1],
-        design_slope_x=fields[2],
-        design_slope_y=fields[3],
-        sigma_random_x=fields[4],
-        sigma_random_y=fields[5],
-        noise_correlation=first.noise_correlation,
+        **dict(zip(VALUE_FIELDS, fields, strict=True)),
+        noise_correlation=max(1.0, variance_of_means / variance_of_nodes) if variance_of_nodes > 0 else 1.0,
         common=_joint_modes(parts, 0.5 * (low + high)[:2], 0.5 * float((high - low)[:2].max())),
-        height_m=fields[6],
         flags=flags,
         aperture=aperture,
         design=f"ensemble of {len(facets)} facets: {first.design}",
@@ -103,24 +99,21 @@ def _nodes_of(facet: Facet, grid: tuple[FloatArray, FloatArray]) -> tuple[BoolAr
 def _read_facet(
     slope_map: SlopeMap, nodes: FloatArray, ensemble_from_facet: RigidTransform
 ) -> tuple[FloatArray, FlagArray]:
-    """Read a facet's map at points of its frame; slopes, design slopes, sigmas and height in the ensemble's frame."""
-    column = np.clip(np.rint((nodes[0] - slope_map.x_m[0]) / _step(slope_map.x_m)), 0, slope_map.x_m.size - 1)
-    row = np.clip(np.rint((nodes[1] - slope_map.y_m[0]) / _step(slope_map.y_m)), 0, slope_map.y_m.size - 1)
-    at = row.astype(int), column.astype(int)
+    """Interpolate a facet's map at points of its frame; the fields of `VALUE_FIELDS` in the ensemble's frame, flags."""
+    read = read_map(slope_map, *nodes)
     rotation = ensemble_from_facet.rotation
-    slopes = _turned(slope_map.slope_x[at], slope_map.slope_y[at], rotation)
-    design = _turned(slope_map.design_slope_x[at], slope_map.design_slope_y[at], rotation)
+    slopes = _turned(read.slope_x, read.slope_y, rotation)
+    design = _turned(read.design_slope_x, read.design_slope_y, rotation)
     # Facets are turned against the ensemble by little but for a turn about z: the sigmas turn as vectors.
-    sigma = np.sqrt(
-        rotation[:2, :2] ** 2 @ np.stack([slope_map.sigma_random_x[at] ** 2, slope_map.sigma_random_y[at] ** 2])
-    )
-    points = np.stack([nodes[0], nodes[1], slope_map.height_m[at]], axis=-1)
-    height = ensemble_from_facet.apply(points)[:, 2]
-    return np.stack([*slopes, *design, *sigma, height]), slope_map.flags[at]
+    sigma = np.sqrt(rotation[:2, :2] ** 2 @ np.stack([read.sigma_random_x, read.sigma_random_y]) ** 2)
+    height = ensemble_from_facet.apply(np.stack([*nodes, read.height_m], axis=-1))[:, 2]
+    return np.stack([*slopes, *design, *sigma, height]), read.flags
 
 
-def _step(axis_m: FloatArray) -> float:
-    return float(axis_m[1] - axis_m[0]) if axis_m.size > 1 else 1.0
+def _mean_variance(sigma: FloatArray) -> float:
+    """Return the variance of the mean over nodes, were they independent."""
+    finite = sigma[np.isfinite(sigma)]
+    return float(np.mean(finite**2)) / finite.size if finite.size else 0.0
 
 
 def _turned(slope_x: FloatArray, slope_y: FloatArray, rotation: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -9,6 +9,7 @@ from typing import Any
 
 from heliogauge import __version__
 from heliogauge.errors import InputError
+from heliogauge.files.regular import MOST_IMAGE_BYTES
 from heliogauge.files.texts import read_toml
 from heliogauge.measurement.load import MEASUREMENT_FILE
 from heliogauge.results.folder import hash_files
@@ -19,11 +20,12 @@ def input_digest(folder: Path, options: Mapping[str, Any]) -> str:
 
     folder: The measurement folder; hidden files in it, and what is no regular file, are left out.
     options: Choices that override those of the file.
-    Returns: Hexadecimal digits; the same for a folder that was moved or copied.
+    Returns: Hexadecimal digits; the same for a folder that was moved or copied. Files larger than anything that is read
+        as a whole, such as films, are told apart by their size and time of change.
     InputError: A file cannot be read.
     """
-    inside = [(file.relative_to(folder).as_posix(), *hash_files([file]).values()) for file in _files_in(folder)]
-    elsewhere = [(key, *hash_files([file]).values()) for key, file in _files_elsewhere(folder)]
+    inside = [(file.relative_to(folder).as_posix(), _digest(file)) for file in _files_in(folder)]
+    elsewhere = [(key, _digest(file)) for key, file in _files_elsewhere(folder)]
     said = (
         __version__,
         sorted((name, repr(value)) for name, value in options.items()),
@@ -31,6 +33,13 @@ def input_digest(folder: Path, options: Mapping[str, Any]) -> str:
         elsewhere,
     )
     return hashlib.sha256(repr(said).encode()).hexdigest()
+
+
+def _digest(file: Path) -> str:
+    about = file.stat()
+    if about.st_size > MOST_IMAGE_BYTES:
+        return f"{about.st_size} bytes of {about.st_mtime_ns}"
+    return next(iter(hash_files([file]).values()))
 
 
 def _files_in(folder: Path) -> list[Path]:

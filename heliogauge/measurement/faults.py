@@ -11,16 +11,17 @@ from pydantic import BaseModel, ValidationError
 _MOST_FAULTS = 5
 
 
-def fault_lines(error: ValidationError, model: type[BaseModel]) -> list[str]:
+def fault_lines(error: ValidationError, model: type[BaseModel], init: str) -> list[str]:
     """Say what is wrong with the content of a file.
 
     error: Pydantic's faults.
+    init: Command that writes a template of such a file.
     """
     faults = error.errors(include_url=False)
     places = [fault["loc"] for fault in faults]
     # A list with one wrong entry is also "too short": the fault of the entry is enough.
     causes = [fault for fault in faults if not any(_is_inside(place, fault["loc"]) for place in places)]
-    texts = list(dict.fromkeys(_fault_text(fault, model) for fault in causes))
+    texts = list(dict.fromkeys(_fault_text(fault, model, init) for fault in causes))
     rest = len(texts) - _MOST_FAULTS
     return [*texts[:_MOST_FAULTS], *([f"... and {rest} more"] if rest > 0 else [])]
 
@@ -92,19 +93,17 @@ def _unknown_key_text(place: _Place, sections: dict[str, set[str]]) -> str:
     return f"{said}; known are {', '.join(sorted(known))}"
 
 
-def _fault_text(fault: Any, model: type[BaseModel]) -> str:
+def _fault_text(fault: Any, model: type[BaseModel], init: str) -> str:
     sections = _keys_by_section([model])
     kind, value, context = fault["type"], fault["input"], fault.get("ctx", {})
     place = _place(fault["loc"], sections, is_unknown=kind == "extra_forbidden")
     if kind == "extra_forbidden":
         return _unknown_key_text(place, sections)
     if kind == "missing":
-        return f"{place.shown} is missing; `heliogauge INSTRUMENT init` writes a template that explains it"
+        return f"{place.shown} is missing; `{init}` writes a template that explains it"
     if kind == "union_tag_not_found":
         key = str(context["discriminator"]).strip("'")
-        said = (
-            'say "rectangle" or "table"' if key == "shape" else "`heliogauge INSTRUMENT init` writes a template with it"
-        )
+        said = 'say "rectangle" or "table"' if key == "shape" else f"`{init}` writes a template with it"
         return f"{place.shown}.{key} is missing; {said}"
     if kind == "union_tag_invalid":
         key = str(context["discriminator"]).strip("'")

@@ -75,7 +75,7 @@ def read_measurement(folder: Path, model_type: type[_ModelT]) -> tuple[Path, _Mo
         raise InputError(
             f'{file}: kind = "{kind.name}" is not "{wanted}"; evaluate this folder with `heliogauge {kind.command}`'
         )
-    return file, _validated(content, model_type, file)
+    return file, _validated(content, model_type, file, kind)
 
 
 def parse_measurement(content: dict[str, Any], file: Path) -> MeasurementModel:
@@ -85,8 +85,9 @@ def parse_measurement(content: dict[str, Any], file: Path) -> MeasurementModel:
     file: Where they come from, for messages.
     InputError: An unknown kind, an unknown or missing key, or a value of the wrong type or out of range.
     """
-    model_type: type[MeasurementModel] = resolve(_kind(content, file).model)
-    return _validated(content, model_type, file)
+    kind = _kind(content, file)
+    model_type: type[MeasurementModel] = resolve(kind.model)
+    return _validated(content, model_type, file, kind)
 
 
 def refuse_missing(file: Path, paths: Sequence[Path]) -> None:
@@ -101,11 +102,11 @@ def refuse_missing(file: Path, paths: Sequence[Path]) -> None:
     refuse_leading_out(file.parent, paths)
 
 
-def _validated(content: dict[str, Any], model_type: type[_ModelT], file: Path) -> _ModelT:
+def _validated(content: dict[str, Any], model_type: type[_ModelT], file: Path, kind: Kind) -> _ModelT:
     try:
         return model_type.model_validate(content)
     except ValidationError as error:
-        lines = fault_lines(error, model_type)
+        lines = fault_lines(error, model_type, f"heliogauge {kind.init_command('FOLDER')}")
         separator = " " if len(lines) == 1 else "\n  "
         raise InputError(f"{file}:{separator}" + "\n  ".join(lines)) from None
 

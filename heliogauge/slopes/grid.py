@@ -6,6 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from heliogauge.errors import InputError
+from heliogauge.slopes.interpolation import weighted_sigma
 from heliogauge.slopes.map import CommonModes, SlopeMap
 from heliogauge.slopes.removal import fit_modes
 from heliogauge.validate import BoolArray, FlagArray, FloatArray, IntArray, float_array
@@ -99,8 +100,9 @@ def resample(slope_map: SlopeMap, x_m: npt.ArrayLike, y_m: npt.ArrayLike) -> Slo
         has their flags. Nodes beyond the old grid are outside the aperture.
     InputError: The new grid is not finite or not ascending.
 
-    The random sigma is that of the weighted mean of up to four nodes. Neighbours on a finer grid share their noise;
-    the noise correlation is raised so that the mean over an area keeps its sigma.
+    The random sigma is that of the weighted mean of up to four nodes, which share noise as the map's noise correlation
+    says. Neighbours on a finer grid share more of it; the noise correlation is raised so that the mean over an area
+    keeps its sigma.
     """
     new_x, new_y = float_array("x_m", x_m, (None,)), float_array("y_m", y_m, (None,))
     for name, grid in (("x_m", new_x), ("y_m", new_y)):
@@ -108,10 +110,14 @@ def resample(slope_map: SlopeMap, x_m: npt.ArrayLike, y_m: npt.ArrayLike) -> Slo
             raise InputError(f"{name}: a grid that ascends is needed")
     column, right = _locate(slope_map.x_m, new_x)
     row, upper = _locate(slope_map.y_m, new_y)
+    last_row, last_column = slope_map.y_m.size - 1, slope_map.x_m.size - 1
     corners = [
-        (np.ix_(row + i, column + j), np.outer(upper if i else 1 - upper, right if j else 1 - right))
-        for i in range(2 if slope_map.y_m.size > 1 else 1)
-        for j in range(2 if slope_map.x_m.size > 1 else 1)
+        (
+            np.ix_(np.minimum(row + i, last_row), np.minimum(column + j, last_column)),
+            np.outer(upper if i else 1 - upper, right if j else 1 - right),
+        )
+        for i in (0, 1)
+        for j in (0, 1)
     ]
 
     def blend(values: FloatArray) -> FloatArray:
@@ -120,8 +126,8 @@ def resample(slope_map: SlopeMap, x_m: npt.ArrayLike, y_m: npt.ArrayLike) -> Slo
         return np.asarray(np.sum(parts, axis=0))
 
     def spread(sigma: FloatArray) -> FloatArray:
-        parts = [np.where(weight > 0, weight * sigma[corner], 0.0) ** 2 for corner, weight in corners]
-        return np.asarray(np.sqrt(np.sum(parts, axis=0)))
+        weights = np.stack([weight for _, weight in corners])
+        return weighted_sigma(weights, np.stack([sigma[corner] for corner, _ in corners]), slope_map.noise_correlation)
 
     flags: FlagArray = np.zeros((new_y.size, new_x.size), dtype=np.uint32)
     for corner, weight in corners:

@@ -8,7 +8,7 @@ from heliogauge.flags import REJECTED
 from heliogauge.short_repr import ShortRepr
 from heliogauge.validate import BoolArray, FlagArray, FloatArray, float_array
 
-_VALUE_FIELDS = (
+VALUE_FIELDS = (
     "slope_x",
     "slope_y",
     "design_slope_x",
@@ -18,7 +18,7 @@ _VALUE_FIELDS = (
     "height_m",
 )
 #: What a slope map has at each node.
-NODE_FIELDS = (*_VALUE_FIELDS, "flags", "aperture")
+NODE_FIELDS = (*VALUE_FIELDS, "flags", "aperture")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -157,7 +157,7 @@ class SlopeMap(ShortRepr):
         for name in ("x_m", "y_m"):
             object.__setattr__(self, name, float_array(name, getattr(self, name), (None,)))
         shape = self.shape
-        for name in _VALUE_FIELDS:
+        for name in VALUE_FIELDS:
             object.__setattr__(self, name, float_array(name, getattr(self, name), shape, finite=False))
         for name, dtype in (("flags", np.uint32), ("aperture", np.bool_)):
             array = np.array(getattr(self, name), dtype=dtype).reshape(shape)

@@ -10,6 +10,7 @@ import numpy as np
 from heliogauge.camera.model import Camera
 from heliogauge.doubts import Doubt
 from heliogauge.errors import InputError
+from heliogauge.files.faults import explain_faults
 from heliogauge.results.arrays import read_arrays
 from heliogauge.results.folder import PhotoPose, Summary, hash_files, write_table_csv
 from heliogauge.results.frame import InstrumentResult
@@ -191,7 +192,8 @@ def _picture(
         for axis, count in zip((slope_map.x_m, slope_map.y_m), nodes["x_px"].shape[::-1], strict=True)
     )
     pixels = np.stack([nodes["x_px"], nodes["y_px"]], axis=-1)
-    where = RegularGridInterpolator((y, x), pixels, bounds_error=False)
+    with explain_faults(folder / OVERLAY, "a grid over the map of slopes"):
+        where = RegularGridInterpolator((y, x), pixels, bounds_error=False)
     gap = collector.panel_gap_m / 2
     ends = np.stack([collector.panel_edges_y_m[:-1] + gap, collector.panel_edges_y_m[1:] - gap], axis=1)
     lines = []

@@ -16,6 +16,9 @@ from photogrammetry.detection import board_corners
 
 ByteImage = npt.NDArray[np.uint8]
 
+#: The smallest board has 3 x 3 squares, which 10 px each show; OpenCV fails below 15 px in all.
+_LEAST_SIDE_PX = 30
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BoardPoints(ShortRepr):
@@ -106,6 +109,10 @@ def find_chessboard(photo: str, image: npt.NDArray[np.generic], board: Chessboar
     """
     size = (board.columns, board.rows)
     small = board_corners.as_bytes(image)
+    if min(small.shape) < _LEAST_SIDE_PX:
+        raise EstimationError(
+            f"{photo}: {small.shape[1]} x {small.shape[0]} px are too few to show a chessboard; is it a thumbnail?"
+        )
     # The quick detector answers in 20 ms on a board of 18 x 23, the thorough one in a second.
     found, corners = cv2.findChessboardCorners(small, size)
     if not found:

@@ -240,6 +240,16 @@ def test_files_elsewhere_that_a_pattern_names_count(tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="a pipe in the file system is needed")
+def test_a_file_too_large_to_read_is_told_by_size_and_time(tmp_path: Path) -> None:
+    before = input_digest(tmp_path, {})
+    with (tmp_path / "film.mp4").open("wb") as film:
+        film.truncate(2**42)
+    with_film = input_digest(tmp_path, {})
+    assert with_film not in {before, input_digest(tmp_path, {"jobs": 2})}
+    os.utime(tmp_path / "film.mp4", (1, 1))
+    assert input_digest(tmp_path, {}) != with_film
+
+
 def test_a_pipe_among_the_files_stops_nothing(tmp_path: Path) -> None:
     before = input_digest(tmp_path, {})
     os.mkfifo(tmp_path / "pipe")

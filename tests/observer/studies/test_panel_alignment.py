@@ -3,6 +3,7 @@
 import re
 from dataclasses import replace
 
+import h5py
 import numpy as np
 import pytest
 
@@ -10,7 +11,7 @@ from data_synth.troughs.presets import ls2_panelled
 from heliogauge.errors import InputError
 from heliogauge.results.tables import read_table_csv
 from heliogauge.slopes.map import SlopeMap, no_common_modes
-from observer.files import read_overlay
+from observer.files import OVERLAY, read_overlay
 from observer.pipeline.headline import panel_columns
 from observer.product.panel_alignment import image_edges, mount_moves, panel_tilts, target_plane_edges
 from observer.product.slope_map import angle_maps
@@ -187,3 +188,14 @@ def test_theoretical_image_lies_where_the_design_shows_the_absorber(tmp_path):
     assert view.layers[0].values[row, column] == pytest.approx(float(tilt[0]))
     (out / "overlay.svg").unlink()
     assert "no photo" in report.overlay(found).text
+
+
+@pytest.mark.parametrize("damage", [lambda field: field[:-1], lambda field: field.ravel()])
+def test_a_damaged_overlay_is_named(tmp_path, damage):
+    result_folder(tmp_path)
+    with h5py.File(tmp_path / OVERLAY, "r+") as file:
+        field = file["x_px"][...]
+        del file["x_px"]
+        file["x_px"] = damage(field)
+    with pytest.raises(InputError, match="four fields on one grid"):
+        run(tmp_path)

@@ -40,3 +40,9 @@ def test_impossible_boards(make: object, words: str) -> None:
 def test_no_board_in_the_photo() -> None:
     with pytest.raises(EstimationError, match=r"a\.png: no chessboard of 9 x 6"):
         find_chessboard("a.png", np.full((200, 300), 90, np.uint8), Chessboard(9, 6))
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (8, 200), (14, 14), (29, 40)])
+def test_a_thumbnail_shows_no_board(shape: tuple[int, int]) -> None:
+    with pytest.raises(EstimationError, match=f"{shape[1]} x {shape[0]} px are too few"):
+        find_chessboard("a.png", np.full(shape, 90, np.uint8), Chessboard(3, 3))
