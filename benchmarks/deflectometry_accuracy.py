@@ -16,9 +16,8 @@ from data_synth.fringes import FringeScene, Knowledge, expected_light, preset_sc
 from data_synth.optics import SurfaceErrors
 from deflectometry import Options, run
 from deflectometry.fringes import Observation, ScreenMapLimits, measure_screen_map
-from deflectometry.pipeline import Align, Choices, Evaluation, evaluate_frames
+from deflectometry.pipeline import Align, Choices, Evaluation, assemble_maps, evaluate_frames
 from deflectometry.setup import Axis, make_pattern
-from deflectometry.shape.assemble import assemble_maps
 from heliogauge.flags import SampleFlag
 from heliogauge.measurement.load import load
 from heliogauge.results.slope_map_file import read_pixels, read_slope_map

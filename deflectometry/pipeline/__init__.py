@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from deflectometry.pipeline.inputs import build_setup as build_setup
     from deflectometry.pipeline.inputs import describe_mirror as describe_mirror
     from deflectometry.pose.find_pose import MirrorInput as MirrorInput
+    from deflectometry.shape.assemble import assemble_maps as assemble_maps
     from deflectometry.shape.smooth_shape import Align as Align
 
 __getattr__, __dir__, __all__ = lazy_face(__name__)
