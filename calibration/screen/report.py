@@ -8,8 +8,8 @@ import numpy as np
 from calibration.screen.files import GreyReadings, nonlinearity, read_readings, read_response
 from calibration.screen.response import ScreenResponse
 from heliogauge.reporting import page
-from heliogauge.reporting.canvas import FAINT, LINE_X, LINE_Y
 from heliogauge.reporting.html import Html, join
+from heliogauge.reporting.look import FAINT, LINE_X, LINE_Y
 from heliogauge.reporting.verdict import Verdict, verdict_of
 from heliogauge.results.folder import Summary, read_summary
 from heliogauge.view.charts import ChartSeries, ChartView, Mark

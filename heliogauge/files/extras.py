@@ -1,20 +1,28 @@
-"""Libraries that only some need: what shows results as tables and labelled arrays in Python."""
+"""Libraries that only some need: tables and labelled arrays in Python, figures that a person changes or saves."""
 
 from importlib import import_module
 from typing import Any
 
 from heliogauge.errors import InputError
 
+_TABLES = "tables and labelled arrays need it", "notebook"
+#: What needs a library, and the extra that brings it.
+_EXTRAS = {
+    "pandas": _TABLES,
+    "xarray": _TABLES,
+    "h5netcdf": _TABLES,
+    "matplotlib": ("figures that are changed or saved need it; reports and views do not", "plots"),
+}
+
 
 def of_extra(library: str) -> Any:
-    """Import a library of the extra ``notebook``.
+    """Import a library of an extra.
 
-    library: "pandas", "xarray" or "h5netcdf".
+    library: "pandas", "xarray", "h5netcdf" or "matplotlib".
     InputError: It is not installed.
     """
     try:
         return import_module(library)
     except ImportError as error:
-        raise InputError(
-            f"{library} is not installed; tables and labelled arrays need it: pip install 'heliogauge[notebook]'"
-        ) from error
+        reason, extra = _EXTRAS[library]
+        raise InputError(f"{library} is not installed; {reason}: pip install 'heliogauge[{extra}]'") from error

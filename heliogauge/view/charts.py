@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from heliogauge.errors import InputError
+from heliogauge.files.extras import of_extra
 from heliogauge.reporting.html import Html, show
 from heliogauge.validate import FloatArray
 from heliogauge.view.arrays import PAGE, ArrayStore, reading_step
@@ -108,10 +109,8 @@ class ChartView:
 
     @cached_property
     def static(self) -> Html:
-        """The figures, drawn once."""
-        if self.stills:
-            return side_by_side(self.stills)
-        return show(*self.figures) if self.figures else side_by_side([self.still()])
+        """The still picture, drawn once."""
+        return side_by_side(self.stills or [self.still()])
 
     def _repr_html_(self) -> str:
         return self.static.text
@@ -151,7 +150,11 @@ class ChartView:
         }
 
     def figure(self) -> "Figure":
-        """Draw the chart."""
+        """Draw the chart.
+
+        InputError: matplotlib is not installed.
+        """
+        of_extra("matplotlib")
         from matplotlib.ticker import MaxNLocator
 
         from heliogauge.reporting.canvas import add_legend, chart_figure, set_equal_limits

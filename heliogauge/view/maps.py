@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from heliogauge.errors import EstimationError, InputError
+from heliogauge.files.extras import of_extra
 from heliogauge.flags import FLAG_TEXTS, REJECTED, SampleFlag
 from heliogauge.instruments import near_match
 from heliogauge.reporting.html import Html, show
@@ -143,7 +144,7 @@ class MapView:
         """The still pictures, drawn once."""
         if self.figures:
             return show(*self.figures)
-        return side_by_side(self.stills or [self._still(one) for one in self.layers[:2]])
+        return side_by_side(self.stills or [self._still(one) for one in self.layers[:2]], caption=self.note)
 
     def layer_still(self, key: str) -> Html:
         """Draw the still picture of one layer."""
@@ -153,8 +154,9 @@ class MapView:
         """Draw one layer.
 
         quantity: Its key; the first layer without it.
-        InputError: There is no such layer.
+        InputError: There is no such layer, or matplotlib is not installed.
         """
+        of_extra("matplotlib")
         from heliogauge.reporting.canvas import MapStyle, map_figure
 
         layers = {layer.key: layer for layer in self.layers}

@@ -3,20 +3,23 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
 import numpy.typing as npt
-from matplotlib.figure import Figure
 
 from heliogauge.errors import InputError
-from heliogauge.reporting.canvas import FAINT, INK, LINE_Y, WIDTH_IN, add_title, axes_in_inches, new_figure
+from heliogauge.files.extras import of_extra
 from heliogauge.reporting.html import Html, show
+from heliogauge.reporting.look import FAINT, INK, LINE_Y
 from heliogauge.validate import FloatArray
 from heliogauge.view.arrays import PAGE, ArrayStore
 from heliogauge.view.markup import view_frame
-from heliogauge.view.stills import side_by_side
+from heliogauge.view.stills import WIDE_PX, LegendEntry, Sheet, fitted_sheet, side_by_side
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 # 1000 px fill the page's width; 30 photos of that size at this quality take 2 MB.
 MOST_PIXELS_IN_PAGE = 1000
@@ -24,6 +27,8 @@ _JPEG_QUALITY = 70
 # A hundredth of a pixel in places, a thousandth in residuals: below what a photo's centres are worth.
 _PLACE_STEP_PX = 0.01
 _RESIDUAL_STEP_PX = 0.001
+#: Marks of one kind that are drawn as circles and arrows in a still picture; more are dots, and some have arrows.
+_MOST_RINGS = 1000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -96,14 +101,14 @@ class PhotoView:
 
     name: What they show.
     photos: At least one.
-    figures: Static figures for notebook and print; empty: the first photo with its marks, drawn here.
+    figures: Static figures for notebook and print; empty: drawn here.
     stills: Still pictures that stand for it in notebook and print; empty: drawn here.
     InputError: No photo.
     """
 
     name: str
     photos: tuple[Photo, ...]
-    figures: Sequence[Figure] = field(default=())
+    figures: "Sequence[Figure]" = field(default=())
     stills: Sequence[Html] = ()
 
     def __post_init__(self) -> None:
@@ -112,8 +117,8 @@ class PhotoView:
 
     @cached_property
     def static(self) -> Html:
-        """The figures, drawn once."""
-        return side_by_side(self.stills) if self.stills else show(*(self.figures or [self.figure()]))
+        """The still pictures, drawn once."""
+        return show(*self.figures) if self.figures else side_by_side(self.stills or [self._still()])
 
     def _repr_html_(self) -> str:
         return self.static.text
@@ -123,8 +128,14 @@ class PhotoView:
         spec = {"name": self.name, "photos": [_photo_spec(photo, store) for photo in self.photos]}
         return view_frame("photo", self.name, spec, self.static)
 
-    def figure(self) -> Figure:
-        """Draw the first photo with its marks."""
+    def figure(self) -> "Figure":
+        """Draw the first photo with its marks.
+
+        InputError: matplotlib is not installed.
+        """
+        of_extra("matplotlib")
+        from heliogauge.reporting.canvas import WIDTH_IN, add_title, axes_in_inches, new_figure
+
         photo = self.photos[0]
         width = 1.6 * WIDTH_IN - 0.8
         height = min(width * photo.height_px / photo.width_px, 5.0)
@@ -152,6 +163,50 @@ class PhotoView:
         axes.set_xlabel("column [px]", fontsize=8, color=INK, labelpad=2)
         axes.set_ylabel("row [px]", fontsize=8, color=FAINT, labelpad=2)
         return figure
+
+    def _still(self) -> Html:
+        """Draw the first photo with its marks."""
+        photo = self.photos[0]
+        counts = ", ".join(f"{len(one.xy_px)} {one.name}" for one in photo.marks)
+        title, note = f"{self.name}: {photo.name}", "; ".join(filter(None, (counts, photo.note)))
+        sheet = photo_sheet(photo)
+        sheet.title(title, note)
+        return sheet.html(f"{title}. {note}")
+
+
+def photo_sheet(photo: Photo) -> Sheet:
+    """Draw a photo with its marks as a still picture without a title."""
+    sheet = fitted_sheet(
+        (-0.5, photo.width_px - 0.5), (photo.height_px - 0.5, -0.5), width=WIDE_PX, tallest_px=640, bar=False
+    )
+    if photo.image is not None:
+        sheet.photo(_reduced(photo.image, MOST_PIXELS_IN_PAGE), (*sheet.x_limits, *sheet.y_limits))
+    legend = []
+    for lines in photo.lines:
+        for line in lines.lines:
+            x, y = np.asarray(line, dtype=np.float64).T
+            sheet.line(x, y, lines.color, width=1.2)
+        legend.append(LegendEntry(lines.name, lines.color))
+    scale = arrow_scale(photo)
+    for marks in photo.marks:
+        x, y = np.asarray(marks.xy_px, dtype=np.float64).reshape(-1, 2).T
+        if marks.refused:
+            sheet.crosses(x, y, marks.color)
+        elif x.size < _MOST_RINGS:
+            sheet.rings(x, y, marks.color)
+        else:
+            sheet.dots(x, y, [marks.color], size_px=2.0)
+        legend.append(LegendEntry(marks.name, marks.color, "cross" if marks.refused else "ring"))
+    arrows = [one for one in photo.marks if one.residual_px is not None and len(one.residual_px)]
+    for marks in arrows:
+        few = np.s_[:: -(-len(marks.xy_px) // _MOST_RINGS)]
+        (x, y), (dx, dy) = np.asarray(marks.xy_px)[few].T, scale * np.asarray(marks.residual_px)[few].T
+        sheet.arrows(x, y, dx, dy, LINE_Y)
+    if arrows:
+        legend.append(LegendEntry(f"residuals, {scale:g} times", LINE_Y))
+    sheet.axes("column [px]", "row [px]", grid=False)
+    sheet.legend(legend)
+    return sheet
 
 
 def arrow_scale(photo: Photo) -> float:

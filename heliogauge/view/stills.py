@@ -6,9 +6,12 @@ small and quick. Figures that a person changes or saves are matplotlib's (``resu
 
 import base64
 import html
+import struct
+import zlib
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal, NamedTuple
+from urllib.parse import quote
 
 import cv2
 import numpy as np
@@ -20,7 +23,7 @@ from heliogauge.validate import BoolArray, FloatArray
 
 #: Two stills side by side fill a page of 1160 px; one of the other width stands alone.
 WIDTH_PX = 576.0
-WIDE_PX = 922.0
+WIDE_PX = 1152.0
 
 _GRID = "#e4e7ea"
 _FONT = "font-family=\"system-ui, 'DejaVu Sans', sans-serif\""
@@ -46,7 +49,11 @@ _STRIPES = (
 _MOST_DRAWN = 4000
 #: Pixels of such an image for each of the page: 250 to the inch on paper.
 _FINER = 2.0
+#: Beyond this number for each.
+_MOST_FINE = 20_000
 _JPEG_QUALITY = 75
+#: What stands in the address of a picture as it is.
+_PLAIN = " !$'()*+,-./:;=?@[]^_`{|}~"
 #: Width of a letter as a share of the size of the font, on average.
 _LETTER = 0.56
 
@@ -56,7 +63,7 @@ class LegendEntry(NamedTuple):
 
     name: str
     color: str
-    mark: Literal["line", "dashed", "dot", "cross", "box", "hatched"] = "line"
+    mark: Literal["line", "dashed", "dot", "ring", "cross", "box", "hatched"] = "line"
 
 
 @dataclass(slots=True, eq=False)
@@ -327,10 +334,11 @@ class Sheet:
 
         words: What it shows, for those who cannot see it.
         """
-        data = base64.b64encode(self.svg().encode()).decode("ascii")
+        # A quarter less than as base64.
+        data = quote(self.svg().replace("'", "&apos;").replace('"', "'"), safe=_PLAIN)
         alt = html.escape(words, quote=True)
         kind = ' class="wide"' if self.width > 1.5 * WIDTH_PX else ""
-        return Html(f'<figure{kind}><img alt="{alt}" src="data:image/svg+xml;base64,{data}"></figure>')
+        return Html(f'<figure{kind}><img alt="{alt}" src="data:image/svg+xml,{data}"></figure>')
 
     def _stroke(
         self,
@@ -352,41 +360,42 @@ class Sheet:
 
     def _dotted_image(self, across: FloatArray, down: FloatArray, colors: Sequence[str], size_px: float) -> str:
         left, top, right, bottom = self.box
-        shape = round(_FINER * (bottom - top)), round(_FINER * (right - left))
-        radius = max(0.5 * _FINER * size_px, 0.75)
+        finer = _FINER if across.size < _MOST_FINE else 1.0
+        shape = round(finer * (bottom - top)), round(finer * (right - left))
+        radius = 0.5 * finer * size_px
         reach = np.arange(-np.floor(radius), np.floor(radius) + 1)
         disc = np.stack([one.ravel() for one in np.meshgrid(reach, reach)], axis=-1)
         disc = disc[np.hypot(*disc.T) <= radius].astype(np.intp)
-        column = np.rint(_FINER * (across - left)).astype(np.intp)[:, None] + disc[:, 0]
-        row = np.rint(_FINER * (down - top)).astype(np.intp)[:, None] + disc[:, 1]
-        kinds = list(dict.fromkeys(colors))
-        place = {color: index for index, color in enumerate(kinds)}
-        table = np.array([[*_rgb(color), 255] for color in kinds], dtype=np.uint8)
-        painted = np.repeat(np.array([place[color] for color in colors], dtype=np.intp)[:, None], len(disc), axis=1)
+        column = np.rint(finer * (across - left)).astype(np.intp)[:, None] + disc[:, 0]
+        row = np.rint(finer * (down - top)).astype(np.intp)[:, None] + disc[:, 1]
+        # Beyond 255 the last colours are one.
+        kinds = list(dict.fromkeys(colors))[:255]
+        place = {color: index for index, color in enumerate(kinds, start=1)}
+        table = [[0, 0, 0, 0], *([*_rgb(color), 255] for color in kinds)]
+        painted = np.array([place.get(color, len(kinds)) for color in colors], dtype=np.uint8)[:, None]
         seen = (column >= 0) & (column < shape[1]) & (row >= 0) & (row < shape[0])
-        rgba = np.zeros((*shape, 4), dtype=np.uint8)
+        picture = np.zeros(shape, dtype=np.uint8)
         # Of those at one place the last one stays.
-        rgba[row[seen], column[seen]] = table[painted[seen]]
-        return self._image("png", _png(rgba), self._extent())
+        picture[row[seen], column[seen]] = np.broadcast_to(painted, seen.shape)[seen]
+        return self._image("png", _indexed_png(picture, np.array(table)), self._extent())
 
     def _stroked_image(self, across: FloatArray, down: FloatArray, color: str, width: float, opacity: float) -> str:
         left, top, right, bottom = self.box
-        shape = round(_FINER * (bottom - top)), round(_FINER * (right - left))
+        finer = _FINER if across.size < _MOST_FINE else 1.0
+        shape = round(finer * (bottom - top)), round(finer * (right - left))
         known = np.isfinite(across) & np.isfinite(down)
         # Sixteenths of a pixel; far beyond the box is far enough.
-        places = np.clip(np.stack([across - left, down - top], axis=-1), -1e4, 1e4) * (16 * _FINER)
+        places = np.clip(np.stack([across - left, down - top], axis=-1), -1e4, 1e4) * (16 * finer)
         ends = np.flatnonzero(np.diff(known.astype(np.int8))) + 1
         pieces = [piece for piece in np.split(np.arange(across.size), ends) if known[piece[0]]]
         mask = np.zeros(shape, dtype=np.uint8)
         lines = [np.rint(places[piece]).astype(np.int32) for piece in pieces]
         cv2.polylines(
-            mask, lines, isClosed=False, color=255, thickness=max(round(_FINER * width), 1), lineType=16, shift=4
+            mask, lines, isClosed=False, color=255, thickness=max(round(finer * width), 1), lineType=16, shift=4
         )
-        rgba = np.empty((*shape, 4), dtype=np.uint8)
-        rgba[..., :3] = _rgb(color)
-        # Four steps of opacity make a file of a third of the size, and look the same.
-        rgba[..., 3] = np.rint(opacity * 85 * np.rint(mask / 85))
-        return self._image("png", _png(rgba), self._extent())
+        # Four steps of opacity make a small file, and look the same.
+        table = np.array([[*_rgb(color), round(85 * step * opacity)] for step in range(4)])
+        return self._image("png", _indexed_png(np.rint(mask / 85).astype(np.uint8), table), self._extent())
 
     def _extent(self) -> tuple[float, float, float, float]:
         return (*self.x_limits, *self.y_limits)
@@ -546,6 +555,8 @@ def _legend_mark(entry: LegendEntry, x: float, y: float) -> str:
     color = _safe(entry.color)
     if entry.mark == "dot":
         return f'<path d="M{x + 10:.1f},{y:.1f}h0" stroke="{color}" stroke-width="7" stroke-linecap="round"/>'
+    if entry.mark == "ring":
+        return f'<circle cx="{x + 10:.1f}" cy="{y:.1f}" r="3.5" fill="none" stroke="{color}"/>'
     if entry.mark == "cross":
         return f'<path d="M{x + 7:.1f},{y - 3:.1f}l6,6m0,-6l-6,6" stroke="{color}" stroke-width="1.4"/>'
     if entry.mark in ("box", "hatched"):
@@ -561,6 +572,29 @@ def _png(rgba: npt.NDArray[np.uint8]) -> bytes:
     options = [cv2.IMWRITE_PNG_COMPRESSION, 4, cv2.IMWRITE_PNG_STRATEGY, 0]
     _, data = cv2.imencode(".png", np.ascontiguousarray(rgba[..., [2, 1, 0, 3]]), options)
     return data.tobytes()
+
+
+def _indexed_png(picture: npt.NDArray[np.uint8], table: npt.NDArray[np.integer[Any]]) -> bytes:
+    """Return a picture of few colours as a PNG file of a byte for each pixel, which OpenCV cannot write.
+
+    picture (rows, columns): Places in the table.
+    Shapes: table (n, 4), red, green, blue, opacity.
+    """
+    rows, columns = picture.shape
+    # Each row begins with its filter: none.
+    lines = np.insert(picture, 0, 0, axis=1).tobytes()
+    colors = table.astype(np.uint8)
+    pieces = (
+        (b"IHDR", struct.pack(">IIBBBBB", columns, rows, 8, 3, 0, 0, 0)),
+        (b"PLTE", colors[:, :3].tobytes()),
+        (b"tRNS", colors[:, 3].tobytes()),
+        (b"IDAT", zlib.compress(lines, 6)),
+        (b"IEND", b""),
+    )
+    packed = (
+        struct.pack(">I", len(data)) + name + data + struct.pack(">I", zlib.crc32(name + data)) for name, data in pieces
+    )
+    return b"\x89PNG\r\n\x1a\n" + b"".join(packed)
 
 
 def _rgb(color: str) -> list[int]:

@@ -3,8 +3,8 @@
 import numpy as np
 
 from heliogauge.reporting import page
-from heliogauge.reporting.canvas import INK
 from heliogauge.reporting.html import Html, Shown, join, table_under_name
+from heliogauge.reporting.look import INK
 from heliogauge.reporting.verdict import verdict_of
 from heliogauge.view.charts import ChartSeries, ChartView, Mark
 from heliogauge.view.scenes import SceneView

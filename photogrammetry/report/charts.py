@@ -1,30 +1,20 @@
 """Charts of a network's report: residuals over the image and the radius, sigma against rays, errors of lengths."""
 
-from typing import TYPE_CHECKING, NamedTuple
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
 from heliogauge.camera.model import PARAMETER_NAMES
-from heliogauge.reporting.canvas import (
-    DIVERGING,
-    FAINT,
-    INK,
-    LINE_X,
-    LINE_Y,
-    SEQUENTIAL,
-    add_title,
-    axes_in_inches,
-    chart_figure,
-    new_figure,
-)
+from heliogauge.reporting.html import Html
+from heliogauge.reporting.look import FAINT, INK, LINE_X, LINE_Y
 from heliogauge.validate import FloatArray, IntArray
 from heliogauge.view.charts import ChartSeries, ChartView, Mark
-from heliogauge.view.image_maps import residual_layers
+from heliogauge.view.image_maps import residual_layers, residual_still
 from heliogauge.view.maps import MapView
+from heliogauge.view.still_maps import correlation_still
+from heliogauge.view.stills import side_by_side
 from photogrammetry.report.network import NetworkResults
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 #: Cells of the map along the longer side of the image: some image points in each, and not more than one sees.
 _LEAST_CELLS, _MOST_CELLS, _POINTS_IN_CELL = 6, 24, 6
@@ -48,16 +38,13 @@ def residual_map(results: NetworkResults) -> MapView:
     own = _of_first_camera(results)
     pixels = used.pixels_px[own]
     layers = residual_layers(pixels, used.residuals_px[own], axes_px[1], axes_px[0])
-    count, means = np.nan_to_num(layers[3].values), [layers[0].values, layers[1].values]
+    count = np.nan_to_num(layers[3].values)
     shape = count.shape
     empty = float((count == 0).mean())
     half = 0.5 * np.array([camera.width_px, camera.height_px])
     reach = float(np.hypot(*(pixels - half + 0.5).T).max(initial=0.0)) / float(np.hypot(*half))
     note = f"{empty:.0%} of the cells without image points; points out to {reach:.0%} of the way to the corners"
-    edges = [
-        np.linspace(-0.5, size - 0.5, n + 1) for size, n in zip((camera.height_px, camera.width_px), shape, strict=True)
-    ]
-    return MapView(
+    view = MapView(
         "Residuals over the image, all photos",
         axes_px[1],
         axes_px[0],
@@ -67,8 +54,9 @@ def residual_map(results: NetworkResults) -> MapView:
         note=note,
         axis_unit="px",
         y_down=True,
-        figures=[_coverage_figure(edges, count, note), _mean_figure(results, edges, means, axes_px)],
     )
+    means = np.stack([layers[0].values, layers[1].values], axis=-1)
+    return replace(view, stills=[view.layer_still("count"), _mean_still(results, means, axes_px)])
 
 
 def _of_first_camera(results: NetworkResults) -> FloatArray:
@@ -78,33 +66,20 @@ def _of_first_camera(results: NetworkResults) -> FloatArray:
     return np.asarray(own[results.used.photo])
 
 
-def _coverage_figure(edges: list[FloatArray], count: FloatArray, note: str) -> "Figure":
-    figure, axes = chart_figure("Coverage of the image, all photos", note, "x [px]", "y [px]", height_in=4.0)
-    axes.set_facecolor("#c9cdd2")
-    image = axes.pcolormesh(edges[1], edges[0], np.ma.masked_equal(count, 0), cmap=SEQUENTIAL, vmin=0)
-    bar = figure.colorbar(image, ax=axes, shrink=0.75)
-    bar.set_label("image points in a cell", fontsize=8, color=INK)
-    bar.ax.tick_params(labelsize=8, colors=INK)
-    axes.set_aspect("equal")
-    axes.invert_yaxis()
-    return figure
+def _mean_still(results: NetworkResults, means: FloatArray, axes_px: list[FloatArray]) -> Html:
+    """Draw the mean residual of each cell as an arrow.
 
-
-def _mean_figure(
-    results: NetworkResults, edges: list[FloatArray], means: list[FloatArray], axes_px: list[FloatArray]
-) -> "Figure":
-    """Draw the mean residual of each cell as an arrow."""
-    sizes = np.hypot(*means)
+    Shapes: means (ny, nx, 2).
+    """
+    sizes = np.linalg.norm(means, axis=-1)
     typical = float(np.sqrt(np.nanmean(sizes**2))) if np.isfinite(sizes).any() else 0.0
-    scale = 0.6 * float(edges[1][1] - edges[1][0]) / typical if typical > 0 else 1.0
+    scale = 0.6 * float(axes_px[1][1] - axes_px[1][0]) / typical if typical > 0 else 1.0
     rms = float(np.sqrt((results.used.residuals_px**2).sum(axis=1).mean())) if len(results.used.photo) else 0.0
     note = f"{scale:.0f} times; residuals {rms:.3g} px RMS, their means {typical:.3g} px"
-    figure, axes = chart_figure("Mean residual in each part of the image", note, "x [px]", "y [px]", height_in=4.0)
-    x, y = np.meshgrid(axes_px[1], axes_px[0])
-    u, v = scale * means[0], scale * means[1]
-    axes.quiver(x, y, u, v, angles="xy", scale_units="xy", scale=1, color=LINE_X, width=0.0025)
-    axes.set(xlim=edges[1][[0, -1]], ylim=edges[0][[-1, 0]], aspect="equal")
-    return figure
+    places = np.stack(np.meshgrid(axes_px[1], axes_px[0]), axis=-1).reshape(-1, 2)
+    camera = results.camera
+    words = "Mean residual in each part of the image", note
+    return residual_still((camera.width_px, camera.height_px), places, means.reshape(-1, 2), scale, words)
 
 
 class _Parts(NamedTuple):
@@ -229,26 +204,14 @@ def length_chart(results: NetworkResults) -> ChartView | None:
     return ChartView("Length measurement error", "length [m]", "error [mm]", tuple(series), note)
 
 
-def correlation_figure(results: NetworkResults) -> "Figure | None":
-    """Draw the correlations of the camera's parameters; None where fewer than two were estimated."""
+def correlations(results: NetworkResults) -> Html:
+    """Draw the correlations of the camera's parameters; nothing where fewer than two were estimated."""
     covariance = results.camera.covariance
     free = np.nonzero(np.diag(covariance) > 0)[0]
     if free.size < 2:
-        return None
-    names = [PARAMETER_NAMES[i] for i in free]
+        return Html("")
+    names = [PARAMETER_NAMES[i].removesuffix("_px").replace("_", " ") for i in free]
     sigma = np.sqrt(np.diag(covariance)[free])
     matrix = covariance[np.ix_(free, free)] / np.outer(sigma, sigma)
-    figure = new_figure(4.4)
-    axes = axes_in_inches(figure, 1.05, 0.95, 2.75, 2.75)
-    image = axes.imshow(matrix, cmap=DIVERGING, vmin=-1, vmax=1)
-    axes.set_xticks(range(free.size), names, rotation=60, ha="right", fontsize=7)
-    axes.set_yticks(range(free.size), names, fontsize=7)
-    for i in range(free.size):
-        for j in range(free.size):
-            dark = abs(matrix[i, j]) > 0.6
-            axes.text(
-                j, i, f"{matrix[i, j]:.2f}", ha="center", va="center", fontsize=5.5, color="white" if dark else INK
-            )
-    figure.colorbar(image, cax=axes_in_inches(figure, 3.95, 0.95, 0.13, 2.75))
-    add_title(figure, "Correlations of the camera's parameters", "near 1 or -1: the photos do not separate the two")
-    return figure
+    words = "Correlations of the camera's parameters", "near 1 or -1: the photos do not separate the two"
+    return side_by_side([correlation_still(names, matrix, *words)])

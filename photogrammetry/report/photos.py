@@ -5,7 +5,7 @@ from collections import defaultdict
 import numpy as np
 
 from heliogauge.images.thumbnails import decode_thumbnail
-from heliogauge.reporting.canvas import LINE_X, LINE_Y
+from heliogauge.reporting.look import LINE_X, LINE_Y
 from heliogauge.results.folder import read_table_csv
 from heliogauge.results.thumbnails import read_thumbnails
 from heliogauge.validate import FloatArray, IntArray

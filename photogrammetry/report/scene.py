@@ -1,30 +1,15 @@
 """The network in space for its report: points with error ellipsoids, cameras as pyramids, scale bars."""
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from heliogauge.camera.model import Camera
 from heliogauge.geometry.rigid import RigidTransform
-from heliogauge.reporting.canvas import (
-    FAINT,
-    INK,
-    LINE_Y,
-    SEQUENTIAL,
-    WIDTH_IN,
-    add_title,
-    axes_in_inches,
-    new_figure,
-    nice_ceiling,
-    set_equal_limits,
-)
+from heliogauge.reporting.look import LINE_Y, nice_ceiling
 from heliogauge.validate import FloatArray
-from heliogauge.view.scenes import SceneGroup, SceneView
+from heliogauge.view.scenes import ColorScale, SceneGroup, SceneView
 from photogrammetry.report.network import NetworkResults
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 #: Points up to which ellipsoids have three full sections, and up to which they have axes; of more points the least
 #: certain ones have ellipsoids.
@@ -32,10 +17,7 @@ _MOST_FULL, _MOST_AXES = 400, 4000
 #: The largest ellipsoid's longest half axis, and the cameras' pyramids, as shares of the network's extent.
 _ELLIPSOID_SHARE = 0.05
 _CAMERA_SHARE = 0.03
-#: Points in a still picture.
-_MOST_STILL = 20_000
 _BAR = "#2f8f5b"
-_COLORS = 64
 
 
 def magnification(covariances_m2: FloatArray, extent_m: float) -> float:
@@ -86,7 +68,7 @@ def pyramid_lines(camera: Camera, cam_from_world: RigidTransform, depth_m: float
 
 
 def network_view(results: NetworkResults, notes_of_photos: Sequence[str], *, name: str = "Network") -> SceneView:
-    """Return the network as a scene that the reader can turn, with still pictures along two axes.
+    """Return the network as a scene that the reader can turn.
 
     notes_of_photos: What is shown at each projection centre.
     Returns: Points coloured by sigma, ellipsoids, cameras, known lengths.
@@ -102,8 +84,16 @@ def network_view(results: NetworkResults, notes_of_photos: Sequence[str], *, nam
     factor = magnification(covariances, results.extent_m)
     vertices, counts = ellipsoid_lines(points[shown], covariances[shown], factor)
     whose = f" of the {len(shown)} least certain points" if many else ""
+    scale = sigma_scale(sigma_mm)
     groups = [
-        SceneGroup("points, coloured by sigma", points, hex_colors(sigma_mm), labels=labels, size_px=3 if many else 6),
+        SceneGroup(
+            "points, coloured by sigma",
+            points,
+            scale.colors(sigma_mm),
+            labels=labels,
+            size_px=3 if many else 6,
+            scale=scale,
+        ),
         SceneGroup(
             f"error ellipsoids{whose} (1 sigma, {grouped(factor)} times)",
             vertices,
@@ -118,9 +108,7 @@ def network_view(results: NetworkResults, notes_of_photos: Sequence[str], *, nam
         f"Sigma of the points (square root of the covariance's trace): {_span(sigma_mm)}. "
         "A camera's roof is over the top edge of its image."
     )
-    return SceneView(
-        name, tuple(one for one in groups if len(one.xyz_m)), note, height_px=480, figures=still_figures(results)
-    )
+    return SceneView(name, tuple(one for one in groups if len(one.xyz_m)), note, height_px=480)
 
 
 def _span(sigma_mm: FloatArray) -> str:
@@ -168,61 +156,14 @@ def _pyramids(results: NetworkResults) -> list[tuple[FloatArray, tuple[int, ...]
     ]
 
 
-def still_figures(results: NetworkResults) -> "list[Figure]":
-    """Draw the network seen along z and along y."""
-    return [network_figure(results, 0, 1), network_figure(results, 0, 2)]
-
-
-def network_figure(results: NetworkResults, first: int, second: int) -> "Figure":
-    """Draw points coloured by sigma, known lengths and cameras, seen along one axis.
-
-    first, second: Axes to the right and up: 0 x, 1 y, 2 z.
-    """
-    from matplotlib.collections import LineCollection
-
-    across = (first, second)
-    points, sigma_mm = results.points.xyz_m[results.known][:, across], results.sigma_mm
-    pyramids = _pyramids(results)
-    figure = new_figure(4.3)
-    axes = axes_in_inches(figure, 0.6, 0.5, WIDTH_IN - 1.5, 3.1)
-    axes.set_xlabel(f"{'xyz'[first]} [m]", fontsize=8.5, color=INK)
-    axes.set_ylabel(f"{'xyz'[second]} [m]", fontsize=8.5, color=INK)
-    strokes = [lines[part][:, across] for lines, _ in pyramids for part in (slice(9), slice(9, None))]
-    axes.add_collection(LineCollection(strokes, colors=FAINT, linewidths=0.5))
-    for group in _bar_groups(results):
-        axes.add_collection(LineCollection(list(group.xyz_m[:, across].reshape(-1, 2, 2)), colors=_BAR, linewidths=1.2))
-    # Every n-th of very many, the least certain on top: 90,000 take 0.7 s and look the same.
-    order = np.argsort(sigma_mm, kind="stable")[:: -(-len(points) // _MOST_STILL) or 1]
-    size = 9.0 if len(points) < 5000 else 1.0
-    dots = axes.scatter(
-        points[order, 0], points[order, 1], c=sigma_mm[order], cmap=SEQUENTIAL, s=size, linewidths=0, zorder=3
-    )
-    bar = figure.colorbar(dots, cax=axes_in_inches(figure, WIDTH_IN - 0.78, 0.5, 0.13, 3.1), format="%.3g")
-    bar.ax.tick_params(labelsize=8, colors=INK)
-    everything = np.concatenate([points, *strokes])
-    if len(everything):
-        set_equal_limits(axes, everything[:, 0], everything[:, 1])
-    add_title(
-        figure,
-        f"Network in {'xyz'[first]} and {'xyz'[second]}",
-        f"{len(points)} points, colour: sigma [mm]; {len(pyramids)} photos",
-    )
-    return figure
-
-
 def grouped(number: float) -> str:
     """Return a whole number with its digits in threes."""
     return f"{number:,.0f}".replace(",", "\u202f")
 
 
-def hex_colors(values: FloatArray) -> list[str]:
-    """Return colours from dark to yellow for values, shape (n,); the largest hundredth shares the last colour."""
-    from matplotlib import colormaps
-    from matplotlib.colors import to_hex
-
-    if not values.size:
-        return []
-    low, high = float(values.min()), float(np.percentile(values, 99)) if values.size > 100 else float(values.max())
-    shares = np.clip((values - low) / (high - low), 0, 1) if high > low else np.zeros(values.shape)
-    colors = [to_hex(color) for color in colormaps[SEQUENTIAL](np.linspace(0, 0.95, _COLORS))]
-    return [colors[i] for i in np.rint(shares * (_COLORS - 1)).astype(int)]
+def sigma_scale(sigma_mm: FloatArray) -> ColorScale:
+    """Return colours for standard deviations, shape (n,); the largest hundredth shares the last colour."""
+    if not sigma_mm.size:
+        return ColorScale(0.0, 1.0, "mm")
+    high = np.percentile(sigma_mm, 99) if sigma_mm.size > 100 else sigma_mm.max()
+    return ColorScale(float(sigma_mm.min()), float(high), "mm")

@@ -1,7 +1,7 @@
 """Sections of a network's report; each is one cell of the notebook and returns what it shows."""
 
 from heliogauge.reporting import page
-from heliogauge.reporting.html import Html, Shown, beside, join, show, table_under_name
+from heliogauge.reporting.html import Html, Shown, beside, join, table_under_name
 from heliogauge.reporting.verdict import Verdict, unmeasured, verdict_of
 from heliogauge.view.scenes import SceneView
 from photogrammetry.report import charts, tables
@@ -134,7 +134,7 @@ def residuals(results: NetworkResults) -> Shown:
 
 def camera(results: NetworkResults) -> Shown:
     """Return the camera with significance and correlations."""
-    return join(tables.intrinsics_table(results), show(charts.correlation_figure(results)))
+    return join(tables.intrinsics_table(results), charts.correlations(results))
 
 
 def refused(results: NetworkResults) -> Shown:

@@ -1,37 +1,22 @@
 """The surface in a network's report: deviations, slope maps, canting, displacements; empty where none was asked for."""
 
 import html
-from typing import TYPE_CHECKING
 
 import numpy as np
-from matplotlib import colormaps
-from matplotlib.colors import to_hex
 
-from heliogauge.reporting.canvas import (
-    DIVERGING,
-    FAINT,
-    INK,
-    LINE_Y,
-    chart_figure,
-    nice_ceiling,
-    robust_limit,
-    set_equal_limits,
-)
 from heliogauge.reporting.html import Html, join, table_under_name
+from heliogauge.reporting.look import FAINT, LINE_Y, nice_ceiling
 from heliogauge.reporting.notation import number_text
 from heliogauge.results.folder import facet_names, read_slope_map, read_table_csv
 from heliogauge.validate import FloatArray
-from heliogauge.view.scenes import SceneGroup, SceneView
+from heliogauge.view.scenes import ColorScale, SceneGroup, SceneView
+from heliogauge.view.stills import fitted_sheet, side_by_side
 from heliogauge.view.tables import TableColumn, TableView
 from photogrammetry.report.network import NetworkResults
 from photogrammetry.report.tables import MOST_ROWS, digits_for, number_column
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 #: The longest arrow is drawn as this share of the picture.
 _ARROW_SHARE = 0.12
-_HEIGHT_IN = 4.2
 
 Columns = dict[str, list[str]]
 
@@ -93,8 +78,7 @@ def _deviations(results: NetworkResults) -> Html:
     # Seen from the front the normal is near z; that is enough for a picture of what is enlarged so much.
     moved = places + np.stack([0 * deviation, 0 * deviation, factor * deviation], axis=1)
     labels = [f"{name}: {1e3 * value:+.4f} mm" for name, value in zip(columns["id"], deviation, strict=True)]
-    shares = 0.5 + 0.5 * np.clip(deviation / limit, -1, 1)
-    colors = [to_hex(color) for color in colormaps[DIVERGING](shares)]
+    scale = ColorScale(-1e3 * limit, 1e3 * limit, "mm", diverging=True)
     groups = [
         SceneGroup(
             f"deviation, {factor:g} times",
@@ -106,50 +90,22 @@ def _deviations(results: NetworkResults) -> Html:
         SceneGroup(
             "points, coloured by deviation",
             moved[used],
-            [colors[i] for i in np.nonzero(used)[0]],
+            scale.colors(1e3 * deviation[used]),
             labels=[labels[i] for i in np.nonzero(used)[0]],
             size_px=7,
+            scale=scale,
         ),
         SceneGroup(
             "points not used", moved[~used], [LINE_Y], labels=[labels[i] for i in np.nonzero(~used)[0]], size_px=9
         ),
     ]
-    still = [deviation_figure(columns)]
-    facets = _columns(results, "canting.csv")
-    if facets is not None:
-        still.append(canting_figure(facets, columns))
-    note = f"Red is towards the viewer, up to {1e3 * limit:.3g} mm."
-    shown = tuple(group for group in groups if len(group.xyz_m))
-    return join(SceneView("Deviation from the surface", shown, note, height_px=420, figures=still))
-
-
-def deviation_figure(columns: Columns) -> "Figure":
-    """Draw the deviation of each point from the surface, seen from the front."""
-    xy, deviation = _numbers(columns, "x_m", "y_m"), 1e3 * _numbers(columns, "deviation_m")[:, 0]
-    used = _numbers(columns, "used")[:, 0] > 0
-    limit = robust_limit(deviation[used])
     sigma = 1e3 * float(np.median(_numbers(columns, "sigma_deviation_m")))
     note = (
-        f"along the normal, positive towards the viewer; RMS {np.sqrt(np.mean(deviation[used] ** 2)):.4f} mm, "
-        f"median sigma {sigma:.4f} mm"
+        f"Along the normal, red towards the viewer, up to {1e3 * limit:.3g} mm; RMS "
+        f"{1e3 * np.sqrt(np.mean(deviation[used] ** 2)):.4f} mm, median sigma {sigma:.4f} mm."
     )
-    figure, axes = chart_figure("Deviation of the points from the surface [mm]", note, "x [m]", "y [m]", _HEIGHT_IN)
-    dots = axes.scatter(
-        xy[used, 0],
-        xy[used, 1],
-        s=26,
-        c=deviation[used],
-        cmap=DIVERGING,
-        vmin=-limit,
-        vmax=limit,
-        zorder=3,
-        edgecolors=FAINT,
-        linewidths=0.4,
-    )
-    axes.plot(*xy[~used].T, "x", color=LINE_Y, markersize=6, linestyle="none")
-    set_equal_limits(axes, *xy.T)
-    figure.colorbar(dots, ax=axes).ax.tick_params(labelsize=8, colors=INK)
-    return figure
+    shown = tuple(group for group in groups if len(group.xyz_m))
+    return join(SceneView("Deviation from the surface", shown, note, height_px=420))
 
 
 def _slopes(results: NetworkResults) -> Html:
@@ -188,30 +144,35 @@ def _canting(results: NetworkResults) -> Html:
         most_rows=15,
     )
     words = "<h3>Canting</h3><p>Of the normal: slope of the facet beyond the design's, in x and y.</p>"
-    return join(Html(words), listed)
+    points = _columns(results, "surface.csv")
+    drawn = Html("") if points is None else canting_still(columns, points)
+    return join(Html(words), drawn, listed)
 
 
-def canting_figure(columns: Columns, points: Columns) -> "Figure":
+def canting_still(columns: Columns, points: Columns) -> Html:
     """Draw the canting of each facet as an arrow where the facet is.
 
     columns, points: ``canting.csv`` and ``surface.csv``.
-    Returns: The figure; an arrow to the right is a surface that rises to the right.
+    Returns: The picture; an arrow to the right is a surface that rises to the right.
     """
     xy, owner = _numbers(points, "x_m", "y_m"), np.array(points["facet"])
     centers = np.array([xy[owner == name].mean(axis=0) for name in columns["facet"]])
     turns = 1e3 * _numbers(columns, "canting_x_rad", "canting_y_rad")
-    longest = nice_ceiling(max(float(np.linalg.norm(turns, axis=1).max()), 1e-6))
-    scale = _ARROW_SHARE * float(np.ptp(xy, axis=0).max()) / longest
+    longest = nice_ceiling(max(float(np.nanmax(np.linalg.norm(turns, axis=1), initial=0.0)), 1e-6))
+    width = float(np.ptp(xy, axis=0).max())
+    scale = _ARROW_SHARE * width / longest
     note = f"arrows point where a facet rises more than its design; {longest:g} mrad is {_ARROW_SHARE:.0%} of the width"
-    figure, axes = chart_figure("Canting of the facets", note, "x [m]", "y [m]", _HEIGHT_IN)
-    axes.plot(*xy.T, ".", color=FAINT, markersize=2, linestyle="none")
-    axes.quiver(*centers.T, *(scale * turns).T, angles="xy", scale_units="xy", scale=1, color=LINE_Y, width=0.004)
+    room = 0.5 * _ARROW_SHARE * width
+    limits = [(float(one.min()) - room, float(one.max()) + room) for one in xy.T]
+    sheet = fitted_sheet(limits[0], limits[1], bar=False)
+    sheet.title("Canting of the facets", note)
+    sheet.axes("x [m]   seen from the front", "y [m]", grid=True)
+    sheet.dots(xy[:, 0], xy[:, 1], [FAINT], size_px=1.5)
+    sheet.arrows(centers[:, 0], centers[:, 1], scale * turns[:, 0], scale * turns[:, 1], LINE_Y, width=2.0)
     for name, center in zip(columns["facet"], centers, strict=True):
-        axes.annotate(
-            name, center, fontsize=7, color=INK, ha="center", va="top", xytext=(0, -4), textcoords="offset points"
-        )
-    set_equal_limits(axes, *xy.T)
-    return figure
+        x, y = float(sheet.place_x(center[0])), float(sheet.place_y(center[1]))
+        sheet.write(x, y + 13, name, text_anchor="middle", font_size=10)
+    return side_by_side([sheet.html(f"Canting of the facets. {note}")])
 
 
 def _comparison(results: NetworkResults) -> Html:
@@ -252,39 +213,7 @@ def _comparison(results: NetworkResults) -> Html:
         ),
         most_rows=15,
     )
-    still = [displacement_figure(results, columns, 0, 1), displacement_figure(results, columns, 0, 2)]
-    view = SceneView("Displacements since the other date", tuple(groups), height_px=420, figures=still)
+    note = f"Now minus before; {int(moved.sum())} of {moved.size} moved significantly."
+    view = SceneView("Displacements since the other date", tuple(groups), note, height_px=420)
     found = listed if order else Html("<p>No target moved significantly.</p>")
     return join(Html("<h3>Since the other date</h3>"), view, found)
-
-
-def displacement_figure(results: NetworkResults, columns: Columns, first: int, second: int) -> "Figure":
-    """Draw how targets moved, seen along one axis.
-
-    results: The results; its points are where the arrows end.
-    columns: ``comparison.csv``.
-    first, second: Axes to the right and up: 0 x, 1 y, 2 z.
-    """
-    place = {name: i for i, name in enumerate(results.points.ids)}
-    points = results.points.xyz_m[[place[name] for name in columns["id"]]][:, [first, second]]
-    steps = 1e3 * _numbers(columns, *(f"d{'xyz'[axis]}_m" for axis in (first, second)))
-    moved = _numbers(columns, "moved")[:, 0] > 0
-    longest = nice_ceiling(max(float(np.linalg.norm(steps, axis=1).max()), 1e-9))
-    scale = _ARROW_SHARE * float(np.ptp(points, axis=0).max()) / longest
-    note = f"now minus before, {1e3 * scale:.0f} times enlarged; {int(moved.sum())} of {moved.size} moved significantly"
-    title = f"Displacements in {'xyz'[first]} and {'xyz'[second]}"
-    labels = f"{'xyz'[first]} [m]", f"{'xyz'[second]} [m]"
-    figure, axes = chart_figure(title, note, *labels, _HEIGHT_IN)
-    for which, color in ((~moved, FAINT), (moved, LINE_Y)):
-        axes.quiver(
-            *points[which].T,
-            *(scale * steps[which]).T,
-            angles="xy",
-            scale_units="xy",
-            scale=1,
-            color=color,
-            width=0.003,
-        )
-        axes.plot(*points[which].T, ".", color=color, markersize=4, linestyle="none")
-    set_equal_limits(axes, *points.T)
-    return figure

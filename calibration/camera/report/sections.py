@@ -8,10 +8,10 @@ import numpy as np
 from calibration.camera.files.result import Result
 from calibration.camera.files.result_folder import open_calibration
 from calibration.camera.files.summary import verdict_text
-from calibration.camera.report import figures, views
+from calibration.camera.report import stills, views
 from calibration.camera.start_values.intrinsics import tilt_and_roll
 from heliogauge.reporting import page
-from heliogauge.reporting.html import Html, Shown, beside, join, show, table, table_under_name
+from heliogauge.reporting.html import Html, Shown, beside, join, table, table_under_name
 from heliogauge.reporting.notation import number_text
 from heliogauge.reporting.verdict import Verdict, verdict_of
 from heliogauge.results.folder import Summary, read_summary
@@ -171,7 +171,7 @@ def intrinsics_table(report: CalibrationReport) -> Html:
 
 def lens(report: CalibrationReport) -> Html:
     """Return radial profile and correlations."""
-    return beside(views.profile_chart(report.result), show(figures.correlation_figure(report.result)))
+    return beside(views.profile_chart(report.result), stills.correlations(report.result))
 
 
 def photos(report: CalibrationReport) -> Shown:

@@ -1,12 +1,13 @@
 """Views of a calibration: maps over the image, photos with their residuals, the radial profile, the network."""
 
+from dataclasses import replace
+
 import numpy as np
-from matplotlib.figure import Figure
 
 from calibration.camera.files.result import PhotoResult, Result
-from calibration.camera.report import figures
+from calibration.camera.report import stills
 from heliogauge.images.thumbnails import decode_thumbnail
-from heliogauge.reporting.canvas import FAINT, LINE_X, LINE_Y
+from heliogauge.reporting.look import FAINT, LINE_X, LINE_Y
 from heliogauge.results.thumbnails import MOST_THUMBNAILS
 from heliogauge.validate import FloatArray
 from heliogauge.view.charts import ChartSeries, ChartView
@@ -36,14 +37,8 @@ def lens_map(result: Result) -> MapView:
         f"image's cells, out to {result.coverage.radius_share:.0%} of the way to its corners; beyond, the lens is "
         "extrapolated."
     )
-    return _image_map(
-        "Over the image",
-        sigma.x_px,
-        sigma.y_px,
-        layers,
-        note,
-        [figures.residual_figure(result), figures.sigma_figure(result)],
-    )
+    view = _image_map("Over the image", sigma.x_px, sigma.y_px, layers, note)
+    return replace(view, stills=[stills.residuals(result), view.layer_still("sigma_ray")])
 
 
 def _distortion_layers(result: Result) -> tuple[MapLayer, ...]:
@@ -61,12 +56,10 @@ def _distortion_layers(result: Result) -> tuple[MapLayer, ...]:
     )
 
 
-def _image_map(
-    name: str, x_px: FloatArray, y_px: FloatArray, layers: tuple[MapLayer, ...], note: str, still: list[Figure]
-) -> MapView:
+def _image_map(name: str, x_px: FloatArray, y_px: FloatArray, layers: tuple[MapLayer, ...], note: str) -> MapView:
     shape = y_px.size, x_px.size
     flags, aperture = np.zeros(shape, dtype=np.uint32), np.ones(shape, dtype=bool)
-    return MapView(name, x_px, y_px, layers, flags, aperture, note=note, axis_unit="px", y_down=True, figures=still)
+    return MapView(name, x_px, y_px, layers, flags, aperture, note=note, axis_unit="px", y_down=True)
 
 
 def comparison_map(result: Result) -> MapView | None:
@@ -85,8 +78,7 @@ def comparison_map(result: Result) -> MapView | None:
         f"Best rotation taken out: RMS {1e3 * one.rms_rad:.2g} mrad, expected {1e3 * one.expected_rad:.2g} mrad. Over "
         "its sigma, 1 to 2 is chance."
     )
-    still = [figures.comparison_figure(one, result.camera)]
-    return _image_map("Difference from the other calibration", one.x_px, one.y_px, tuple(layers), note, still)
+    return _image_map("Difference from the other calibration", one.x_px, one.y_px, tuple(layers), note)
 
 
 def photo_marks(result: Result) -> dict[str, str]:
@@ -178,8 +170,8 @@ def network_view(result: Result) -> SceneView:
     groups.append(SceneGroup("cameras", np.concatenate(vertices), ["#7d8894"], lengths=lengths, size_px=1.0))
     groups.append(SceneGroup("projection centres", np.array(centers), ["#7d8894"], labels=labels))
     note = "A camera's roof is over the top edge of its image: turned cameras separate the principal point from poses."
-    still = [figures.board_figure(result), *([figures.board_sigma_figure(result)] if shape.sigma_m.any() else [])]
-    return SceneView("Board and cameras", tuple(groups), note, height_px=440, figures=still)
+    pictures = [stills.board(result), *([stills.board_sigma(result)] if shape.sigma_m.any() else [])]
+    return SceneView("Board and cameras", tuple(groups), note, height_px=440, stills=pictures)
 
 
 def _point_labels(result: Result) -> list[str]:

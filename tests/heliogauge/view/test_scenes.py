@@ -148,6 +148,7 @@ def test_without_webgl_the_still_picture_stays(chromium: Any, tmp_path: Any) -> 
     page.goto(path.as_uri())
     page.wait_for_function("document.querySelector('.view-live') === null && document.querySelector('[data-library]')")
     page.wait_for_timeout(300)
-    assert page.locator(".view-static img").is_visible()
+    assert all(one.is_visible() for one in page.locator(".view-static img").all())
+    assert page.locator(".view-static img").count() == 2
     assert any("WebGL" in one for one in complaints)
     page.context.close()
