@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from heliogauge.errors import InputError
 from heliogauge.files.extras import of_extra
-from heliogauge.reporting.html import Html, show
+from heliogauge.reporting.html import Html
 from heliogauge.validate import FloatArray
 from heliogauge.view.arrays import PAGE, ArrayStore, reading_step
 from heliogauge.view.markup import view_frame

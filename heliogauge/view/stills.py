@@ -591,10 +591,10 @@ def _indexed_png(picture: npt.NDArray[np.uint8], table: npt.NDArray[np.integer[A
         (b"IDAT", zlib.compress(lines, 6)),
         (b"IEND", b""),
     )
-    packed = (
-        struct.pack(">I", len(data)) + name + data + struct.pack(">I", zlib.crc32(name + data)) for name, data in pieces
-    )
-    return b"\x89PNG\r\n\x1a\n" + b"".join(packed)
+    content = b"\x89PNG\r\n\x1a\n"
+    for name, data in pieces:
+        content += struct.pack(">I", len(data)) + name + data + struct.pack(">I", zlib.crc32(name + data))
+    return content
 
 
 def _rgb(color: str) -> list[int]:
