@@ -16,7 +16,16 @@ from heliogauge.reporting.html import Html
 from heliogauge.validate import FloatArray
 from heliogauge.view.arrays import PAGE, ArrayStore, reading_step
 from heliogauge.view.markup import view_frame
-from heliogauge.view.stills import WIDTH_PX, Sheet, chart_limits, equal_limits, jpeg_of, path_of, side_by_side
+from heliogauge.view.stills import (
+    WIDTH_PX,
+    Sheet,
+    chart_limits,
+    equal_limits,
+    jpeg_of,
+    path_of,
+    side_by_side,
+    time_ticks,
+)
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -79,6 +88,7 @@ class ChartView:
     equal: One scale for both axes.
     x_log, y_log: Logarithmic axes.
     x_counts: x numbers things from 1 on: whole ticks, and half a step of room on each side.
+    x_time: x are seconds since 1970, UTC: ticks and readout are dates.
     y_down: y grows downwards, as in images.
     background: A picture behind the series; None: paper.
     figures: Static figures for notebook and print; empty: the chart, drawn here.
@@ -95,6 +105,7 @@ class ChartView:
     x_log: bool = False
     y_log: bool = False
     x_counts: bool = False
+    x_time: bool = False
     y_down: bool = False
     background: ChartImage | None = None
     figures: "Sequence[Figure]" = field(default=())
@@ -120,26 +131,36 @@ class ChartView:
         axes = {"equal": self.equal, "x_log": self.x_log, "y_log": self.y_log, "y_down": self.y_down}
         axes["x_counts"] = self.x_counts
         labels = {"name": self.name, "note": self.note, "x_label": self.x_label, "y_label": self.y_label}
-        spec: dict[str, Any] = {**labels, **axes, "series": [self._series_spec(one, store) for one in self.series]}
+        start = self._start_s() if self.x_time else None
+        series = [self._series_spec(one, store, start or 0.0) for one in self.series]
+        spec: dict[str, Any] = {**labels, **axes, "x_from": start, "series": series}
         if self.background is not None:
             data = jpeg_of(self.background.image)
             picture = {"image": store.content(data, "image/jpeg"), "extent": list(self.background.extent)}
             spec["background"] = picture
         return view_frame("chart", self.name, spec, self.static)
 
-    def _series_spec(self, one: ChartSeries, store: ArrayStore) -> dict[str, Any]:
+    def _start_s(self) -> float:
+        """Return the first time; from there on seconds need few digits."""
+        return float(min((np.nanmin(one.x) for one in self.series if np.isfinite(one.x).any()), default=0.0))
+
+    def _series_spec(self, one: ChartSeries, store: ArrayStore, start: float) -> dict[str, Any]:
         def keep(values: FloatArray, log: bool) -> dict[str, Any]:
             array = np.asarray(values, dtype=np.float64)
             step = reading_step(array)
+            if np.isfinite(array).any():
+                # Values far from zero that lie close together are told apart.
+                step = min(step, reading_step(array - np.nanmean(array)))
             if log and (array > 0).any():
                 # The smallest value of a logarithmic axis is read as closely as the largest.
                 step = min(step, reading_step(np.min(array, keepdims=True, initial=np.inf, where=array > 0)))
             return store.numbers(array, step)
 
+        x = np.asarray(one.x, dtype=np.float64)
         texts = "\n".join(" ".join(text.split()) for text in one.labels)
         return {
             "name": one.name,
-            "x": keep(one.x, self.x_log),
+            "x": store.numbers(x - start, 1.0) if self.x_time else keep(x, self.x_log),
             "y": keep(one.y, self.y_log),
             "sigma": None if one.sigma is None else keep(one.sigma, self.y_log),
             "color": one.color,
@@ -233,7 +254,8 @@ class ChartView:
         sheet.title(self.name, self.note)
         if self.background is not None:
             sheet.photo(self.background.image, self.background.extent)
-        sheet.axes(self.x_label, self.y_label, grid=True)
+        ticks = time_ticks(x_limits, most=5) if self.x_time else None
+        sheet.axes(self.x_label, self.y_label, grid=True, x_ticks=ticks)
         left, top, right, bottom = box
         sheet.add(
             f'<clipPath id="b"><rect x="{left}" y="{top}" width="{right - left}" height="{bottom - top}"/></clipPath>'

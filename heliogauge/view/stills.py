@@ -40,6 +40,15 @@ _HATCH = (
     f'<rect width="7" height="7" fill="{MISSING}"/><path d="M0,0V7" stroke="{MISSING_HATCH}" '
     'stroke-width="1.6"/></pattern>'
 )
+#: Steps of an axis of time: unit, number, length [s].
+_TIME_STEPS = (
+    *(("s", count, count) for count in (1, 5, 15, 30)),
+    *(("m", count, 60 * count) for count in (1, 5, 15, 30)),
+    *(("h", count, 3600 * count) for count in (1, 3, 6, 12)),
+    *(("D", count, 86_400 * count) for count in (1, 2, 5, 10)),
+    *(("M", count, 2_629_800 * count) for count in (1, 2, 3, 6)),
+    *(("Y", count, 31_557_600 * count) for count in (1, 2, 5, 10)),
+)
 #: What has a value that is to be doubted.
 _STRIPES = (
     '<pattern id="t" width="7" height="7" patternUnits="userSpaceOnUse" patternTransform="rotate(45)">'
@@ -489,6 +498,25 @@ def chart_limits(values: Sequence[FloatArray], *, log: bool, spare: float = 0.05
         return (low / 1.15, high * 1.15)
     margin = spare * (high - low) or 0.5 * abs(high) or 1.0
     return low - margin, high + margin
+
+
+def time_ticks(limits: tuple[float, float], most: int) -> list[tuple[float, str]]:
+    """Return round times between limits and their words.
+
+    limits: Seconds since 1970, UTC.
+    """
+    low, high = limits
+    unit, count = next(
+        ((unit, count) for unit, count, length in _TIME_STEPS if (high - low) / length <= most), ("Y", 20)
+    )
+    first, last = (int(np.datetime64(int(np.floor(one)), "s").astype(f"M8[{unit}]").astype(np.int64)) for one in limits)
+    times = np.arange(first - first % count, last + count, count).astype(f"M8[{unit}]").astype("M8[s]")
+    places = times.astype(np.int64).tolist()
+    part = {"Y": slice(4), "M": slice(7), "D": slice(10), "h": slice(5, 16), "m": slice(5, 16), "s": slice(11, 19)}[
+        unit
+    ]
+    words = [str(time)[part].replace("T", " ") for time in times]
+    return [(float(place), word) for place, word in zip(places, words, strict=True) if low <= place <= high]
 
 
 def equal_limits(

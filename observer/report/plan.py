@@ -15,6 +15,7 @@ from heliogauge.view.charts import ChartSeries, ChartView, Mark
 from heliogauge.view.maps import MapLayer, MapView
 from heliogauge.view.scenes import SceneGroup, SceneView
 from heliogauge.view.still_maps import flag_still
+from heliogauge.view.stills import side_by_side
 from observer.files import COLLECTOR, read_collector
 from observer.report.lines import listed
 from observer.report.maps import panel_lines
@@ -111,7 +112,7 @@ def overview(results: PlanResults) -> Html:
 
 def missing(results: PlanResults) -> Html:
     """Return why parts of the mirror will be missing."""
-    reasons = flag_still(results.base.slope_map, panel_lines(results.collector))
+    reasons = side_by_side([flag_still(results.base.slope_map, panel_lines(results.collector))])
     columns = results.table("missing.csv") or {"reason": [], "share": []}
     rows = [(reason, f"{float(share):.2%}") for reason, share in zip(*columns.values(), strict=True)]
     causes = table(("not measured, or doubtful", "share of the mirror"), rows, numbers=(1,)) if rows else Html("")

@@ -26,7 +26,6 @@ _DIRECTIONS = (
     ("to the right", "residual_right_mrad", (LINE_X, "#7fb2d9")),
     ("up", "residual_up_mrad", (LINE_Y, "#e3a083")),
 )
-_YEAR_MS = 365.25 * 86_400_000
 
 
 def target_view(report: HeliostatReport, name: str) -> ChartView:
@@ -76,10 +75,7 @@ def series_views(report: HeliostatReport) -> dict[str, ChartView]:
     views = {}
     for name, (words, axis, values) in figures.residual_axes(rows).items():
         if np.issubdtype(values.dtype, np.datetime64):
-            values = (
-                1970.0 + np.where(np.isnat(values), np.nan, values.astype("datetime64[ms]").astype(float)) / _YEAR_MS
-            )
-            axis = "time (UTC) [year]"
+            values = 1e-3 * np.where(np.isnat(values), np.nan, values.astype("datetime64[ms]").astype(float))
         known = np.isfinite(values) & rows.used
         series = []
         for words_of, key, colors in _DIRECTIONS:
@@ -100,6 +96,7 @@ def series_views(report: HeliostatReport) -> dict[str, ChartView]:
             "measured minus predicted [mrad]",
             tuple(series),
             "as seen from the mirror",
+            x_time=name == "time",
         )
     return views
 

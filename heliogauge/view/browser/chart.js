@@ -49,8 +49,8 @@
   }
 
   class Chart {
-    // content: {name, note, x_label, y_label, equal, x_log, y_log, x_counts, y_down, series: [{name, x, y, sigma, ...}]} with
-    // numbers as arrays. at(series, index) is told which value is shown; null where none is.
+    // content: {name, note, x_label, y_label, equal, x_log, y_log, x_counts, x_from, y_down, series: [{name, x, y, sigma, ...}]} with
+    // numbers as arrays; x_from: x are seconds after this time since 1970. at(series, index) is told which value is shown; null where none is.
     constructor(place, content, at = () => {}) {
       this.place = place;
       this.at = at;
@@ -78,7 +78,8 @@
       this.content = content;
       const log = (on) => on ? (value) => value > 0 ? Math.log10(value) : NaN : null;
       const scaled = (values, change) => change ? Float64Array.from(values, change) : values;
-      this.scales = { x: log(content.x_log), y: log(content.y_log) };
+      const moment = Number.isFinite(content.x_from) ? (value) => 1000 * (content.x_from + value) : null;
+      this.scales = { x: moment || log(content.x_log), y: log(content.y_log) };
       this.series = content.series.map((one) => {
         const part = { ...one, own: one.color, px: scaled(one.x, this.scales.x), py: scaled(one.y, this.scales.y), low: null, high: null };
         if (one.sigma) {
@@ -137,13 +138,16 @@
       const format = (log) => log ? { formatter: logLabel } : { formatter: heliogauge.tick };
       const color = heliogauge.colors();
       const labels = (log) => ({ color: color.ink, hideOverlap: true, showMinLabel: false, showMaxLabel: false, ...format(log) });
+      const isTime = Number.isFinite(content.x_from);
+      const xLabel = isTime ? { color: color.ink, hideOverlap: true } : labels(content.x_log);
       const option = figure.axes(box, x, y, {
         xName: content.x_label, yName: content.y_label, yDown: content.y_down,
-        xAxis: { axisLabel: labels(content.x_log), splitNumber: narrow ? 4 : 8, nameGap: 26, minInterval: content.x_counts ? 1 : 0 },
+        xAxis: { type: isTime ? "time" : "value", axisLabel: xLabel, splitNumber: narrow ? 4 : 8, nameGap: 26, minInterval: content.x_counts ? 1 : 0 },
         yAxis: { axisLabel: labels(content.y_log), nameGap: narrow ? 38 : 48 },
       });
       const behind = content.background ? [this.custom([content.background.extent.slice(1, 3)], 1, (api) => this.picture(api))] : [];
       option.series = behind.concat(this.series.flatMap((one, index) => this.hidden.has(index) ? [] : this.parts(one, index)));
+      option.useUTC = true;
       figure.chart.setOption(option, { replaceMerge: ["series"] });
     }
 
@@ -277,7 +281,8 @@
       const lines = [];
       if (this.series.length > 1) lines.push(one.name);
       if (one.labels?.[index]) lines.push(one.labels[index]);
-      lines.push(`${xName} ${heliogauge.number(one.x[index])}${xUnit ? ` ${xUnit}` : ""}`);
+      const when = Number.isFinite(content.x_from) ? new Date(one.px[index]).toISOString().slice(0, 16).replace("T", " ") : "";
+      lines.push(`${xName} ${when || heliogauge.number(one.x[index])}${xUnit ? ` ${xUnit}` : ""}`);
       lines.push(`${yName} ${heliogauge.withSigma(one.y[index], one.sigma ? one.sigma[index] : NaN, yUnit)}`);
       return lines;
     }

@@ -61,6 +61,22 @@ def test_things_that_are_counted_have_whole_ticks(open_chart: Any) -> None:
     assert set(ticks) <= {0.5, 1, 2, 2.5}
 
 
+def test_times_are_read_as_dates(open_chart: Any) -> None:
+    """2023-05-01 12:04 and two minutes later, UTC, are told apart."""
+    start = 1_682_942_640.0
+    page = open_chart(
+        ChartSeries("a", start + np.array([0.0, 120.0, 4e7]), np.arange(3.0), "#1b6ca8", Mark.POINTS), x_time=True
+    )
+    page.locator(".view-figure").focus()
+    page.keyboard.press("ArrowRight")
+    assert shown(page).startswith("radius 2023-05-01 12:04")
+    page.keyboard.press("ArrowRight")
+    assert shown(page).startswith("radius 2023-05-01 12:06")
+    axis = "echarts.getInstanceByDom(document.querySelector('.view-figure [_echarts_instance_]'))"
+    ticks = page.evaluate(f"{axis}.getModel().getComponent('xAxis').axis.scale.getTicks().map((tick) => tick.value)")
+    assert sum(str(np.datetime64(int(tick), "ms")).endswith("-01T00:00:00.000") for tick in ticks) >= 3
+
+
 def test_a_logarithmic_axis_keeps_small_values(open_chart: Any) -> None:
     x = np.array([1e-6, 1e-3, 1.0])
     page = open_chart(ChartSeries("a", x, x, "#1b6ca8"), x_log=True, y_log=True)

@@ -10,7 +10,7 @@ import pytest
 from heliogauge.errors import InputError
 from heliogauge.view.contours import zero_lines
 from heliogauge.view.still_maps import correlation_still
-from heliogauge.view.stills import LegendEntry, Sheet, colors_of, fitted_sheet
+from heliogauge.view.stills import LegendEntry, Sheet, colors_of, fitted_sheet, time_ticks
 
 
 def sheet() -> Sheet:
@@ -77,3 +77,11 @@ def test_lines_of_zero_run_through_the_grid_and_leave_out_what_is_unknown() -> N
     assert sorted(len(line) for line in saddle) == [2, 2]
     with pytest.raises(InputError):
         zero_lines(x, y[:3], x)
+
+
+def test_ticks_of_time_are_round() -> None:
+    start, end = (np.datetime64(text, "s").astype(float) for text in ("2022-04-11T09:00", "2024-05-02T10:00"))
+    assert [words for _, words in time_ticks((start, end), 5)] == ["2022-07", "2023-01", "2023-07", "2024-01"]
+    places = [place for place, _ in time_ticks((start, start + 7200.0), 5)]
+    assert np.diff(places).tolist() == [1800.0] * 4
+    assert time_ticks((start, start + 4 * 86_400.0), 5)[0][1] == "2022-04-12"
