@@ -1,4 +1,4 @@
-"""Draw the picture of a calibrated heliostat: ``python docs/images/render_heliostat_report.py RESULT OUT.png``.
+"""Draw the picture of a calibrated heliostat: ``python docs/images/render_heliostat_report.py RESULT OUT.svg``.
 
 Residuals against time and predicted uncertainty over the sky, from the results of one heliostat.
 """
@@ -6,24 +6,21 @@ Residuals against time and predicted uncertainty over the sky, from the results 
 import sys
 from pathlib import Path
 
-import cv2
-import numpy as np
-
-from calibration.heliostat.report.figures_residuals import series_figures, sky_figure
+from calibration.heliostat.report.charts import series_views
+from calibration.heliostat.report.figures_residuals import sky_sheet
 from calibration.heliostat.report.results import open_heliostat
-from heliogauge.reporting.canvas import png_of
+from heliogauge.view.stills import Sheet
 
 
 def main(folder: str, out: str) -> None:
-    """Write both figures side by side as one picture."""
+    """Write both side by side as one picture."""
     report = open_heliostat(folder)
-    left = series_figures(report)["time"]
-    parts = [
-        cv2.imdecode(np.frombuffer(png_of(figure), np.uint8), cv2.IMREAD_COLOR) for figure in (left, sky_figure(report))
-    ]
-    height = max(len(part) for part in parts)
-    parts = [np.pad(part, ((0, height - len(part)), (0, 0), (0, 0)), constant_values=255) for part in parts]
-    Path(out).write_bytes(cv2.imencode(".png", np.hstack(parts), [cv2.IMWRITE_PNG_COMPRESSION, 9])[1].tobytes())
+    left, right = series_views(report)["time"].sheet(), sky_sheet(report)
+    size = left.width + right.width, max(left.height, right.height)
+    page = Sheet(*size, left.box, left.x_limits, left.y_limits)
+    page.inset(left, 0.0, 0.0)
+    page.inset(right, left.width, 0.0)
+    Path(out).write_text(page.svg(), encoding="utf-8")
 
 
 if __name__ == "__main__":

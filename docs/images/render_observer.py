@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from heliogauge.reporting.canvas import png_of
-from observer.report import open_trough, overlay_figure, theta_r_map
+from observer.report import mirror_view, open_trough, photo_view
 
 #: Pages are about 1000 px wide.
 WIDTH_PX = 1200
@@ -21,9 +21,12 @@ COLORS = 32
 def main(folder: str, out: str) -> None:
     """Write both figures side by side as one picture."""
     results = open_trough(folder)
+    photos = photo_view(results)
+    if photos is None:
+        raise SystemExit(f"{folder} holds no photo")
     left, right = (
         cv2.imdecode(np.frombuffer(png_of(figure), np.uint8), cv2.IMREAD_COLOR)
-        for figure in (theta_r_map(results), overlay_figure(results))
+        for figure in (mirror_view(results).figure("theta_r"), photos.figure())
     )
     # The photo's noise would be most of the file.
     right = cv2.bilateralFilter(right, 7, 30, 3)

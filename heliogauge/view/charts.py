@@ -183,6 +183,8 @@ class ChartView:
         figure, axes = chart_figure(self.name, self.note, self.x_label, self.y_label)
         for one in self.series:
             x, y = np.asarray(one.x), np.asarray(one.y)
+            if self.x_time:
+                x = np.where(np.isfinite(x), 1e3 * x, np.iinfo(np.int64).min).astype("datetime64[ms]")
             if one.mark is Mark.BARS:
                 width = float(np.min(np.diff(np.sort(x)))) if x.size > 1 else 1.0
                 axes.bar(x, y, width=0.95 * width, color=one.color, label=one.name)
