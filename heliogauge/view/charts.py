@@ -325,7 +325,10 @@ def _legend(series: Sequence[ChartSeries], sheet: Sheet) -> None:
     sheet.add(f'<rect x="{a:.1f}" y="{b:.1f}" width="{wide:.1f}" height="{tall:.1f}" fill="#fff" opacity=".85"/>')
     for number, one in enumerate(series):
         middle = b + 12 + 17 * number
-        dashes = ' stroke-dasharray="5 3"' if one.dashed else ""
-        line = f'<path d="M{a + 4:.1f},{middle:.1f}h16" stroke="{html.escape(one.color, quote=True)}"'
-        sheet.add(f'{line} stroke-width="2.5"{dashes}/>')
+        color, dashes = html.escape(one.color, quote=True), ' stroke-dasharray="5 3"' if one.dashed else ""
+        if one.mark is Mark.POINTS:
+            look = f'd="M{a + 12:.1f},{middle:.1f}h0" stroke-width="7" stroke-linecap="round"'
+        else:
+            look = f'd="M{a + 4:.1f},{middle:.1f}h16" stroke-width="2.5"{dashes}'
+        sheet.add(f'<path {look} stroke="{color}"/>')
         sheet.write(a + 25, middle + 4, one.name)

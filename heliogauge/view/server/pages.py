@@ -44,14 +44,14 @@ def result_page(folder: Path, up: Sequence[Link], address: str, store: ServedSto
     more = [one for one in parts if f'href="{quote(_address(one, folder))}' not in linked]
     if more:
         table = _table("Results within this one", _rows(more, folder))
-        cells.append(ShownCell("<h2>Results within this one</h2>" + in_page(table, store), False))
-    cells += [ShownCell(one.text, False) for one in _choices(parts, folder, address)]
+        cells.append(ShownCell("<h2>Results within this one</h2>" + in_page(table, store), printed=True))
+    cells += [ShownCell(one.text, printed=False) for one in _choices(parts, folder, address)]
     return page_frame(f"{summary.name} - {summary.kind}", cells, up=up, served=True)
 
 
 def pieces_page(title: str, pieces: Sequence[Shown], store: ServedStore, up: Sequence[Link] = ()) -> str:
     """Return a page of pieces, one below the other."""
-    return page_frame(title, [ShownCell(in_page(one, store), False) for one in pieces], up=up, served=True)
+    return page_frame(title, [ShownCell(in_page(one, store), printed=True) for one in pieces], up=up, served=True)
 
 
 def map_page(file: Path, store: ServedStore) -> str:
@@ -84,8 +84,8 @@ def folder_page(folder: Path, up: Sequence[Link], address: str) -> str:
     rows = _rows(places, folder)
     count = f"{len(places)} result" + ("" if len(places) == 1 else "s")
     pieces: list[Shown] = [name_and_line(folder.name, count), _table(f"Results in {folder.name}", rows)]
-    pieces += _choices(places, folder, address)
-    cells = [ShownCell(in_page(one, PAGE), False) for one in pieces]
+    cells = [ShownCell(in_page(one, PAGE), printed=True) for one in pieces]
+    cells += [ShownCell(one.text, printed=False) for one in _choices(places, folder, address)]
     return page_frame(folder.name, cells, up=up, served=True)
 
 

@@ -184,7 +184,7 @@ class Site:
 def message_page(title: str, text: str, status: HTTPStatus) -> Answer:
     """Return a page that says why there is no other."""
     words = f'<h1>{html.escape(title)}</h1><p>{html.escape(text)}</p><p><a href="./">Back</a></p>'
-    return Answer(page_frame(title, [ShownCell(words, False)]).encode(), HTML, status)
+    return Answer(page_frame(title, [ShownCell(words, printed=True)]).encode(), HTML, status)
 
 
 def _file(place: Path) -> Answer:

@@ -70,6 +70,7 @@ def test_the_first_page_leads_to_the_table_of_results(asker: Asker) -> None:
     assert "2.000 ± 0.010 mrad" in body
     assert "1 doubt" in body
     assert "90.00 %" in body
+    assert 'class="cell print"' in body
     assert "<b>Mirror" not in body
     assert "http" not in re.sub(r"http://www.w3.org\S*", "", body)
 
@@ -221,6 +222,9 @@ def test_the_difference_is_the_tilt_between_two_results(tmp_path: Path) -> None:
         assert "-1.000 ± 0.014 mrad" in body
         assert '"name":"Difference of dz/dx"' in body
         assert '"name":"Joint sigma of dz/dx"' in body
+        # All of it is there on paper.
+        assert body.count('class="cell print"') > 4
+        assert 'class="cell"' not in body
         assert f'href="{asker.base}1/"' in body
         assert f'href="{asker.base}2/"' in body
 
