@@ -56,7 +56,7 @@ def run_report(folder: Path, store: ArrayStore) -> tuple[Summary, Notebook]:
 
 
 def first_picture(folder: Path) -> Shown | None:
-    """Return what the report of a folder of results shows first: a view or figures; None where it shows no picture.
+    """Return what the report of a folder of results shows first: a view or pictures; None where it shows no picture.
 
     InputError: No results in the folder, results of a kind without a report, or a file is missing or damaged.
     """

@@ -1,8 +1,10 @@
-"""How every figure looks: sizes, fonts, colours, and the one way a map on a mirror is drawn.
+"""Figures that a person changes or saves (``result.plot()``): the one room that needs matplotlib.
 
-Figures are made without pyplot: no global state, no display, and half a second less to import.
+Figures are made without pyplot: no global state, no display, and half a second less to import. Views load this room
+inside their ``figure``; pictures of reports are stills (`heliogauge.view.stills`).
 """
 
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import cv2
@@ -19,56 +21,14 @@ from matplotlib.ticker import FixedFormatter, FuncFormatter
 from heliogauge.reporting.look import (
     FAINT,
     INK,
-    LINE_X,
-    LINE_Y,
     MISSING,
     MISSING_HATCH,
-    MOST_NODES,
-    MapStyle,
     MirrorGrid,
-    clipping_words,
     extent_of,
-    nice_ceiling,
     robust_limit,
     thinned,
-    thinned_map,
 )
 from heliogauge.validate import FloatArray
-
-__all__ = [
-    "DIVERGING",
-    "DPI",
-    "FAINT",
-    "INK",
-    "LINE_X",
-    "LINE_Y",
-    "MISSING",
-    "MISSING_HATCH",
-    "MOST_NODES",
-    "SEQUENTIAL",
-    "WIDTH_IN",
-    "MapStyle",
-    "MirrorAxes",
-    "MirrorGrid",
-    "ShownFigure",
-    "add_color_bar",
-    "add_legend",
-    "add_title",
-    "axes_in_inches",
-    "chart_figure",
-    "clipping_words",
-    "cover_outside",
-    "extent_of",
-    "map_figure",
-    "mirror_axes",
-    "new_figure",
-    "nice_ceiling",
-    "png_of",
-    "robust_limit",
-    "set_equal_limits",
-    "thinned",
-    "thinned_map",
-]
 
 DIVERGING = "RdBu_r"
 SEQUENTIAL = "viridis"
@@ -76,6 +36,28 @@ SEQUENTIAL = "viridis"
 # 4.8 inch at 120 dpi is 576 px: two figures side by side fill a page of 1160 px without being scaled up.
 WIDTH_IN = 4.8
 DPI = 120
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MapStyle:
+    """What stands around a map.
+
+    title: One line.
+    unit: Unit of the printed values.
+    factor: Printed value for a stored value of one.
+    diverging: Colours symmetric about zero; otherwise from `low` upwards.
+    limit: Where the colours end, in the printed unit; None: `robust_limit`.
+    low: Where sequential colours begin, in the printed unit.
+    note: Small line under the title, before the note on clipping.
+    """
+
+    title: str
+    unit: str
+    factor: float = 1.0
+    diverging: bool = True
+    limit: float | None = None
+    low: float = 0.0
+    note: str = ""
 
 
 class ShownFigure(Figure):
@@ -199,6 +181,23 @@ def map_figure(grid: MirrorGrid, values: FloatArray, style: MapStyle) -> Figure:
     add_title(figure, style.title, "   ".join(filter(None, (style.note, clipping_words(shown, limit, style)))))
     add_color_bar(figure, image, box, style, shown)
     return figure
+
+
+def clipping_words(shown: npt.NDArray[np.floating[Any]], limit: float, style: MapStyle) -> str:
+    """Say which share of the values lies beyond the colours, and how far they go.
+
+    shown: Values in the printed unit.
+    style: Unit and kind of colours.
+    """
+    values = shown[np.isfinite(shown)]
+    if not values.size:
+        return "no value anywhere"
+    beyond = (np.abs(values) > limit) if style.diverging else ((values > limit) | (values < style.low))
+    if not beyond.any():
+        return ""
+    share = f"{beyond.mean():.1%}" if beyond.mean() >= 0.001 else "<0.1%"
+    low = f"{values.min():.3g} to " if (values < -limit if style.diverging else values < style.low).any() else "up to "
+    return f"{share} beyond the colours ({low}{values.max():.3g})"
 
 
 class MirrorAxes(NamedTuple):

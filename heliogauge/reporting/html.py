@@ -1,13 +1,10 @@
 """Pieces of HTML that report notebooks show: figures side by side, tables, pieces below each other."""
 
-import base64
 import html
 from collections.abc import Callable, Iterable, Sequence
 from typing import TYPE_CHECKING, Protocol
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
     from heliogauge.view.arrays import ArrayStore
     from heliogauge.view.tables import TableView
 
@@ -41,7 +38,7 @@ class Html:
 class FirstScreen(Html):
     """What a reader sees first.
 
-    picture: What of it shows the result best: a view or figures; None: there is none.
+    picture: What of it shows the result best: a view or pictures; None: there is none.
     """
 
     def __init__(self, whole: Html, picture: Shown | None) -> None:
@@ -80,26 +77,6 @@ def beside(*pieces: Shown) -> Html:
 def table_under_name(view: "TableView") -> Html:
     """Return a table with its name above it."""
     return join(Html(f'<p class="caption">{html.escape(view.name)}</p>'), view)
-
-
-def show(*figures: "Figure | None", caption: str = "") -> Html:
-    """Return figures side by side, as images within the page.
-
-    *figures: The figures; None is left out.
-    caption: A line under them.
-    Returns: The images with a text for those who cannot see them.
-    """
-    from heliogauge.reporting.canvas import WIDTH_IN, png_of
-
-    parts = []
-    for figure in filter(None, figures):
-        words = ". ".join(text.get_text() for text in figure.texts if text.get_text())
-        data = base64.b64encode(png_of(figure)).decode("ascii")
-        kind = ' class="wide"' if figure.get_size_inches()[0] > 1.5 * WIDTH_IN else ""
-        image = f'<img alt="{html.escape(words, quote=True)}" src="data:image/png;base64,{data}">'
-        parts.append(f"<figure{kind}>{image}</figure>")
-    below = f'<p class="caption">{html.escape(caption)}</p>' if caption else ""
-    return Html(f'<div class="figures">{"".join(parts)}</div>{below}' if parts else "")
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[str]], *, numbers: Iterable[int] = ()) -> Html:

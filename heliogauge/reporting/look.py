@@ -1,6 +1,6 @@
 """How every picture looks, whatever draws it: colours, limits of colours, and what is drawn of a large map."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -21,28 +21,6 @@ MOST_NODES = 400
 ROBUST_PERCENT = 99.0
 
 _STEPS = np.array([1.0, 1.2, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0])
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class MapStyle:
-    """What stands around a map.
-
-    title: One line.
-    unit: Unit of the printed values.
-    factor: Printed value for a stored value of one.
-    diverging: Colours symmetric about zero; otherwise from `low` upwards.
-    limit: Where the colours end, in the printed unit; None: `robust_limit`.
-    low: Where sequential colours begin, in the printed unit.
-    note: Small line under the title, before the note on clipping.
-    """
-
-    title: str
-    unit: str
-    factor: float = 1.0
-    diverging: bool = True
-    limit: float | None = None
-    low: float = 0.0
-    note: str = ""
 
 
 def nice_ceiling(value: float) -> float:
@@ -83,23 +61,6 @@ class MirrorGrid(Protocol):
     @property
     def aperture(self) -> BoolArray:
         """Nodes that belong to the mirror, shape (ny, nx)."""
-
-
-def clipping_words(shown: npt.NDArray[np.floating[Any]], limit: float, style: MapStyle) -> str:
-    """Say which share of the values lies beyond the colours, and how far they go.
-
-    shown: Values in the printed unit.
-    style: Unit and kind of colours.
-    """
-    values = shown[np.isfinite(shown)]
-    if not values.size:
-        return "no value anywhere"
-    beyond = (np.abs(values) > limit) if style.diverging else ((values > limit) | (values < style.low))
-    if not beyond.any():
-        return ""
-    share = f"{beyond.mean():.1%}" if beyond.mean() >= 0.001 else "<0.1%"
-    low = f"{values.min():.3g} to " if (values < -limit if style.diverging else values < style.low).any() else "up to "
-    return f"{share} beyond the colours ({low}{values.max():.3g})"
 
 
 def extent_of(grid: MirrorGrid) -> tuple[float, float, float, float]:

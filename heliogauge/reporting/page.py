@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 
 from heliogauge.flags import FLAG_TEXTS, REJECTED, SampleFlag, count_flags
-from heliogauge.reporting.html import FirstScreen, Html, Shown, join, show, table, wrap
+from heliogauge.reporting.html import FirstScreen, Html, Shown, join, table, wrap
 from heliogauge.reporting.notation import number_text
 from heliogauge.reporting.results import Results, open_results
 from heliogauge.reporting.verdict import State, Verdict, doubt_mark
@@ -35,7 +35,6 @@ __all__ = [
     "number_table",
     "number_text",
     "open_results",
-    "show",
     "statistics_table",
     "table",
     "text_table",
@@ -122,7 +121,7 @@ def first_screen(
 
     name, line: What was measured, and how, as text.
     numbers: Rows of `headline_numbers`.
-    picture: A view or figures; None: the numbers take the whole width.
+    picture: A view or pictures; None: the numbers take the whole width.
     """
     left = wrap('<div class="answer">', [verdict_box(verdict), headline_numbers(numbers)], "</div>")
     right = [] if picture is None else [wrap('<div class="picture">', [picture], "</div>")]

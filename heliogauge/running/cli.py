@@ -14,7 +14,6 @@ import signal
 import sys
 import warnings
 from collections.abc import Sequence
-from importlib import import_module
 from io import TextIOWrapper
 from pathlib import Path
 from types import FrameType
@@ -328,17 +327,6 @@ def _show_warning(
     (file or sys.stderr).write(text)
 
 
-def _read_no_style_here() -> None:
-    """Keep a ``matplotlibrc`` among data out of figures: matplotlib reads the one in the working folder first."""
-    if os.path.lexists("matplotlibrc"):
-        here = os.getcwd()
-        os.chdir(os.path.dirname(__file__))
-        try:
-            import_module("matplotlib")
-        finally:
-            os.chdir(here)
-
-
 def main(arguments: Sequence[str] | None = None) -> NoReturn:
     """Run the command line and leave the process.
 
@@ -352,7 +340,6 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
             stream.reconfigure(errors="backslashreplace")
     # One message for one fault: OpenCV's own remarks on a damaged file would stand beside ours. The user's wish counts.
     os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")
-    _read_no_style_here()
     warnings.showwarning = _show_warning
     warnings.simplefilter("always", ReportWarning)
     warnings.simplefilter("always", SweptWarning)

@@ -2,7 +2,7 @@
 
 import html
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from enum import StrEnum
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -91,7 +91,6 @@ class ChartView:
     x_time: x are seconds since 1970, UTC: ticks and readout are dates.
     y_down: y grows downwards, as in images.
     background: A picture behind the series; None: paper.
-    figures: Static figures for notebook and print; empty: the chart, drawn here.
     stills: Still pictures that stand for it in notebook and print; empty: drawn here.
     InputError: Lengths of a series do not fit.
     """
@@ -108,7 +107,6 @@ class ChartView:
     x_time: bool = False
     y_down: bool = False
     background: ChartImage | None = None
-    figures: "Sequence[Figure]" = field(default=())
     stills: Sequence[Html] = ()
 
     def __post_init__(self) -> None:

@@ -1,7 +1,7 @@
 """Maps to look into: values with sigma and flag under the pointer, sections, colours, tilt and focus removed live."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -12,7 +12,7 @@ from heliogauge.errors import EstimationError, InputError
 from heliogauge.files.extras import of_extra
 from heliogauge.flags import FLAG_TEXTS, REJECTED, SampleFlag
 from heliogauge.instruments import near_match
-from heliogauge.reporting.html import Html, show
+from heliogauge.reporting.html import Html
 from heliogauge.reporting.look import FAINT, extent_of, nice_ceiling, robust_limit, thinned
 from heliogauge.reporting.notation import number_text
 from heliogauge.slopes.map import SlopeMap
@@ -109,7 +109,6 @@ class MapView:
     axis_unit: Unit of columns and rows: "m", or "px" for maps over an image.
     y_down: y grows downwards, as in images; otherwise upwards.
     lines: Vertices of thin lines over the map, such as edges of panels, shape (n, 2) each, in `axis_unit`.
-    figures: Static figures for notebook and print; empty: the first two layers as maps.
     stills: Still pictures that stand for it in notebook and print; empty: drawn here.
     InputError: Sizes do not fit, or two layers have one key.
     """
@@ -125,7 +124,6 @@ class MapView:
     axis_unit: str = "m"
     y_down: bool = False
     lines: Sequence[FloatArray] = ()
-    figures: "Sequence[Figure]" = field(default=())
     stills: Sequence[Html] = ()
 
     def __post_init__(self) -> None:
@@ -142,8 +140,6 @@ class MapView:
     @cached_property
     def static(self) -> Html:
         """The still pictures, drawn once."""
-        if self.figures:
-            return show(*self.figures)
         return side_by_side(self.stills or [self._still(one) for one in self.layers[:2]], caption=self.note)
 
     def layer_still(self, key: str) -> Html:
@@ -254,11 +250,10 @@ class MapView:
         }
 
 
-def slope_map_view(slope_map: SlopeMap, name: str, *, figures: "Sequence[Figure]" = ()) -> MapView:
+def slope_map_view(slope_map: SlopeMap, name: str) -> MapView:
     """Return everything that a slope map holds as a view: errors, slopes, height, sigmas, flags.
 
     name: What the map shows.
-    figures: Static figures for notebook and print.
     """
     valid = slope_map.valid
     sigma_x, sigma_y = (np.where(valid, one, np.nan) for one in slope_map.sigma_slope())
@@ -288,7 +283,6 @@ def slope_map_view(slope_map: SlopeMap, name: str, *, figures: "Sequence[Figure]
         flags=slope_map.flags,
         aperture=slope_map.aperture,
         removals=(removals,) if removals.parts else (),
-        figures=figures,
     )
 
 

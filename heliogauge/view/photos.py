@@ -1,7 +1,7 @@
 """Photos with what was found in them: detections, residual vectors, and what was refused and why."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from heliogauge.errors import InputError
 from heliogauge.files.extras import of_extra
-from heliogauge.reporting.html import Html, show
+from heliogauge.reporting.html import Html
 from heliogauge.reporting.look import FAINT, INK, LINE_Y
 from heliogauge.validate import FloatArray
 from heliogauge.view.arrays import PAGE, ArrayStore
@@ -101,14 +101,12 @@ class PhotoView:
 
     name: What they show.
     photos: At least one.
-    figures: Static figures for notebook and print; empty: drawn here.
     stills: Still pictures that stand for it in notebook and print; empty: drawn here.
     InputError: No photo.
     """
 
     name: str
     photos: tuple[Photo, ...]
-    figures: "Sequence[Figure]" = field(default=())
     stills: Sequence[Html] = ()
 
     def __post_init__(self) -> None:
@@ -118,7 +116,7 @@ class PhotoView:
     @cached_property
     def static(self) -> Html:
         """The still pictures, drawn once."""
-        return show(*self.figures) if self.figures else side_by_side(self.stills or [self._still()])
+        return side_by_side(self.stills or [self._still()])
 
     def _repr_html_(self) -> str:
         return self.static.text

@@ -1,7 +1,7 @@
 """Scenes in three dimensions that the reader turns: points and lines with labels."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from heliogauge.errors import InputError
 from heliogauge.files.extras import of_extra
-from heliogauge.reporting.html import Html, show
+from heliogauge.reporting.html import Html
 from heliogauge.validate import FloatArray, float_array
 from heliogauge.view.arrays import PAGE, ArrayStore
 from heliogauge.view.markup import view_frame
@@ -91,7 +91,6 @@ class SceneView:
     groups: Points and lines.
     note: A line under it.
     height_px: Height in the page.
-    figures: Static figures for notebook and print; empty: drawn here.
     stills: Still pictures that stand for it in notebook and print; empty: drawn here.
     InputError: There is nothing to show.
     """
@@ -100,7 +99,6 @@ class SceneView:
     groups: tuple[SceneGroup, ...]
     note: str = ""
     height_px: int = 560
-    figures: "Sequence[Figure]" = field(default=())
     stills: Sequence[Html] = ()
 
     def __post_init__(self) -> None:
@@ -110,8 +108,6 @@ class SceneView:
     @cached_property
     def static(self) -> Html:
         """The still pictures, drawn once."""
-        if self.figures:
-            return show(*self.figures)
         return side_by_side(self.stills) if self.stills else side_by_side(self._stills(), caption=self.note)
 
     def _repr_html_(self) -> str:

@@ -16,6 +16,9 @@ from heliogauge.view.stills import WIDTH_PX, LegendEntry, Sheet, color_table, fi
 # Qualitative colours that differ in lightness too; the first flag in the list wins where a node has several.
 _FLAG_COLORS = ("#d94f30", "#f0a23c", "#7b5ea7", "#2f8f83", "#b2336e", "#4d7ebf", "#8a6d3b", "#5b8c2a", "#111111")
 _MEASURED = "#e9f1ea"
+_SIDE = "   seen from the front"
+#: Narrower maps stand beside each other under one title, which says it.
+_LEAST_SAID_PX = 180.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,7 +67,9 @@ class MapPicture:
         _paint(sheet, color_table(diverging=self.diverging)[index], missing, self.aperture)
         for line in self.lines:
             sheet.line(line[:, 0], line[:, 1], FAINT, width=0.7)
-        sheet.axes(f"x [{self.axis_unit}]", f"y [{self.axis_unit}]", grid=False)
+        is_mirror = self.axis_unit == "m" and sheet.box[2] - sheet.box[0] > _LEAST_SAID_PX
+        x_label = f"x [{self.axis_unit}]{_SIDE if is_mirror else ''}"
+        sheet.axes(x_label, f"y [{self.axis_unit}]", grid=False)
         if bar:
             sheet.color_bar(self.low, self.high, self.unit, diverging=self.diverging)
         return sheet
@@ -92,7 +97,7 @@ def flag_still(slope_map: SlopeMap, lines: Sequence[FloatArray] = ()) -> Html:
     _paint(sheet, table[codes], aperture & (codes < 0), aperture)
     for line in lines:
         sheet.line(line[:, 0], line[:, 1], FAINT, width=0.7)
-    sheet.axes("x [m]", "y [m]", grid=False)
+    sheet.axes(f"x [m]{_SIDE}", "y [m]", grid=False)
     total = int(np.count_nonzero(slope_map.aperture))
     reasons = [f"{FLAG_TEXTS[flag]}: {counts[flag] / total:.2%}" for flag in order]
     names = ["measured, no remark", *reasons]

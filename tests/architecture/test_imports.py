@@ -45,7 +45,7 @@ BORDER_LIBRARIES = {
     "shutil": "files belong to the border",
     "tomllib": "files belong to heliogauge.files",
     "logging": "the core neither logs nor prints; it returns values and raises errors",
-    "matplotlib": "figures belong to the report rooms",
+    "matplotlib": "pictures of reports are stills; figures to be changed belong to heliogauge.reporting.canvas",
     "plotly": "figures belong to the report rooms",
     "rich": "the core never imports the terminal",
     "typer": "commands belong to cli modules",
@@ -72,6 +72,11 @@ LAZY_LIBRARIES = {
     "dask": "an optional extra",
     "distributed": "an optional extra",
 }
+
+
+#: The room of figures that a person changes or saves, and the libraries that only it may need.
+CANVAS = "heliogauge.reporting.canvas"
+PLOTTING = frozenset({"matplotlib", "contourpy", "PIL", "fontTools", "dateutil", "pyparsing", "kiwisolver"})
 
 
 def breach(module: str, target: str) -> str:
@@ -153,6 +158,20 @@ def test_slow_libraries_are_imported_where_they_are_used(module: Module) -> None
         if found.at_import_time and (top := found.target.split(".")[0]) in LAZY_LIBRARIES and not figures
     ]
     assert not breaches, "\n".join(breaches)
+
+
+def test_one_room_needs_matplotlib_and_only_views_that_draw_figures_open_it() -> None:
+    """What ``pip install heliogauge`` brings measures and reports without it; its extra is ``plots``."""
+    imports = [(module.name, found) for module in all_modules() for found in imports_of(module.tree)]
+    needed = {name for name, found in imports if found.target.split(".")[0] in PLOTTING and found.at_import_time}
+    assert needed == {CANVAS}
+    views = {f"heliogauge.view.{kind}" for kind in ("charts", "maps", "photos", "scenes")}
+    opening = {name for name, found in imports if found.target.startswith(CANVAS) and name != CANVAS}
+    assert opening == views
+    assert not [name for name, found in imports if found.target.startswith(CANVAS) and found.at_import_time]
+    # Others name its figures in annotations alone.
+    named = {name for name, found in imports if found.target.split(".")[0] in PLOTTING} - {CANVAS}
+    assert named == views | {"heliogauge.results.opened", "heliogauge.view.markup"}
 
 
 @pytest.mark.parametrize(

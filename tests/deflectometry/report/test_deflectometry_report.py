@@ -18,6 +18,7 @@ from heliogauge.results.folder import write_pixels, write_slope_map, write_summa
 from heliogauge.view.maps import MapView
 from heliogauge.view.tables import TableView
 from tests.heliogauge.reporting.test_report import FOCAL_M, make_map, make_summary, write_results
+from tests.without_plots import without_plots
 
 
 def first_screen(folder: Path) -> str:
@@ -62,7 +63,8 @@ def test_doubts_of_the_first_screen_lead_to_their_words(tmp_path: Path) -> None:
 
 def test_the_map_lives_in_the_page_and_is_still_in_the_notebook(tmp_path: Path) -> None:
     write_results(tmp_path)
-    build_report(tmp_path)
+    with without_plots():
+        build_report(tmp_path)
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
     first = page[page.index('<div class="first">') : page.index('id="doubts"')]
     assert first.count('data-view="map"') == 1

@@ -4,28 +4,24 @@ import io
 import subprocess
 import sys
 from dataclasses import replace
+from urllib.parse import unquote
 
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
 from PIL import Image
 
+from heliogauge.errors import InputError
 from heliogauge.flags import SampleFlag
-from heliogauge.reporting.canvas import (
-    MISSING,
-    MOST_NODES,
-    MapStyle,
-    clipping_words,
-    extent_of,
-    map_figure,
-    nice_ceiling,
-    png_of,
-    robust_limit,
-    thinned,
-)
-from heliogauge.reporting.flag_figure import flag_map
+from heliogauge.reporting.canvas import MapStyle, clipping_words, map_figure, png_of
+from heliogauge.reporting.look import MISSING, MOST_NODES, extent_of, nice_ceiling, robust_limit, thinned
 from heliogauge.slopes.map import CommonModes, SlopeMap
+from heliogauge.view.charts import ChartSeries, ChartView
 from heliogauge.view.maps import slope_map_view
+from heliogauge.view.photos import Photo, PhotoView
+from heliogauge.view.scenes import SceneGroup, SceneView
+from heliogauge.view.still_maps import flag_still
+from tests.without_plots import without_plots
 
 FOCAL_M = 10.0
 
@@ -70,6 +66,23 @@ SLOPE_MAP = make_map()
 
 def error_map(slope_map: SlopeMap, axis: str) -> Figure:
     return slope_map_view(slope_map, "mirror").figure(f"slope_error_{axis}")
+
+
+def test_where_matplotlib_is_not_installed_plots_say_so_and_stills_are_drawn() -> None:
+    series = ChartSeries("one", np.arange(3.0), np.arange(3.0), "#1b6ca8")
+    views = (
+        slope_map_view(SLOPE_MAP, "mirror"),
+        ChartView("chart", "x [m]", "y [m]", (series,)),
+        SceneView("scene", (SceneGroup("points", np.eye(3), ["#1b6ca8"]),)),
+        PhotoView("photos", (Photo("one", 60, 40, None),)),
+    )
+    with without_plots():
+        for view in views:
+            assert "<img" in view._repr_html_()
+            with pytest.raises(InputError, match=r"pip install 'heliogauge\[plots\]'"):
+                view.figure()
+    for view in views:
+        assert png_of(view.figure()).startswith(b"\x89PNG")
 
 
 def test_figures_need_no_pyplot_xarray_or_pandas() -> None:
@@ -162,14 +175,14 @@ def test_large_maps_are_thinned_by_whole_nodes() -> None:
 
 
 def test_the_legend_of_flags_gives_reasons_and_shares() -> None:
-    figure = flag_map(SLOPE_MAP)
-    labels = [text.get_text() for text in figure.axes[-1].get_legend().get_texts()]
+    text = unquote(flag_still(SLOPE_MAP).text)
     hole = np.count_nonzero(SLOPE_MAP.flags) / np.count_nonzero(SLOPE_MAP.aperture)
-    assert f"at least one frame saturated: {hole:.2%}" in labels
+    assert f">at least one frame saturated: {hole:.2%}<" in text
+    assert "seen from the front" in text
 
 
 def test_a_map_without_any_value_still_draws() -> None:
     nothing = np.full(SLOPE_MAP.shape, np.nan)
     empty = replace(SLOPE_MAP, slope_x=nothing, slope_y=nothing, height_m=nothing)
-    png_of(flag_map(empty))
+    assert "0.00% of the mirror measured" in flag_still(empty).text
     assert "no value" in map_figure(empty, nothing, MapStyle("nothing", "mrad")).texts[1].get_text()

@@ -116,7 +116,7 @@ def text(folder: Path) -> str:
     """The page without the bytes of its images."""
     whole = (folder / "report.html").read_text(encoding="utf-8")
     whole = re.sub(r"<script.*?</script>", "", whole, flags=re.DOTALL)
-    return re.sub(r"data:image/(?:png|svg\+xml);base64,[A-Za-z0-9+/=]+", "IMAGE", whole)
+    return re.sub(r"data:image/svg\+xml,[^\"]+", "IMAGE", whole)
 
 
 @pytest.mark.slow

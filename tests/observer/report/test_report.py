@@ -10,6 +10,7 @@ from heliogauge.errors import InputError
 from heliogauge.flags import SampleFlag
 from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.images.thumbnails import make_thumbnail
+from heliogauge.reporting.build import build_report
 from heliogauge.results.folder import (
     PhotoPose,
     PointTable,
@@ -41,6 +42,7 @@ from observer.report.maps import mirror_view, panel_lines
 from observer.report.results import open_trough
 from observer.trough.absorber_path import AbsorberPath
 from observer.trough.collector import Collector, GlassTube, ls2
+from tests.without_plots import without_plots
 
 EYE = np.array([0.6, 0.3, 15.0])
 
@@ -369,6 +371,13 @@ def test_report_does_without_what_was_not_computed(tmp_path) -> None:
     assert report.intercept(results).text == ""
     assert report.panels(results).text == ""
     assert "no photo" in report.photos(results).text
+
+
+def test_the_whole_report_is_made_without_matplotlib(tmp_path) -> None:
+    result_folder(tmp_path)
+    with without_plots():
+        page = build_report(tmp_path).read_text(encoding="utf-8")
+    assert page.count("<img") > 5
 
 
 def test_the_first_screen_says_what_is_missing(tmp_path) -> None:
