@@ -2,9 +2,10 @@
 
 A view is a frozen dataclass that holds numbers and words. It is a piece of a report notebook like any other:
 
-- ``_repr_html_()`` gives its static figure (`figures`, drawn by the caller, or drawn by the view itself on first use);
-  notebooks, print and browsers without script show it.
-- ``page_html(store=PAGE)`` gives its place in a page, the static figure and the numbers included. A piece made of
+- ``_repr_html_()`` gives its still pictures (`stills`, drawn by the caller, or drawn by the view itself on first use);
+  notebooks, print and browsers without script show them.
+- ``figure()`` gives a figure of matplotlib to be changed or saved; it needs the extra ``plots``.
+- ``page_html(store=PAGE)`` gives its place in a page, the still pictures and the numbers included. A piece made of
   others passes `store` on. A page that holds views gets `page_assets(body)` once in its head: style sheet, scripts
   and the libraries that the views in this body need, nothing else.
 
@@ -24,7 +25,7 @@ libraries of `page_assets` less than 1 MB. Arrays are thinned for the page by th
 
 Colours of the page: the views read the CSS variables ``--paper --ink --faint --line --accent`` of the page, which
 follow ``prefers-color-scheme`` and the attribute ``data-theme`` ("dark", "light") of the root element;
-``<button data-theme-switch>`` anywhere in the page switches. For print the static figures replace the views.
+``<button data-theme-switch>`` anywhere in the page switches. For print the still pictures replace the views.
 
-``.plot()`` of a result can show ``slope_map_view(...)`` directly: in Jupyter its static figure appears.
+``.plot()`` of a result can show ``slope_map_view(...)`` directly: in Jupyter its still pictures appear.
 """
