@@ -69,6 +69,12 @@ code {{ font-size: .9em; background: var(--code); padding: .1em .3em; border-rad
   align-items: start; margin: .8em 0; }}
 .figures figure {{ margin: 0; text-align: center; }}
 .figures img {{ width: 100%; max-width: 576px; height: auto; border-radius: 3px; }}
+@media screen {{
+  :root[data-theme="dark"] .figures img {{ filter: brightness(.8); }}
+}}
+@media screen and (prefers-color-scheme: dark) {{
+  :root:not([data-theme="light"]) .figures img {{ filter: brightness(.8); }}
+}}
 .figures .wide {{ grid-column: 1 / -1; }}
 .figures .wide img {{ max-width: 1152px; }}
 .beside {{ display: grid; grid-template-columns: repeat(auto-fit, minmax(min(420px, 100%), 1fr)); gap: .6em 1.4em;
