@@ -13,7 +13,7 @@ from heliogauge.results.folder import Summary, unit_of
 from heliogauge.slopes.grid import curl
 from heliogauge.slopes.map import SlopeMap
 from heliogauge.slopes.removal import Removal
-from heliogauge.slopes.statistics import SlopeStatistics, canting, fit_quadratic, statistics
+from heliogauge.slopes.statistics import SlopeStatistics, canting, common_rms, fit_quadratic, statistics_of_removals
 from heliogauge.validate import FloatArray
 
 Numbers = dict[str, float | int | None]
@@ -35,8 +35,8 @@ def facet_numbers(slope_map: SlopeMap, as_measured: SlopeMap) -> Numbers:
     Returns: Numbers by name with the unit at the end, each sigma beside its number.
     """
     numbers: Numbers = {}
-    for view, removal in VIEWS.items():
-        numbers.update(_deviation_numbers(statistics(slope_map, removed=removal), view))
+    for view, found in zip(VIEWS, statistics_of_removals(slope_map, list(VIEWS.values())), strict=True):
+        numbers.update(_deviation_numbers(found, view))
     fit = fit_quadratic(as_measured)
     numbers |= {
         "focal_length_x_m": fit.focal_length_x_m,
@@ -87,21 +87,18 @@ def _deviation_numbers(deviation: SlopeStatistics, view: str) -> Numbers:
 def _uncertainty_numbers(slope_map: SlopeMap) -> Numbers:
     """Return the shares of the uncertainty: random, and each common source, as RMS over the map."""
     valid = slope_map.valid
-    sigma_x, sigma_y = slope_map.sigma_slope()
+    random = [_rms(sigma[valid]) for sigma in (slope_map.sigma_random_x, slope_map.sigma_random_y)]
+    shares = common_rms(slope_map)
     numbers: Numbers = {
-        "sigma_slope_x_rms_rad": _rms(sigma_x[valid]),
-        "sigma_slope_y_rms_rad": _rms(sigma_y[valid]),
-        "sigma_random_x_rms_rad": _rms(slope_map.sigma_random_x[valid]),
-        "sigma_random_y_rms_rad": _rms(slope_map.sigma_random_y[valid]),
+        "sigma_slope_x_rms_rad": float(np.linalg.norm([random[0], *(x for x, _ in shares.values())])),
+        "sigma_slope_y_rms_rad": float(np.linalg.norm([random[1], *(y for _, y in shares.values())])),
+        "sigma_random_x_rms_rad": random[0],
+        "sigma_random_y_rms_rad": random[1],
     }
-    common = slope_map.common
-    modes = common.evaluate(*(grid[valid] for grid in np.meshgrid(slope_map.x_m, slope_map.y_m)))
-    for source in dict.fromkeys(common.sources):
-        chosen = [k for k, name in enumerate(common.sources) if name == source]
-        share = np.sqrt((modes[chosen] ** 2).sum(axis=0).mean(axis=-1))
+    for source, (share_x, share_y) in shares.items():
         name = source.replace(" ", "_")
-        numbers[f"sigma_{name}_x_rms_rad"] = float(share[0])
-        numbers[f"sigma_{name}_y_rms_rad"] = float(share[1])
+        numbers[f"sigma_{name}_x_rms_rad"] = share_x
+        numbers[f"sigma_{name}_y_rms_rad"] = share_y
     turn = curl(slope_map)
     numbers["curl_rms_per_m"] = _rms(turn.value_per_m[valid & np.isfinite(turn.value_per_m)])
     numbers["curl_expected_rms_per_m"] = _rms(turn.sigma_per_m[valid & np.isfinite(turn.value_per_m)])

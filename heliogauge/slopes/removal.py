@@ -3,6 +3,7 @@
 Every fit weights the measured nodes equally: the grid is regular, so equal weight is equal projected area.
 """
 
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
@@ -11,6 +12,9 @@ import numpy as np
 from heliogauge.errors import EstimationError
 from heliogauge.slopes.map import CommonModes, SlopeMap, monomials
 from heliogauge.validate import BoolArray, FloatArray
+
+#: 16384 float64 are 128 KiB: the dozen buffers of one block stay in a 2 MiB second-level cache.
+_BLOCK = 16384
 
 
 class Removal(StrEnum):
@@ -28,20 +32,44 @@ class Removal(StrEnum):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MeasuredNodes:
-    """The measured nodes as flat arrays: errors stacked as (x of all nodes, y of all nodes)."""
+    """The measured nodes as flat arrays.
+
+    valid (ny, nx): Where they are in the map.
+    x_m, y_m (n,): Their places [m].
+    design, errors (2, n): Slopes of the design, and measured minus design, in x and in y.
+    variance (2, n): Random variance of the slopes [rad^2].
+    noise_correlation, common: As in `heliogauge.slopes.map.SlopeMap`.
+    """
 
     valid: BoolArray
     x_m: FloatArray
     y_m: FloatArray
+    design: FloatArray
     errors: FloatArray
     variance: FloatArray
     noise_correlation: float
-    modes: FloatArray
+    common: CommonModes
 
     @property
     def count(self) -> int:
         """Number of measured nodes n."""
         return self.x_m.size
+
+    def blocks(self) -> Iterator[slice]:
+        """Yield parts of the nodes whose arrays stay in the processor's cache."""
+        for start in range(0, self.count, _BLOCK):
+            yield slice(start, min(start + _BLOCK, self.count))
+
+    def moments(self, part: slice, vectors: FloatArray) -> FloatArray:
+        """Return the sums of vectors (m, 2, b) times the monomials of the common modes, shape (m, 2, n_terms)."""
+        (center_x, center_y), scale = self.common.center_m, self.common.scale_m
+        u, v = (self.x_m[part] - center_x) / scale, (self.y_m[part] - center_y) / scale
+        terms = monomials(u, v, self.common.degree)
+        return np.asarray((vectors.reshape(-1, terms.shape[1]) @ terms.T).reshape(len(vectors), 2, -1))
+
+    def modes_times(self, moments: FloatArray) -> FloatArray:
+        """Return the inner products of the common modes with vectors of these `moments`, shape (m, k)."""
+        return np.asarray(np.tensordot(moments, self.common.coefficients, axes=([1, 2], [1, 2])))
 
 
 def measured_nodes(slope_map: SlopeMap) -> MeasuredNodes:
@@ -52,76 +80,108 @@ def measured_nodes(slope_map: SlopeMap) -> MeasuredNodes:
         raise EstimationError(
             f"slope map: {count} of {np.count_nonzero(slope_map.aperture)} nodes have a slope, at least 3 are needed"
         )
-    grid_x, grid_y = np.meshgrid(slope_map.x_m, slope_map.y_m)
-    x, y = grid_x[valid], grid_y[valid]
-    errors = np.concatenate([slope_map.slope_error_x[valid], slope_map.slope_error_y[valid]])
-    variance = np.concatenate([slope_map.sigma_random_x[valid], slope_map.sigma_random_y[valid]]) ** 2
-    modes = slope_map.common.evaluate(x, y).reshape(len(slope_map.common.sources), 2 * count)
-    return MeasuredNodes(valid, x, y, errors, variance, slope_map.noise_correlation, modes)
+    rows, columns = np.nonzero(valid)
+    design = np.stack([slope_map.design_slope_x[valid], slope_map.design_slope_y[valid]])
+    return MeasuredNodes(
+        valid,
+        slope_map.x_m[columns],
+        slope_map.y_m[rows],
+        design,
+        np.stack([slope_map.slope_x[valid], slope_map.slope_y[valid]]) - design,
+        np.stack([slope_map.sigma_random_x[valid], slope_map.sigma_random_y[valid]]) ** 2,
+        slope_map.noise_correlation,
+        slope_map.common,
+    )
+
+
+#: Which of `Patterns.at` each removal takes out.
+_TAKEN: dict[Removal, list[int]] = {
+    Removal.NOTHING: [],
+    Removal.TILT: [0, 1],
+    Removal.FOCUS: [0, 1, 2],
+    Removal.QUADRATIC: [0, 1, 3, 4, 5],
+}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Projection:
-    """Least-squares removal of slope patterns; patterns scaled to unit norm, amounts in the patterns' own scale."""
+class Patterns:
+    """The slope patterns that removals take out: tilt in x and y, focus, curvature in x and y, twist.
 
-    columns: FloatArray
-    norms: FloatArray
+    middle_m (2,), middle_design (2,): Means of the measured nodes' places [m] and design slopes.
+    is_flat: A flat design has no curvature to scale: its pattern of focus is that of 1 / f = 1 per metre; elsewhere it
+        is how the slopes follow a relative change of 1 / f.
+    """
+
+    middle_m: FloatArray
+    middle_design: FloatArray
+    is_flat: bool
+
+    @classmethod
+    def of(cls, nodes: MeasuredNodes) -> "Patterns":
+        """Return the patterns about the middle of the measured nodes."""
+        middle = np.array([nodes.x_m.mean(), nodes.y_m.mean()])
+        is_flat = bool((np.ptp(nodes.design, axis=1) < 1e-12).all())
+        return cls(middle, nodes.design.mean(axis=1), is_flat)
+
+    def at(self, x_m: FloatArray, y_m: FloatArray, design: FloatArray) -> FloatArray:
+        """Return all six patterns at places (...) with design slopes (2, ...), shape (6, 2, ...)."""
+        x, y = x_m - self.middle_m[0], y_m - self.middle_m[1]
+        patterns = np.zeros((6, 2, *x.shape))
+        patterns[0, 0] = patterns[1, 1] = 1.0
+        patterns[2] = (0.5 * x, 0.5 * y) if self.is_flat else (design.T - self.middle_design).T
+        patterns[3, 0], patterns[4, 1] = x, y
+        patterns[5] = y, x
+        return patterns
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RemovalFit:
+    """How much of each pattern of a removal the slope errors contain, by least squares.
+
+    taken: Which patterns of `Patterns.at`.
+    amounts (p,): Their amounts.
+    inverse (p, p): Inverse of the patterns' inner products.
+    """
+
+    removal: Removal
+    taken: list[int]
+    amounts: FloatArray
     inverse: FloatArray
 
-    def amounts(self, vectors: FloatArray) -> FloatArray:
-        """Return how much of each pattern the vectors, shape (..., m), contain: shape (..., p)."""
-        return np.asarray(vectors @ self.columns.T @ self.inverse / self.norms)
-
-    def leave(self, vectors: FloatArray) -> FloatArray:
-        """Return the vectors without the patterns, shape (..., m)."""
-        return np.asarray(vectors - (vectors @ self.columns.T @ self.inverse) @ self.columns)
+    def change(self, patterns: FloatArray) -> FloatArray:
+        """Return the slopes that the removal takes out where `Patterns.at` gives these patterns, shape (2, ...)."""
+        return np.asarray(np.tensordot(self.amounts, patterns[self.taken], axes=1))
 
 
-def projection_of(columns: FloatArray) -> Projection:
-    """Prepare the least-squares removal of slope patterns, shape (p, m); EstimationError if they are dependent."""
-    norms = np.linalg.norm(columns, axis=1)
-    unit = columns / np.where(norms == 0, 1.0, norms)[:, None]
-    normal = unit @ unit.T
-    if columns.shape[0] and np.linalg.eigvalsh(normal)[0] < 1e-9:
+def fit_removals(nodes: MeasuredNodes, patterns: Patterns, removals: Iterable[Removal]) -> list[RemovalFit]:
+    """Fit the patterns of removals to the slope errors.
+
+    EstimationError: The nodes do not determine the patterns of one of them.
+    """
+    products, contained = np.zeros((6, 6)), np.zeros(6)
+    for part in nodes.blocks():
+        block = patterns.at(nodes.x_m[part], nodes.y_m[part], nodes.design[:, part]).reshape(6, -1)
+        products += block @ block.T
+        contained += block @ nodes.errors[:, part].reshape(-1)
+    return [
+        RemovalFit(removal, taken, inverse @ contained[taken], inverse)
+        for removal in removals
+        for taken in [_TAKEN[removal]]
+        for inverse in [inverse_of_products(products[np.ix_(taken, taken)])]
+    ]
+
+
+def inverse_of_products(products: FloatArray) -> FloatArray:
+    """Invert the inner products (p, p) of slope patterns; EstimationError if these depend on each other."""
+    norms = np.sqrt(np.diag(products))
+    norms = np.where(norms == 0, 1.0, norms)
+    unit = products / np.outer(norms, norms)
+    if len(products) and np.linalg.eigvalsh(unit)[0] < 1e-9:
         raise EstimationError(
             "slope map: the measured nodes lie on a line and do not determine tilt and curvature; "
             "remove less or measure more of the mirror"
         )
-    return Projection(unit, norms, np.asarray(np.linalg.inv(normal), dtype=np.float64))
-
-
-def removal_columns(slope_map: SlopeMap, nodes: MeasuredNodes, removal: Removal) -> FloatArray:
-    """Return the slope patterns that a removal takes out, at the measured nodes, shape (p, 2n)."""
-    x, y = nodes.x_m - nodes.x_m.mean(), nodes.y_m - nodes.y_m.mean()
-    return _patterns(removal, x, y, _focus_pattern(slope_map, nodes)[:, nodes.valid]).reshape(-1, 2 * nodes.count)
-
-
-def _patterns(removal: Removal, x_m: FloatArray, y_m: FloatArray, focus: FloatArray) -> FloatArray:
-    """Return the slope patterns of a removal, shape (p, 2, ...), at places from the middle; that of focus as given."""
-    one, zero = np.ones_like(x_m), np.zeros_like(x_m)
-    tilt = [(one, zero), (zero, one)]
-    if removal is Removal.NOTHING:
-        return np.zeros((0, 2, *x_m.shape))
-    if removal is Removal.TILT:
-        return np.array(tilt)
-    if removal is Removal.FOCUS:
-        return np.array([*tilt, tuple(focus)])
-    return np.array([*tilt, (x_m, zero), (zero, y_m), (y_m, x_m)])
-
-
-def _focus_pattern(slope_map: SlopeMap, nodes: MeasuredNodes) -> FloatArray:
-    """Return how the slopes follow a relative change of 1 / f, on the whole grid, shape (2, ny, nx)."""
-    if _is_flat(slope_map, nodes):
-        # A flat design has no curvature to scale: there the pattern is that of 1 / f = 1 per metre.
-        return 0.5 * np.stack(_grid_about(slope_map, nodes))
-    design = slope_map.design_slope_x, slope_map.design_slope_y
-    return np.stack([slopes - float(slopes[nodes.valid].mean()) for slopes in design])
-
-
-def _grid_about(slope_map: SlopeMap, nodes: MeasuredNodes) -> tuple[FloatArray, FloatArray]:
-    """Return x and y of all nodes from the mean of the measured ones, each of shape (ny, nx) [m]."""
-    x, y = np.meshgrid(slope_map.x_m - float(nodes.x_m.mean()), slope_map.y_m - float(nodes.y_m.mean()))
-    return x, y
+    return np.asarray(np.linalg.inv(unit) / np.outer(norms, norms), dtype=np.float64)
 
 
 def remove(slope_map: SlopeMap, removal: Removal) -> SlopeMap:
@@ -138,39 +198,44 @@ def remove(slope_map: SlopeMap, removal: Removal) -> SlopeMap:
     if removal is Removal.NOTHING:
         return slope_map
     nodes = measured_nodes(slope_map)
-    projection = projection_of(removal_columns(slope_map, nodes, removal))
-    amounts = projection.amounts(nodes.errors)
-    patterns = _patterns(removal, *_grid_about(slope_map, nodes), _focus_pattern(slope_map, nodes))
-    change_x, change_y = np.tensordot(amounts, patterns, axes=1)
+    patterns = Patterns.of(nodes)
+    (fit,) = fit_removals(nodes, patterns, [removal])
+    grid = np.meshgrid(slope_map.x_m, slope_map.y_m)
+    change_x, change_y = fit.change(
+        patterns.at(grid[0], grid[1], np.stack([slope_map.design_slope_x, slope_map.design_slope_y]))
+    )
     return replace(
         slope_map,
         slope_x=slope_map.slope_x - change_x,
         slope_y=slope_map.slope_y - change_y,
-        height_m=slope_map.height_m - _removed_height(slope_map, nodes, removal, amounts),
-        common=_project_modes(slope_map, nodes, projection),
-        removed=joined_removals(slope_map.removed, removal_words(slope_map, nodes, removal, amounts)),
+        height_m=slope_map.height_m
+        - _removed_height(fit, grid[0] - patterns.middle_m[0], grid[1] - patterns.middle_m[1], patterns),
+        common=_project_modes(nodes, patterns, fit),
+        removed=joined_removals(slope_map.removed, removal_words(fit, patterns)),
     )
 
 
-def _removed_height(slope_map: SlopeMap, nodes: MeasuredNodes, removal: Removal, amounts: FloatArray) -> FloatArray:
-    grid_x, grid_y = _grid_about(slope_map, nodes)
-    height = amounts[0] * grid_x + amounts[1] * grid_y
-    if removal is Removal.QUADRATIC:
-        height += 0.5 * (amounts[2] * grid_x**2 + amounts[3] * grid_y**2) + amounts[4] * grid_x * grid_y
-    elif removal is Removal.FOCUS:
-        if not _is_flat(slope_map, nodes):
-            return np.full_like(grid_x, np.nan)
-        height += 0.25 * amounts[2] * (grid_x**2 + grid_y**2)
+def _removed_height(fit: RemovalFit, x_m: FloatArray, y_m: FloatArray, patterns: Patterns) -> FloatArray:
+    amounts = fit.amounts
+    height = amounts[0] * x_m + amounts[1] * y_m
+    if fit.removal is Removal.QUADRATIC:
+        height += 0.5 * (amounts[2] * x_m**2 + amounts[3] * y_m**2) + amounts[4] * x_m * y_m
+    elif fit.removal is Removal.FOCUS:
+        if not patterns.is_flat:
+            return np.full_like(x_m, np.nan)
+        height += 0.25 * amounts[2] * (x_m**2 + y_m**2)
     return np.asarray(height)
 
 
-def _project_modes(slope_map: SlopeMap, nodes: MeasuredNodes, projection: Projection) -> CommonModes:
-    common = slope_map.common
+def _project_modes(nodes: MeasuredNodes, patterns: Patterns, fit: RemovalFit) -> CommonModes:
+    common = nodes.common
     if not common.sources:
         return common
     # The patterns are polynomials of degree 1 for every parabolic design; 3 follows a sphere's to 1e-4 of itself.
     degree = max(common.degree, 3)
-    values = projection.leave(nodes.modes).reshape(len(common.sources), 2, nodes.count)
+    taken = patterns.at(nodes.x_m, nodes.y_m, nodes.design)[fit.taken].reshape(len(fit.taken), -1)
+    modes = common.evaluate(nodes.x_m, nodes.y_m).reshape(len(common.sources), -1)
+    values = (modes - (modes @ taken.T @ fit.inverse) @ taken).reshape(len(common.sources), 2, nodes.count)
     return fit_modes(common, values, nodes.x_m, nodes.y_m, degree)
 
 
@@ -182,13 +247,14 @@ def fit_modes(common: CommonModes, values: FloatArray, x_m: FloatArray, y_m: Flo
     return replace(common, coefficients=coefficients.reshape(values.shape[0], 2, terms.shape[0]))
 
 
-def removal_words(slope_map: SlopeMap, nodes: MeasuredNodes, removal: Removal, amounts: FloatArray) -> str:
+def removal_words(fit: RemovalFit, patterns: Patterns) -> str:
     """Say what a removal took out, with its numbers."""
+    removal, amounts = fit.removal, fit.amounts
     if removal is Removal.NOTHING:
         return Removal.NOTHING.value
     words = f"tilt of {1e3 * amounts[0]:.4g} mrad in x and {1e3 * amounts[1]:.4g} mrad in y"
     if removal is Removal.FOCUS:
-        if _is_flat(slope_map, nodes):
+        if patterns.is_flat:
             return words + f"; curvature of focal length {inverse_length(float(amounts[2])):.6g} m"
         return words + f"; focal length {inverse_length(1 + float(amounts[2])):.6g} times the design's"
     if removal is Removal.QUADRATIC:
@@ -205,12 +271,6 @@ def reference_words(slope_map: SlopeMap, removal: Removal) -> str:
     if removal is Removal.QUADRATIC:
         return f"best-fit quadratic added to the design ({slope_map.design})"
     return f"design: {slope_map.design}"
-
-
-def _is_flat(slope_map: SlopeMap, nodes: MeasuredNodes) -> bool:
-    return all(
-        float(np.ptp(slopes[nodes.valid])) < 1e-12 for slopes in (slope_map.design_slope_x, slope_map.design_slope_y)
-    )
 
 
 def joined_removals(before: str, now: str) -> str:

@@ -4,21 +4,25 @@ Every mean and every fit weights the measured nodes equally: the grid is regular
 area, as spec C-03 asks. Nodes that were not measured count nowhere, and the share that was measured is always given.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
-from heliogauge.slopes.map import SlopeMap
+from heliogauge.slopes.map import SlopeMap, monomials
 from heliogauge.slopes.normal_angles import d_angles_d_slopes, normal_angles, tangents
 from heliogauge.slopes.removal import (
+    MeasuredNodes,
+    Patterns,
     Removal,
+    RemovalFit,
+    fit_removals,
     inverse_length,
+    inverse_of_products,
     joined_removals,
     measured_nodes,
-    projection_of,
     reference_words,
-    removal_columns,
     removal_words,
 )
 from heliogauge.validate import FloatArray, covariance_matrix, float_array, positive
@@ -160,45 +164,149 @@ def statistics(slope_map: SlopeMap, *, removed: Removal = Removal.NOTHING) -> Sl
 
     Tilt is the mean slope error. On steep designs (slope p) a rigid rotation leaves about p^2 of itself.
     """
-    nodes = measured_nodes(slope_map)
-    projection = projection_of(removal_columns(slope_map, nodes, removed))
-    design = np.stack([slope_map.design_slope_x[nodes.valid], slope_map.design_slope_y[nodes.valid]])
-    errors_left = projection.leave(nodes.errors)
-    left = design + errors_left.reshape(2, -1)
-    angles, by_slope = normal_angles(*left, *design), d_angles_d_slopes(*left)
-    noise = np.einsum("ijn,jn,kjn->ikn", by_slope, nodes.variance.reshape(2, -1), by_slope)
+    return statistics_of_removals(slope_map, [removed])[0]
 
-    def sigma_of_rms(chosen: list[int]) -> float:
+
+def statistics_of_removals(slope_map: SlopeMap, removals: Sequence[Removal]) -> list[SlopeStatistics]:
+    """Form `statistics` with one removal after the other, from one set of nodes.
+
+    EstimationError: As there.
+    """
+    nodes = measured_nodes(slope_map)
+    patterns = Patterns.of(nodes)
+    mean = np.zeros(2)
+    for part in nodes.blocks():
+        design = nodes.design[:, part]
+        mean += normal_angles(*(design + nodes.errors[:, part]), *design).sum(axis=1) / nodes.count
+    found = []
+    for fit in fit_removals(nodes, patterns, removals):
+        sums = _angles_left(nodes, patterns, fit)
+        sdx, sdy = np.sqrt(sums.squares / nodes.count).tolist()
+        noise_x, noise_y = np.sqrt(sums.noise / nodes.count).tolist()
+        sigma_x, sigma_y, sigma = (sums.sigma_of_rms(nodes, fit, chosen) for chosen in ([0], [1], [0, 1]))
+        found.append(
+            SlopeStatistics(
+                sdx_rad=sdx,
+                sdy_rad=sdy,
+                sd_rad=float(np.hypot(sdx, sdy)),
+                mean_x_rad=float(mean[0]),
+                mean_y_rad=float(mean[1]),
+                sigma_sdx_rad=sigma_x,
+                sigma_sdy_rad=sigma_y,
+                sigma_sd_rad=sigma,
+                noise_rms_x_rad=noise_x,
+                noise_rms_y_rad=noise_y,
+                removed=joined_removals(slope_map.removed, removal_words(fit, patterns)),
+                reference=reference_words(slope_map, fit.removal),
+                measured_share=slope_map.measured_share,
+            )
+        )
+    return found
+
+
+@dataclass(slots=True, eq=False)
+class _AngleSums:
+    """Sums over the nodes that the RMS of the angles and its sigma are made of, of p patterns.
+
+    squares, noise (2,): Of the squared angles, and of their random variances.
+    noise_squares (2, 2): Of the squared covariances of the two angles.
+    pull_pull (2, 2): Of pulls times pulls times variance; a pull is how half the squared angle changes with the slopes.
+    pull_pattern, pull_variance_pattern (2, p): Of pulls times patterns, without and with the variance.
+    pattern_variance_pattern (p, p): Of patterns times patterns times variance.
+    pull_moments (2, 2, n_terms), pattern_moments (p, 2, n_terms): As `MeasuredNodes.moments` gives them.
+    """
+
+    squares: FloatArray
+    noise: FloatArray
+    noise_squares: FloatArray
+    pull_pull: FloatArray
+    pull_pattern: FloatArray
+    pull_variance_pattern: FloatArray
+    pattern_variance_pattern: FloatArray
+    pull_moments: FloatArray
+    pattern_moments: FloatArray
+
+    @classmethod
+    def zero(cls, p: int, n_terms: int) -> "_AngleSums":
+        """Return empty sums."""
+        return cls(
+            squares=np.zeros(2),
+            noise=np.zeros(2),
+            noise_squares=np.zeros((2, 2)),
+            pull_pull=np.zeros((2, 2)),
+            pull_pattern=np.zeros((2, p)),
+            pull_variance_pattern=np.zeros((2, p)),
+            pattern_variance_pattern=np.zeros((p, p)),
+            pull_moments=np.zeros((2, 2, n_terms)),
+            pattern_moments=np.zeros((p, 2, n_terms)),
+        )
+
+    def sigma_of_rms(self, nodes: MeasuredNodes, fit: RemovalFit, chosen: list[int]) -> float:
         """Return the sigma of the RMS of one component, or of both: with n rms^2 changing by 2 pull . d(errors)."""
-        squares = float(np.sum(angles[chosen] ** 2))
+        squares = float(self.squares[chosen].sum())
         if squares == 0:
             return 0.0
-        pull = projection.leave(np.einsum("in,ijn->jn", angles[chosen], by_slope[chosen]).reshape(-1))
-        overcount = 0.5 * float(np.sum(noise[np.ix_(chosen, chosen)] ** 2))
-        random = nodes.noise_correlation * max(float(pull**2 @ nodes.variance) - overcount, 0.0)
-        common = float(np.sum((nodes.modes @ pull) ** 2))
-        return float(np.sqrt((random + common) / (nodes.count * squares)))
+        # The pull without the patterns: what they take along with the errors changes nothing that is left.
+        share = fit.inverse @ self.pull_pattern[chosen].sum(axis=0)
+        random = float(self.pull_pull[np.ix_(chosen, chosen)].sum())
+        random -= 2 * float(share @ self.pull_variance_pattern[chosen].sum(axis=0))
+        random += float(share @ self.pattern_variance_pattern @ share)
+        overcount = 0.5 * float(self.noise_squares[np.ix_(chosen, chosen)].sum())
+        moments = self.pull_moments[chosen].sum(axis=0) - np.tensordot(share, self.pattern_moments, axes=1)
+        common = float(np.sum(nodes.modes_times(moments[None]) ** 2))
+        variance = nodes.noise_correlation * max(random - overcount, 0.0) + common
+        return float(np.sqrt(variance / (nodes.count * squares)))
 
-    sdx, sdy = np.sqrt(np.mean(angles**2, axis=1)).tolist()
-    mean_x, mean_y = normal_angles(*(design + nodes.errors.reshape(2, -1)), *design).mean(axis=1).tolist()
-    noise_x, noise_y = (float(np.sqrt(noise[i, i].mean())) for i in (0, 1))
-    return SlopeStatistics(
-        sdx_rad=sdx,
-        sdy_rad=sdy,
-        sd_rad=float(np.hypot(sdx, sdy)),
-        mean_x_rad=mean_x,
-        mean_y_rad=mean_y,
-        sigma_sdx_rad=sigma_of_rms([0]),
-        sigma_sdy_rad=sigma_of_rms([1]),
-        sigma_sd_rad=sigma_of_rms([0, 1]),
-        noise_rms_x_rad=noise_x,
-        noise_rms_y_rad=noise_y,
-        removed=joined_removals(
-            slope_map.removed, removal_words(slope_map, nodes, removed, projection.amounts(nodes.errors))
-        ),
-        reference=reference_words(slope_map, removed),
-        measured_share=slope_map.measured_share,
-    )
+
+def _angles_left(nodes: MeasuredNodes, patterns: Patterns, fit: RemovalFit) -> _AngleSums:
+    """Go through the nodes with what a removal leaves of their errors."""
+    p = len(fit.taken)
+    sums = _AngleSums.zero(p, nodes.common.coefficients.shape[2])
+    for part in nodes.blocks():
+        design, variance = nodes.design[:, part], nodes.variance[:, part]
+        taken = patterns.at(nodes.x_m[part], nodes.y_m[part], design)[fit.taken]
+        left = design + nodes.errors[:, part] - np.tensordot(fit.amounts, taken, axes=1)
+        angles, by_slope = normal_angles(*left, *design), d_angles_d_slopes(*left)
+        pull, weighted = angles[:, None] * by_slope, by_slope * variance
+        noise = [[(by_slope[i] * weighted[k]).sum(axis=0) for k in (0, 1)] for i in (0, 1)]
+        sums.squares += (angles**2).sum(axis=1)
+        sums.noise += [noise[0][0].sum(), noise[1][1].sum()]
+        sums.noise_squares += [[float(one @ one) for one in row] for row in noise]
+        flat_pull, flat_taken = pull.reshape(2, -1), taken.reshape(p, 2 * angles.shape[1])
+        sums.pull_pull += (flat_pull * variance.reshape(-1)) @ flat_pull.T
+        sums.pull_moments += nodes.moments(part, pull)
+        if p:
+            taken_weighted = flat_taken * variance.reshape(-1)
+            sums.pull_pattern += flat_pull @ flat_taken.T
+            sums.pull_variance_pattern += flat_pull @ taken_weighted.T
+            sums.pattern_variance_pattern += taken_weighted @ flat_taken.T
+            sums.pattern_moments += nodes.moments(part, taken)
+    return sums
+
+
+def common_rms(slope_map: SlopeMap) -> dict[str, tuple[float, float]]:
+    """Return the RMS over the measured nodes of each common source's sigma, in x and in y [rad].
+
+    EstimationError: Fewer than three measured nodes.
+    """
+    nodes = measured_nodes(slope_map)
+    common = nodes.common
+    n_terms = common.coefficients.shape[2]
+    products = np.zeros((n_terms, n_terms))
+    for part in nodes.blocks():
+        u, v = (
+            (nodes.x_m[part] - common.center_m[0]) / common.scale_m,
+            (nodes.y_m[part] - common.center_m[1]) / common.scale_m,
+        )
+        terms = monomials(u, v, common.degree)
+        products += terms @ terms.T / nodes.count
+    squares = np.einsum("kat,ts,kas->ka", common.coefficients, products, common.coefficients)
+    found = {}
+    for source in dict.fromkeys(common.sources):
+        of_source = [number for number, name in enumerate(common.sources) if name == source]
+        x, y = np.sqrt(np.maximum(squares[of_source].sum(axis=0), 0.0)).tolist()
+        found[source] = (x, y)
+    return found
 
 
 def fit_quadratic(slope_map: SlopeMap) -> QuadraticFit:
@@ -212,25 +320,38 @@ def fit_quadratic(slope_map: SlopeMap) -> QuadraticFit:
     """
     nodes = measured_nodes(slope_map)
     x0, y0 = float(nodes.x_m.mean()), float(nodes.y_m.mean())
-    x, y = nodes.x_m - x0, nodes.y_m - y0
-    zero, one = np.zeros(nodes.count), np.ones(nodes.count)
-    pairs = ((2 * x, zero), (zero, 2 * y), (one, zero), (zero, one), (y, x))
-    columns = np.stack([np.concatenate(pair) for pair in pairs])
-    projection = projection_of(columns)
-    slopes = np.concatenate([slope_map.slope_x[nodes.valid], slope_map.slope_y[nodes.valid]])
-    centred = projection.amounts(slopes)
+
+    def columns(part: slice) -> FloatArray:
+        x, y = nodes.x_m[part] - x0, nodes.y_m[part] - y0
+        found = np.zeros((5, 2, x.size))
+        found[0, 0], found[1, 1], found[4] = 2 * x, 2 * y, (y, x)
+        found[2, 0] = found[3, 1] = 1.0
+        return found
+
+    products, contained, weighted = np.zeros((5, 5)), np.zeros(5), np.zeros((5, 5))
+    moments = np.zeros((5, 2, nodes.common.coefficients.shape[2]))
+    for part in nodes.blocks():
+        block, flat = columns(part), columns(part).reshape(5, -1)
+        products += flat @ flat.T
+        contained += flat @ (nodes.design[:, part] + nodes.errors[:, part]).reshape(-1)
+        weighted += (flat * nodes.variance[:, part].reshape(-1)) @ flat.T
+        moments += nodes.moments(part, block)
+    inverse = inverse_of_products(products)
+    centred = inverse @ contained
+    modes = inverse @ nodes.modes_times(moments)
+    left = np.zeros(2)
+    for part in nodes.blocks():
+        slopes = nodes.design[:, part] + nodes.errors[:, part] - np.tensordot(centred, columns(part), axes=1)
+        left += (slopes**2).sum(axis=1) / nodes.count
     # From coordinates about the mean node back to the map's own: C = C' - 2 A x0 - E y0, D = D' - 2 B y0 - E x0
     back = np.eye(5)
     back[2, [0, 4]], back[3, [1, 4]] = (-2 * x0, -y0), (-2 * y0, -x0)
-    carry = (projection.inverse / projection.norms[:, None]) @ projection.columns
-    modes = projection.amounts(nodes.modes)
-    covariance = nodes.noise_correlation * (carry * nodes.variance) @ carry.T + modes.T @ modes
-    left = projection.leave(slopes)
+    covariance = nodes.noise_correlation * inverse @ weighted @ inverse + modes @ modes.T
     return QuadraticFit(
         coefficients=back @ centred,
         covariance=_symmetric(back @ covariance @ back.T),
-        residual_slope_rms_x=float(np.sqrt(np.mean(left[: nodes.count] ** 2))),
-        residual_slope_rms_y=float(np.sqrt(np.mean(left[nodes.count :] ** 2))),
+        residual_slope_rms_x=float(np.sqrt(left[0])),
+        residual_slope_rms_y=float(np.sqrt(left[1])),
     )
 
 
@@ -242,18 +363,18 @@ def canting(slope_map: SlopeMap) -> Canting:
     EstimationError: Fewer than three measured nodes.
     """
     nodes = measured_nodes(slope_map)
-    valid = nodes.valid
-    slopes = slope_map.slope_x[valid], slope_map.slope_y[valid]
+    slopes = nodes.design + nodes.errors
     mean_normal = _mean_normal(*slopes)
     mean_slopes = -mean_normal[:2] / mean_normal[2]
-    design = _mean_normal(slope_map.design_slope_x[valid], slope_map.design_slope_y[valid])
+    design = _mean_normal(*nodes.design)
     components = normal_angles(*mean_slopes, *(-design[:2] / design[2]))
     # A turn of one node's normal counts in the mean with its part across the mean normal.
     share = 1 / (nodes.count * np.linalg.norm(mean_normal))
     across = np.einsum("ic,kcn->ikn", share * tangents(*mean_slopes), tangents(*slopes))
-    by_slope = np.einsum("ikn,kjn->ijn", across, d_angles_d_slopes(*slopes)).reshape(2, -1)
-    modes = nodes.modes @ by_slope.T
-    covariance = nodes.noise_correlation * (by_slope * nodes.variance) @ by_slope.T + modes.T @ modes
+    by_slope = np.einsum("ikn,kjn->ijn", across, d_angles_d_slopes(*slopes))
+    modes = nodes.modes_times(nodes.moments(slice(None), by_slope))
+    flat = by_slope.reshape(2, -1)
+    covariance = nodes.noise_correlation * (flat * nodes.variance.reshape(-1)) @ flat.T + modes @ modes.T
     angle = float(np.hypot(*components))
     direction = components / angle if angle > 0 else np.array([1.0, 0.0])
     sigma = float(np.sqrt(direction @ covariance @ direction))

@@ -16,7 +16,7 @@ from heliogauge.reporting.html import Html
 from heliogauge.reporting.look import FAINT, extent_of, nice_ceiling, robust_limit, thinned
 from heliogauge.reporting.notation import number_text
 from heliogauge.slopes.map import SlopeMap
-from heliogauge.slopes.removal import Removal, measured_nodes, projection_of, removal_columns
+from heliogauge.slopes.removal import Patterns, Removal, fit_removals, measured_nodes
 from heliogauge.slopes.statistics import SlopeStatistics, statistics
 from heliogauge.validate import BoolArray, FlagArray, FloatArray
 from heliogauge.view.arrays import PAGE, ArrayStore, reading_step
@@ -304,14 +304,13 @@ def slope_removals(
     middle, means = np.zeros(2), np.zeros(2)
     try:
         nodes = measured_nodes(slope_map)
-        middle = np.array([nodes.x_m.mean(), nodes.y_m.mean()])
-        designs = slope_map.design_slope_x[nodes.valid], slope_map.design_slope_y[nodes.valid]
-        means = np.array([design.mean() for design in designs])
-        flat = all(float(np.ptp(design)) < 1e-12 for design in designs)
+        patterns = Patterns.of(nodes)
+        middle, means = patterns.middle_m, patterns.middle_design
         for removal in Removal:
-            amounts = projection_of(removal_columns(slope_map, nodes, removal)).amounts(nodes.errors)
-            if np.isfinite(amounts).all():  # not where one of the two slopes was never measured
-                parts.append(RemovedPart(removal, _coefficients(amounts, flat), statistics(slope_map, removed=removal)))
+            (fit,) = fit_removals(nodes, patterns, [removal])
+            if np.isfinite(fit.amounts).all():  # not where one of the two slopes was never measured
+                coefficients = _coefficients(fit.amounts, patterns.is_flat)
+                parts.append(RemovedPart(removal, coefficients, statistics(slope_map, removed=removal)))
     except EstimationError:
         # Too few nodes, or all on a line: what is determined is offered.
         pass
