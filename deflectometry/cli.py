@@ -39,7 +39,8 @@ def measure_command(
         typer.Option("--align", help="Orientation the slopes refer to.  [default: as measurement.toml says]"),
     ] = None,
     grid_step_mm: Annotated[
-        float | None, typer.Option("--grid-step-mm", help="Grid step of the maps.  [default: 0.4 of the pixel spacing]")
+        float | None,
+        typer.Option("--grid-step-mm", help="Grid step of the maps.  [default: 0.4 to 1 of the pixel spacing]"),
     ] = None,
     remove: Annotated[
         Literal["nothing", "tilt", "focus", "quadratic"] | None,

@@ -263,7 +263,10 @@ class EvaluationSection(Section):
     align: Literal["normal", "outline"] = Field(
         "normal", description="What slopes refer to: the pose found (outline), or the design's mean normal."
     )
-    grid_step_mm: Positive | None = Field(None, description="Step of the maps; default: 0.4 of an image pixel [mm].")
+    grid_step_mm: Positive | None = Field(
+        None,
+        description="Step of the maps; default: 0.4 to 1 image pixel, for 250 000 nodes where possible [mm].",
+    )
     remove: Literal["nothing", "tilt", "focus", "quadratic"] = Field(
         "nothing", description="What is taken out of the maps and headline numbers."
     )

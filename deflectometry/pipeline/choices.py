@@ -17,7 +17,7 @@ class Options:
     align : Align or None
         Orientation that the slopes refer to; None as measurement.toml says.
     grid_step_mm : float or None
-        Grid step of the maps [mm]; None as measurement.toml says, else 0.4 of the spacing of the pixels.
+        Grid step of the maps [mm]; None as measurement.toml says, else 0.4 to 1 of the spacing of the pixels.
     remove : Removal or None
         What is taken out of the maps; None as measurement.toml says.
     jobs : int or None
@@ -35,7 +35,7 @@ class Choices:
     """How the slopes are to be reported.
 
     align: Orientation the slopes refer to.
-    grid_step_m: Grid step of the maps; 0 takes 0.4 of the spacing of the pixels [m].
+    grid_step_m: Grid step of the maps; 0 takes 0.4 to 1 of the spacing of the pixels [m].
     removal: What is taken out of the maps.
     """
 

@@ -129,7 +129,9 @@ def _pixel_arrays(evaluation: Evaluation) -> dict[str, npt.NDArray[Any]]:
     """Put the pixels of all facets into images of the camera's size."""
     screen_map = evaluation.screen_map
     shape = screen_map.flags.shape
-    arrays = {name: np.full(shape, np.nan) for name in ("x", "y", "z", "slope_x", "slope_y", "sigma_x", "sigma_y")}
+    # As precise as the file keeps them: seven images of 2 million pixels are 56 MB less.
+    names = ("x", "y", "z", "slope_x", "slope_y", "sigma_x", "sigma_y")
+    arrays = {name: np.full(shape, np.nan, dtype=np.float32) for name in names}
     flags = screen_map.flags.copy()
     surfaces = dict(zip(evaluation.images, evaluation.solution.surfaces, strict=True))
     for name, image in evaluation.images.items():

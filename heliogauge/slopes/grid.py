@@ -35,7 +35,7 @@ def curl(slope_map: SlopeMap) -> Derivative:
     y_by_x = _central(np.where(valid, slope_map.slope_y, np.nan), slope_map.x_m, 1, reach)
     variance = _central_variance(slope_map.sigma_random_x, slope_map.y_m, 0, reach)
     variance += _central_variance(slope_map.sigma_random_y, slope_map.x_m, 1, reach)
-    for mode_x, mode_y in _modes_on_grid(slope_map):
+    for mode_x, mode_y in slope_map.common.on_grid(slope_map.x_m, slope_map.y_m):
         turn = _central(mode_x, slope_map.y_m, 0, reach) - _central(mode_y, slope_map.x_m, 1, reach)
         variance += turn**2
     return _derivative(x_by_y - y_by_x, variance)
@@ -49,7 +49,7 @@ def curvature(slope_map: SlopeMap) -> tuple[Derivative, Derivative]:
     valid, reach = slope_map.valid, _reach(slope_map)
     variance_x = _central_variance(slope_map.sigma_random_x, slope_map.x_m, 1, reach)
     variance_y = _central_variance(slope_map.sigma_random_y, slope_map.y_m, 0, reach)
-    for mode_x, mode_y in _modes_on_grid(slope_map):
+    for mode_x, mode_y in slope_map.common.on_grid(slope_map.x_m, slope_map.y_m):
         variance_x += _central(mode_x, slope_map.x_m, 1, reach) ** 2
         variance_y += _central(mode_y, slope_map.y_m, 0, reach) ** 2
     along_x = _central(np.where(valid, slope_map.slope_x, np.nan), slope_map.x_m, 1, reach)
@@ -60,10 +60,6 @@ def curvature(slope_map: SlopeMap) -> tuple[Derivative, Derivative]:
 def _reach(slope_map: SlopeMap) -> int:
     """Return how many nodes away the neighbours of a difference lie: so far that they share no pixel."""
     return max(1, int(np.ceil(np.sqrt(slope_map.noise_correlation) - 1e-9)))
-
-
-def _modes_on_grid(slope_map: SlopeMap) -> FloatArray:
-    return slope_map.common.evaluate(*np.meshgrid(slope_map.x_m, slope_map.y_m))
 
 
 def _derivative(value: FloatArray, variance: FloatArray) -> Derivative:

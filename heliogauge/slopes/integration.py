@@ -2,6 +2,7 @@
 
 import cv2
 import numpy as np
+import numpy.typing as npt
 
 from heliogauge.errors import EstimationError
 from heliogauge.validate import BoolArray, FloatArray
@@ -67,21 +68,24 @@ def _solve(right: FloatArray, pair_x: BoolArray, pair_y: BoolArray) -> FloatArra
     )
 
 
-def _laplace_eigenvalues(shape: tuple[int, int]) -> FloatArray:
+def _laplace_eigenvalues(shape: tuple[int, int]) -> npt.NDArray[np.float32]:
     """Return the eigenvalues of the Neumann Laplacian on an even grid whose cosine transform is quick."""
     rows, columns = (2 * cv2.getOptimalDFTSize((size + 1) // 2) for size in shape)
     along_y = 2.0 - 2.0 * np.cos(np.pi * np.arange(rows) / rows)
     along_x = 2.0 - 2.0 * np.cos(np.pi * np.arange(columns) / columns)
     eigenvalues = along_y[:, None] + along_x[None, :]
     eigenvalues[0, 0] = np.inf
-    return eigenvalues
+    return eigenvalues.astype(np.float32)
 
 
-def _poisson(right: FloatArray, eigenvalues: FloatArray) -> FloatArray:
+def _poisson(right: FloatArray, eigenvalues: npt.NDArray[np.float32]) -> FloatArray:
+    """Solve the gap-free problem; single precision, as it only steers the rounds."""
     rows, columns = right.shape
-    padded = np.zeros(eigenvalues.shape)
-    padded[:rows, :columns] = right
-    return np.asarray(cv2.dct(cv2.dct(padded) / eigenvalues, flags=cv2.DCT_INVERSE)[:rows, :columns])
+    padded = np.zeros(eigenvalues.shape, dtype=np.float32)
+    scale = float(np.abs(right).max()) or 1.0
+    padded[:rows, :columns] = right / scale
+    found = cv2.dct(cv2.dct(padded) / eigenvalues, flags=cv2.DCT_INVERSE)[:rows, :columns]
+    return np.asarray(found * scale, dtype=np.float64)
 
 
 def _centred(height: FloatArray, known: BoolArray) -> FloatArray:

@@ -1,5 +1,6 @@
 """SlopeMap: the common product of every method, with its uncertainty in two shares."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -58,11 +59,11 @@ class CommonModes:
         terms = monomials((x_m - self.center_m[0]) / self.scale_m, (y_m - self.center_m[1]) / self.scale_m, self.degree)
         return np.tensordot(self.coefficients, terms, axes=(2, 0))
 
-    def variance_on_grid(self, x_m: FloatArray, y_m: FloatArray) -> FloatArray:
-        """Return the variance of both slopes at the nodes of a grid, one mode after the other.
+    def on_grid(self, x_m: FloatArray, y_m: FloatArray) -> Iterator[FloatArray]:
+        """Yield the modes at the nodes of a grid, one after the other.
 
         Shapes: x_m (nx,), y_m (ny,).
-        Returns (2, ny, nx): Variance of slope_x and slope_y from all sources together [rad^2].
+        Yields (2, ny, nx): Change of slope_x and slope_y for +1 sigma of the source [rad].
         """
         powers = np.arange(self.degree + 1)
         columns = ((x_m - self.center_m[0]) / self.scale_m)[:, None] ** powers
@@ -70,12 +71,20 @@ class CommonModes:
         # The term j of total power n is u**(n - j) v**j.
         total = np.repeat(powers, powers + 1)
         of_v = np.concatenate([np.arange(n + 1) for n in powers])
+        for coefficients in self.coefficients:
+            table = np.zeros((2, powers.size, powers.size))
+            table[:, of_v, total - of_v] = coefficients
+            yield rows @ (table @ columns.T)
+
+    def variance_on_grid(self, x_m: FloatArray, y_m: FloatArray) -> FloatArray:
+        """Return the variance of both slopes at the nodes of a grid.
+
+        Shapes: x_m (nx,), y_m (ny,).
+        Returns (2, ny, nx): Variance of slope_x and slope_y from all sources together [rad^2].
+        """
         variance = np.zeros((2, y_m.size, x_m.size))
-        for mode in self.coefficients:
-            for axis in np.flatnonzero(mode.any(axis=1)):
-                table = np.zeros((powers.size, powers.size))
-                table[of_v, total - of_v] = mode[axis]
-                variance[axis] += (rows @ (table @ columns.T)) ** 2
+        for mode in self.on_grid(x_m, y_m):
+            variance += mode**2
         return variance
 
 
