@@ -107,6 +107,7 @@ class MapView:
     removals: What may be taken out of slope errors; empty for maps of other quantities.
     note: A line under the map.
     axis_unit: Unit of columns and rows: "m", or "px" for maps over an image.
+    axis_names: What columns and rows are.
     y_down: y grows downwards, as in images; otherwise upwards.
     lines: Vertices of thin lines over the map, such as edges of panels, shape (n, 2) each, in `axis_unit`.
     stills: Still pictures that stand for it in notebook and print; empty: drawn here.
@@ -122,6 +123,7 @@ class MapView:
     removals: tuple[Removals, ...] = ()
     note: str = ""
     axis_unit: str = "m"
+    axis_names: tuple[str, str] = ("x", "y")
     y_down: bool = False
     lines: Sequence[FloatArray] = ()
     stills: Sequence[Html] = ()
@@ -185,6 +187,7 @@ class MapView:
             aperture=thinned(self.aperture),
             extent=extent_of(self),
             axis_unit=self.axis_unit,
+            axis_names=self.axis_names,
             low=low,
             high=high,
             diverging=layer.diverging,
@@ -236,6 +239,7 @@ class MapView:
             "name": self.name,
             "note": self.note,
             "axis_unit": self.axis_unit,
+            "axis_names": list(self.axis_names),
             "y_down": self.y_down,
             "x": thinned(self.x_m[None, :], most)[0].tolist(),
             "y": thinned(self.y_m[:, None], most)[:, 0].tolist(),

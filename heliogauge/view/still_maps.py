@@ -35,6 +35,7 @@ class MapPicture:
     diverging: Colours from blue over white to red; otherwise from dark to light.
     y_down: y grows downwards.
     lines: Vertices of thin lines over the map, shape (n, 2) each.
+    axis_names: What columns and rows are.
     """
 
     title: str
@@ -49,6 +50,7 @@ class MapPicture:
     diverging: bool
     y_down: bool
     lines: Sequence[FloatArray] = ()
+    axis_names: tuple[str, str] = ("x", "y")
 
     def still(self, *, tallest_px: float = 480.0) -> Html:
         """Draw the map in its own proportions."""
@@ -68,8 +70,8 @@ class MapPicture:
         for line in self.lines:
             sheet.line(line[:, 0], line[:, 1], FAINT, width=0.7)
         is_mirror = self.axis_unit == "m" and sheet.box[2] - sheet.box[0] > _LEAST_SAID_PX
-        x_label = f"x [{self.axis_unit}]{_SIDE if is_mirror else ''}"
-        sheet.axes(x_label, f"y [{self.axis_unit}]", grid=False)
+        x_label, y_label = (f"{name} [{self.axis_unit}]" for name in self.axis_names)
+        sheet.axes(x_label + (_SIDE if is_mirror else ""), y_label, grid=False)
         if bar:
             sheet.color_bar(self.low, self.high, self.unit, diverging=self.diverging)
         return sheet

@@ -2,7 +2,7 @@
 
 import base64
 import html
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -77,7 +77,7 @@ def panels_view(results: AlignmentResults) -> MapView:
         for name, words in (("theta_ra", "to the absorber as it is"), ("theta_r", "to the design's focal line"))
         if np.isfinite(values := spread(f"{name}_rad")).any() or name == "theta_ra"
     )
-    return MapView(
+    view = MapView(
         "Panels",
         x,
         y,
@@ -87,6 +87,8 @@ def panels_view(results: AlignmentResults) -> MapView:
         note="Grey: less than half of the panel is measured, no prescription.",
         lines=panel_lines(collector),
     )
+    # The table has the angles to the design; on paper the picture of the moves then fits below.
+    return replace(view, stills=[view.layer_still("theta_ra")])
 
 
 def head(results: AlignmentResults) -> FirstScreen:

@@ -14,6 +14,7 @@ from heliogauge.results.folder import read_table_csv
 from heliogauge.results.thumbnails import read_thumbnails
 from heliogauge.validate import BoolArray, FloatArray
 from heliogauge.view.charts import ChartSeries, ChartView, Mark
+from heliogauge.view.maps import MapLayer, MapView
 from heliogauge.view.photos import Photo, PhotoLines, PhotoMarks, PhotoView
 
 _FRAME_REACH = 0.6
@@ -99,6 +100,41 @@ def series_views(report: HeliostatReport) -> dict[str, ChartView]:
             x_time=name == "time",
         )
     return views
+
+
+def sky_view(report: HeliostatReport) -> MapView:
+    """Return the predicted uncertainty of the beam for each place where the sun can stand."""
+    sky = figures.sky_of(report)
+    half_a, half_e = sky.halves_deg
+    corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1], [-1, -1]])
+    at = np.argwhere(sky.extrapolated & np.isfinite(sky.sigma_mrad))
+    beyond = [corners * (half_a, half_e) + (sky.azimuth_deg[column], sky.elevation_deg[row]) for row, column in at]
+    arms = np.array([[-1.0, 0.0], [1.0, 0.0]]), np.array([[0.0, -1.0], [0.0, 1.0]])
+    suns = [arm + sun for sun in sky.suns_deg[np.isfinite(sky.suns_deg).all(axis=1)] for arm in arms]
+    inside = np.where(sky.extrapolated, np.nan, sky.sigma_mrad)
+    layers = tuple(
+        MapLayer(key, name, "mrad", values, diverging=False, limit=sky.high_mrad, low=0.0)
+        for key, name, values in (
+            ("sigma_beam", "Sigma of the beam", sky.sigma_mrad),
+            ("sigma_beam_inside", "Sigma of the beam where nothing is extrapolated", inside),
+        )
+    )
+    shape = sky.sigma_mrad.shape
+    words = "Azimuth from north, clockwise. Crosses: suns of the observations; boxes: the model is extrapolated."
+    note = f"{sky.note}. {words}"
+    return MapView(
+        "Predicted uncertainty over the sky",
+        sky.azimuth_deg,
+        sky.elevation_deg,
+        layers,
+        np.zeros(shape, np.uint32),
+        np.ones(shape, np.bool_),
+        note=note,
+        axis_unit="deg",
+        axis_names=("azimuth of the sun", "elevation"),
+        lines=(*beyond, *suns),
+        stills=[figures.sky_sheet(report).html(f"Predicted uncertainty over the sky. {note}")],
+    )
 
 
 def _labels(report: HeliostatReport) -> list[str]:

@@ -104,49 +104,82 @@ def correlation_picture(correlation: Mapping[str, Any]) -> Html:
     return correlation_still(names, matrix, "Correlation of the parameters", note)
 
 
+class Sky(NamedTuple):
+    """Predicted uncertainty of the beam where the sun can stand.
+
+    azimuth_deg (nx,): From north, clockwise; ascending, in the southern hemisphere from -180 (a sun in the north would
+        wrap round the ends of the axis).
+    elevation_deg (ny,): Ascending.
+    sigma_mrad (ny, nx): NaN where the sun never stands.
+    extrapolated (ny, nx): Where the model is extrapolated.
+    suns_deg (n, 2): Azimuth and elevation of the suns of the observations that were used.
+    high_mrad: Where colours end.
+    note: What the uncertainty is of.
+    """
+
+    azimuth_deg: FloatArray
+    elevation_deg: FloatArray
+    sigma_mrad: FloatArray
+    extrapolated: BoolArray
+    suns_deg: FloatArray
+    high_mrad: float
+    note: str
+
+    @property
+    def halves_deg(self) -> tuple[float, float]:
+        """Half the size of a cell along azimuth and elevation."""
+        return 0.5 * float(np.diff(self.azimuth_deg).min()), 0.5 * float(np.diff(self.elevation_deg).min())
+
+
+def sky_of(report: HeliostatReport) -> Sky:
+    """Return the sky map of one heliostat."""
+    sky, rows = report.content["sky"], report.residuals
+    azimuth, elevation = np.array(sky["azimuth_deg"], float), np.array(sky["elevation_deg"], float)
+    sigma = np.array([[np.nan if one is None else one for one in row] for row in sky["sigma_beam_mrad"]], dtype=float)
+    beyond = np.array([[bool(one) for one in row] for row in sky["extrapolated"]])
+    turn = 180.0 if report.content["site"]["latitude_deg"] < 0 else 0.0
+
+    def turned(values: FloatArray) -> FloatArray:
+        return np.asarray((values + turn) % 360.0 - turn)
+
+    order = np.argsort(turned(azimuth))
+    azimuth, sigma, beyond = turned(azimuth)[order], sigma[:, order], beyond[:, order]
+    known = sigma[np.isfinite(sigma)]
+    high = nice_ceiling(min(float(known.max()), _SKY_RANGE * float(known.min()))) if known.size else 1.0
+    # All azimuths between the first and the last one of the sun, at equal steps.
+    seen = np.flatnonzero(np.isfinite(sigma).any(axis=0)) if known.size else np.arange(azimuth.size)
+    shown = slice(int(seen[0]), int(seen[-1]) + 1)
+    suns = turned(rows.numbers["sun_azimuth_deg"][rows.used]), rows.numbers["sun_elevation_deg"][rows.used]
+    note = f"1 sigma of the beam aimed at {str(sky['target']).replace('_', ' ')}"
+    return Sky(azimuth[shown], elevation, sigma[:, shown], beyond[:, shown], np.stack(suns, axis=1), high, note)
+
+
 def sky_sheet(report: HeliostatReport) -> Sheet:
     """Draw the predicted uncertainty of the beam for each place where the sun can stand.
 
     report: Results of one heliostat, with a sky map.
     Returns: Azimuth and elevation of the sun; dots where it was measured, hatched where the model is extrapolated.
     """
-    sky, rows = report.content["sky"], report.residuals
-    azimuth, elevation = np.array(sky["azimuth_deg"], float), np.array(sky["elevation_deg"], float)
-    sigma = np.array([[np.nan if one is None else one for one in row] for row in sky["sigma_beam_mrad"]], dtype=float)
-    beyond = np.array([[bool(one) for one in row] for row in sky["extrapolated"]])
-    # A sun in the north wraps round the ends of the axis; in the southern hemisphere the year's suns are centred there.
-    turn = 180.0 if report.content["site"]["latitude_deg"] < 0 else 0.0
-    shifted = (azimuth + turn) % 360.0
-    order = np.argsort(shifted)
-    shifted, sigma, beyond = shifted[order], sigma[:, order], beyond[:, order]
-    known = sigma[np.isfinite(sigma)]
-    high = nice_ceiling(min(float(known.max()), _SKY_RANGE * float(known.min()))) if known.size else 1.0
-    # All cells where the sun can stand, at equal steps.
-    seen = np.flatnonzero(np.isfinite(sigma).any(axis=0)) if known.size else np.arange(shifted.size)
-    columns = slice(int(seen[0]), int(seen[-1]) + 1)
-    shifted, sigma, beyond = shifted[columns], sigma[:, columns], beyond[:, columns]
-    half_a, half_e = 0.5 * float(np.diff(shifted).min()), 0.5 * float(np.diff(elevation).min())
-    x_limits = float(shifted[0] - half_a), float(shifted[-1] + half_a)
+    azimuth, elevation, sigma, beyond, suns, high, note = sky = sky_of(report)
+    half_a, half_e = sky.halves_deg
+    x_limits = float(azimuth[0] - half_a), float(azimuth[-1] + half_a)
     y_limits = float(elevation[0] - half_e), float(elevation[-1] + half_e)
     sheet = Sheet(WIDTH_PX, 380.0, (64.0, 50.0, WIDTH_PX - 92, 322.0), x_limits, y_limits)
-    note = f"1 sigma of the beam aimed at {str(sky['target']).replace('_', ' ')}; hatched: extrapolated"
-    sheet.title("Predicted uncertainty over the sky", note)
+    sheet.title("Predicted uncertainty over the sky", f"{note}; hatched: extrapolated")
     left, top, right, bottom = sheet.box
     sheet.add(f'<path d="M{left},{top}H{right}V{bottom}H{left}Z" fill="{MISSING}"/>')
     index = np.clip(np.nan_to_num(sigma / high) * 255 + 0.5, 0, 255).astype(np.uint8)
     cells = np.dstack([color_table(diverging=False)[index], np.where(np.isfinite(sigma), 255, 0).astype(np.uint8)])
     sheet.cells(cells[::-1], (*x_limits, *y_limits))
     sheet.hatch(beyond & np.isfinite(sigma))
-    used = rows.used
-    suns = (rows.numbers["sun_azimuth_deg"][used] + turn) % 360.0, rows.numbers["sun_elevation_deg"][used]
-    sheet.dots(*suns, [INK], size_px=5.0)
-    sheet.dots(*suns, ["#ffffff"], size_px=3.6)
-    ticks = [
-        (one, f"{(one - turn) % 360:g}") for one in np.arange(0.0, 361.0, 45.0) if x_limits[0] <= one <= x_limits[1]
-    ]
+    sheet.dots(suns[:, 0], suns[:, 1], [INK], size_px=5.0)
+    sheet.dots(suns[:, 0], suns[:, 1], ["#ffffff"], size_px=3.6)
+    eighths = np.arange(-180.0, 361.0, 45.0)
+    inside = eighths[(eighths >= x_limits[0]) & (eighths <= x_limits[1])].tolist()
+    ticks = [(one, f"{one % 360:g}") for one in inside]
     sheet.axes("azimuth of the sun from north, clockwise [deg]", "elevation [deg]", grid=False, x_ticks=ticks)
     sheet.color_bar(0.0, high, "mrad", diverging=False)
-    sheet.legend([LegendEntry(f"measured ({int(used.sum())})", INK, "dot")])
+    sheet.legend([LegendEntry(f"measured ({len(suns)})", INK, "dot")])
     return sheet
 
 

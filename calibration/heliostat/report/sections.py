@@ -16,6 +16,7 @@ from calibration.heliostat.report.charts import (
     first_view,
     pictured,
     series_views,
+    sky_view,
     target_view,
 )
 from calibration.heliostat.report.results import FieldReport, HeliostatReport
@@ -177,8 +178,7 @@ def sky_section(report: HeliostatReport) -> Html:
     if not report.content.get("sky"):
         return Html("<p>Not made for fields of many heliostats; <code>--thorough</code> makes it.</p>")
     caption = "Includes what the residuals show beyond the noise of the observations."
-    sheet = figures.sky_sheet(report)
-    return side_by_side([sheet.html("Predicted uncertainty over the sky")], caption=caption)
+    return join(sky_view(report), _caption(caption))
 
 
 def parameter_table(report: HeliostatReport) -> Html:

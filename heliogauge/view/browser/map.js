@@ -18,6 +18,8 @@
     constructor(place, spec) {
       Object.assign(this, { place, spec, mode: "figure" });
       this.unit = spec.axis_unit;
+      this.names = spec.axis_names;
+      this.isFront = !spec.y_down && this.names[0] === "x";
       this.pixels = [document.createElement("canvas"), document.createElement("canvas")];
       this.marked = new Set(); // bits that are painted on other layers
       this.unmarked = new Set(); // bits that are not painted on the layer of flags
@@ -27,7 +29,7 @@
       const { spec } = this;
       this.data = await heliogauge.mapData(spec);
       this.buildControls();
-      const orientation = spec.y_down ? "y down" : "seen from the front, y up";
+      const orientation = spec.y_down ? "y down" : this.isFront ? "seen from the front, y up" : `${this.names[1]} up`;
       this.figure = await heliogauge.figure(this.body, `Map: ${spec.name}, x to the right, ${orientation}. Arrow keys read values.`, KEYS);
       this.figure.leastSpan = Math.min(100 * 8 / Math.max(this.data.columns, this.data.rows), 100);
       this.readout = heliogauge.element("output", { class: "view-readout", "aria-live": "off" }, "Move the pointer over the map.");
@@ -193,7 +195,7 @@
       this.figure.chart.resize();
       const labels = { formatter: heliogauge.tick };
       const option = this.figure.axes(box, x, y, {
-        xName: `x [${this.unit}]${this.spec.y_down ? "" : narrow ? "  from the front" : "   seen from the front"}`, yName: `y [${this.unit}]`, yDown: this.spec.y_down,
+        xName: `${this.names[0]} [${this.unit}]${!this.isFront ? "" : narrow ? "  from the front" : "   seen from the front"}`, yName: `${this.names[1]} [${this.unit}]`, yDown: this.spec.y_down,
         xAxis: { splitLine: { show: false }, splitNumber: Math.max(Math.round(box.width / 90), 2), axisLabel: { color: color.ink, hideOverlap: true, showMinLabel: false, showMaxLabel: false, ...labels }, nameGap: 26 },
         yAxis: { splitLine: { show: false }, splitNumber: Math.max(Math.round(box.height / 60), 2), axisLabel: { color: color.ink, showMinLabel: false, showMaxLabel: false, ...labels }, nameGap: narrow ? 34 : 44 },
       });
@@ -347,7 +349,7 @@
       const value = this.data.values[node];
       const sigma = this.data.sigma && this.data.sigma[node] * layer.factor;
       const { number } = heliogauge;
-      const place = `x ${number(this.spec.x[column])} ${this.unit}, y ${number(this.spec.y[row])} ${this.unit}`;
+      const place = `${this.names[0]} ${number(this.spec.x[column])} ${this.unit}, ${this.names[1]} ${number(this.spec.y[row])} ${this.unit}`;
       const what = Number.isFinite(value) ? heliogauge.withSigma(value, sigma, layer.unit) : "no value";
       const why = this.data.aperture[node] ? reason.words.join(", ") : "outside the mirror";
       this.readout.replaceChildren(

@@ -135,6 +135,9 @@ def test_sky_map_is_hatched_where_the_model_is_extrapolated(one):
     azimuths, elevations = (np.array(sky[f"{name}_deg"]) for name in ("azimuth", "elevation"))
     cell = np.diff(azimuths).min() / (sheet.x_limits[1] - sheet.x_limits[0]) * (right - left)
     tall = np.diff(elevations).min() / (sheet.y_limits[1] - sheet.y_limits[0]) * (bottom - top)
+    view = charts.sky_view(one)
+    assert len(view.lines) == expected + 2 * one.residuals.used.sum()
+    assert np.isnan(view.layers[1].values).sum() == np.isnan(view.layers[0].values).sum() + expected
     areas = [(float(wide), float(high)) for wide, high in re.findall(r"h([\d.]+)v([\d.]+)h", path)]
     assert sum(wide * high for wide, high in areas) / (cell * tall) == pytest.approx(expected, rel=0.02)
 
