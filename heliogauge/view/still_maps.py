@@ -77,10 +77,11 @@ class MapPicture:
         return sheet
 
 
-def flag_still(slope_map: SlopeMap, lines: Sequence[FloatArray] = ()) -> Html:
+def flag_still(slope_map: SlopeMap, lines: Sequence[FloatArray] = (), *, planned: bool = False) -> Html:
     """Draw why nodes of the mirror have no value or a doubtful one, with a legend.
 
     lines: Vertices of thin lines over the map, shape (n, 2) each [m].
+    planned: The map says what will be measured.
     """
     counts = count_flags(slope_map.flags, slope_map.aperture)
     counts.pop(SampleFlag.OUTSIDE_MIRROR, None)
@@ -94,7 +95,8 @@ def flag_still(slope_map: SlopeMap, lines: Sequence[FloatArray] = ()) -> Html:
     table = np.array([[int(one[place : place + 2], 16) for place in (1, 3, 5)] for one in colors], dtype=np.uint8)
     left, right, bottom, top = extent_of(slope_map)
     sheet = fitted_sheet((left, right), (bottom, top))
-    title, note = "What was measured, and why not the rest", f"{slope_map.measured_share:.2%} of the mirror measured"
+    title = f"What {'will be' if planned else 'was'} measured, and why not the rest"
+    note = f"{slope_map.measured_share:.2%} of the mirror measured"
     sheet.title(title, note)
     _paint(sheet, table[codes], aperture & (codes < 0), aperture)
     for line in lines:

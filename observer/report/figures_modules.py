@@ -53,16 +53,17 @@ def module_angle(one: ModuleMap, angle: str) -> OneMap:
     return OneMap(one.name, one.x_m, one.y_m, shown)
 
 
-def maps_sheet(maps: Sequence[OneMap], title: str) -> Sheet:
+def maps_sheet(maps: Sequence[OneMap], title: str, *, wide: bool = False) -> Sheet:
     """Draw maps of angles beside each other with one scale of colours and one of length.
 
+    wide: As wide as a page; otherwise few maps stand on a narrow sheet, whose letters stay readable beside numbers.
     Returns: x to the right and y up, as seen from the front.
     """
     limit = robust_limit(*(_MRAD * one.angle_rad for one in maps))
     columns = min(len(maps), _MOST_IN_ROW)
     widths, heights = ([extent[k + 1] - extent[k] for extent in map(extent_of, maps)] for k in (0, 2))
-    # Few maps on a narrow sheet: on paper its letters stay readable.
-    room = (float(np.clip(230 * columns, WIDTH_PX, 2 * WIDTH_PX)) - _BAR_PX) / columns - _BESIDE_PX
+    across = 2 * WIDTH_PX if wide else float(np.clip(230 * columns, WIDTH_PX, 2 * WIDTH_PX))
+    room = (across - _BAR_PX) / columns - _BESIDE_PX
     px_per_m = min(room / max(widths), _HIGHEST_PX / max(heights))
     step = px_per_m * max(widths) + _BESIDE_PX
     across = max(columns * step + _BAR_PX, WIDTH_PX)

@@ -131,9 +131,9 @@ def module_view(results: OverviewResults, angle: str) -> MapView | None:
         for one in maps_
         if one in shown
     )
-    note = "Positive where the mirror's normal is turned towards +x. Grey: not measured."
+    note = "" if angle == "theta_ra" else "Positive where the mirror's normal is turned towards +x. Grey: not measured."
     if len(shown) < len(maps_):
-        note += f" The {len(shown)} modules with the largest errors."
+        note = f"{note} The {len(shown)} modules with the largest errors.".strip()
     flags = np.zeros(first.angle_rad.shape, np.uint32)
     still = [_still(results, angle)]
     return MapView(_TITLES[angle], first.x_m, first.y_m, layers, flags, first.aperture, note=note, stills=still)
@@ -142,7 +142,7 @@ def module_view(results: OverviewResults, angle: str) -> MapView | None:
 def _still(results: OverviewResults, angle: str) -> Html:
     """Draw one angle of all modules beside each other."""
     maps_ = [module_angle(one, angle) for one in results.maps]
-    return maps_sheet(maps_, _TITLES[angle]).html(_TITLES[angle])
+    return maps_sheet(maps_, _TITLES[angle], wide=angle == "theta_ra").html(_TITLES[angle])
 
 
 def _mean(values: FloatArray) -> float:
@@ -210,8 +210,8 @@ def maps(results: OverviewResults) -> Html:
     if not results.maps:
         return Html("<p>No maps were stored.</p>")
     note = (
-        "Each module in its own frame: x across the aperture, y along the trough, seen from the front. Positive where "
-        "the mirror's normal is turned towards +x. Grey and hatched: not measured; the module's own report says why."
+        "Each module in its own frame: x across the aperture, y along the trough. Positive where the mirror's normal "
+        "is turned towards +x. Hatched: not measured; the module's own report says why."
     )
     caption = Html(f'<p class="caption">{html.escape(note)}</p>')
     return join(module_view(results, "theta_ra") or side_by_side([_still(results, "theta_ra")]), caption)

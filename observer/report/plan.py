@@ -1,6 +1,6 @@
 """Sections of the report of a planned pass; each is one cell of its notebook."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -92,7 +92,7 @@ def sigma_view(results: PlanResults) -> MapView:
             ("random", "Its random share: noise and gaps between photos", slope_map.sigma_random_x),
         )
     )
-    return MapView(
+    view = MapView(
         "What to expect",
         slope_map.x_m,
         slope_map.y_m,
@@ -102,6 +102,8 @@ def sigma_view(results: PlanResults) -> MapView:
         note="Grey: will not be measured. What the two layers do not share is common to the whole map.",
         lines=panel_lines(results.collector),
     )
+    # The still picture is the first layer alone.
+    return replace(view, stills=[view.layer_still("sigma_theta_r")])
 
 
 def overview(results: PlanResults) -> Html:
@@ -112,7 +114,7 @@ def overview(results: PlanResults) -> Html:
 
 def missing(results: PlanResults) -> Html:
     """Return why parts of the mirror will be missing."""
-    reasons = side_by_side([flag_still(results.base.slope_map, panel_lines(results.collector))])
+    reasons = side_by_side([flag_still(results.base.slope_map, panel_lines(results.collector), planned=True)])
     columns = results.table("missing.csv") or {"reason": [], "share": []}
     rows = [(reason, f"{float(share):.2%}") for reason, share in zip(*columns.values(), strict=True)]
     causes = table(("not measured, or doubtful", "share of the mirror"), rows, numbers=(1,)) if rows else Html("")
