@@ -171,8 +171,8 @@ def test_files_and_headline(folder: Path, truth, tmp_path: Path) -> None:
     assert "SDx " in said
     shown = surface(open_network(out))
     page = shown.text
-    # Deviations and canting, slope errors in x and y; in a page they are alive.
-    assert page.count("<img") == 4
+    # Deviations from above and from the side, slope errors in x and y, canting; in a page views are alive.
+    assert page.count("<img") == 5
     alive = shown.page_html(PAGE)
     assert [alive.count(f'data-view="{kind}"') for kind in ("scene", "map", "table")] == [1, 1, 1]
     assert "<h3>Canting</h3>" in page
