@@ -84,7 +84,7 @@ def test_a_plan_is_written_whole(tmp_path: Path) -> None:
     assert "95 % of the points are below" in first
     assert "beyond the tube&#x27;s ends" in report.doubts(results).text
     parts = (report.head, report.missing, report.flight, report.absorber, report.scene)
-    assert [part(results)._repr_html_().count("<img") for part in parts] == [1, 1, 2, 1, 1]
+    assert [part(results)._repr_html_().count("<img") for part in parts] == [1, 1, 2, 1, 2]
     assert report.repeated(results).text.count("<img") == 2
     side = {one.name: one for one in report.flight_view(results, "x").series}
     np.testing.assert_allclose(side["cameras"].x[[0, -1]], [-2.9, 2.9])
