@@ -16,7 +16,7 @@ from heliogauge.view.stills import WIDTH_PX, LegendEntry, Sheet, color_table, fi
 # Qualitative colours that differ in lightness too; the first flag in the list wins where a node has several.
 _FLAG_COLORS = ("#d94f30", "#f0a23c", "#7b5ea7", "#2f8f83", "#b2336e", "#4d7ebf", "#8a6d3b", "#5b8c2a", "#111111")
 _MEASURED = "#e9f1ea"
-_SIDE = "   seen from the front"
+_SIDE = ", seen from the front"
 #: Narrower maps stand beside each other under one title, which says it.
 _LEAST_SAID_PX = 180.0
 

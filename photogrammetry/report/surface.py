@@ -166,8 +166,8 @@ def canting_still(columns: Columns, points: Columns) -> Html:
     limits = [(float(one.min()) - room, float(one.max()) + room) for one in xy.T]
     sheet = fitted_sheet(limits[0], limits[1], bar=False)
     sheet.title("Canting of the facets", note)
-    sheet.axes("x [m]   seen from the front", "y [m]", grid=True)
-    sheet.dots(xy[:, 0], xy[:, 1], [FAINT], size_px=1.5)
+    sheet.axes("x [m], seen from the front", "y [m]", grid=True)
+    sheet.dots(xy[:, 0], xy[:, 1], [FAINT], size_px=2.5)
     sheet.arrows(centers[:, 0], centers[:, 1], scale * turns[:, 0], scale * turns[:, 1], LINE_Y, width=2.0)
     for name, center in zip(columns["facet"], centers, strict=True):
         x, y = float(sheet.place_x(center[0])), float(sheet.place_y(center[1]))
