@@ -14,23 +14,33 @@ import numpy as np
 from heliogauge.validate import FloatArray
 
 
-def tangents(slope_x: FloatArray, slope_y: FloatArray) -> FloatArray:
-    """Return the directions e_x and e_y across the normal, shape (2, 3, ...)."""
+def across_normal(slope_x: FloatArray, slope_y: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return what e_x and e_y have along x and y: e_x along x, each along the other's, and e_y along y (...)."""
     length = np.sqrt(1 + slope_x**2 + slope_y**2)
     # From n_x^2 / (1 + n_z) and its like: the rotation from z to n, without its axis, which a flat mirror lacks.
     share = 1 / (length * (length + 1))
-    mixed = -slope_x * slope_y * share
-    along_x = np.stack([1 - slope_x**2 * share, mixed, slope_x / length])
-    along_y = np.stack([mixed, 1 - slope_y**2 * share, slope_y / length])
-    return np.stack([along_x, along_y])
+    return 1 - slope_x**2 * share, -slope_x * slope_y * share, 1 - slope_y**2 * share
+
+
+def tangents(slope_x: FloatArray, slope_y: FloatArray) -> FloatArray:
+    """Return the directions e_x and e_y across the normal, shape (2, 3, ...)."""
+    length = np.sqrt(1 + slope_x**2 + slope_y**2)
+    along_x, mixed, along_y = across_normal(slope_x, slope_y)
+    return np.stack([np.stack([along_x, mixed, slope_x / length]), np.stack([mixed, along_y, slope_y / length])])
 
 
 def normal_angles(
-    slope_x: FloatArray, slope_y: FloatArray, design_slope_x: FloatArray, design_slope_y: FloatArray
+    slope_x: FloatArray,
+    slope_y: FloatArray,
+    design_slope_x: FloatArray,
+    design_slope_y: FloatArray,
+    *,
+    across: tuple[FloatArray, FloatArray, FloatArray] | None = None,
 ) -> FloatArray:
     """Return the components in x and y of the angles from design to measured normals, shape (2, ...) [rad].
 
     Shapes: slopes (...).
+    across: `across_normal` of the design, where it is at hand.
 
     The angle is ``atan2(|n x m|, n.m)`` from the differences of the slopes: arccos would lose all below 1e-8 rad.
     """
@@ -39,11 +49,13 @@ def normal_angles(
     # n = (-p, -q, 1) and m = n - (dp, dq, 0), not of unit length
     cross = np.sqrt(dp**2 + dq**2 + (p * dq - q * dp) ** 2)
     angle = np.arctan2(cross, 1 + p * slope_x + q * slope_y)
-    (x_x, y_x, _), (x_y, y_y, _) = tangents(p, q)
-    across = np.stack([x_x * dp + y_x * dq, x_y * dp + y_y * dq])
-    return np.asarray(across * (angle / np.maximum(np.hypot(*across), np.finfo(np.float64).tiny)))
+    along_x, mixed, along_y = across_normal(p, q) if across is None else across
+    direction = np.stack([along_x * dp + mixed * dq, mixed * dp + along_y * dq])
+    length = np.sqrt(direction[0] ** 2 + direction[1] ** 2)
+    return np.asarray(direction * (angle / np.maximum(length, np.finfo(np.float64).tiny)))
 
 
 def d_angles_d_slopes(slope_x: FloatArray, slope_y: FloatArray) -> FloatArray:
     """Return how the angles of the normal change with the slopes, shape (2, 2, ...); on a trough 1 / (1 + p^2) in x."""
-    return tangents(slope_x, slope_y)[:, :2] / np.sqrt(1 + slope_x**2 + slope_y**2)
+    along_x, mixed, along_y = across_normal(slope_x, slope_y)
+    return np.stack([np.stack([along_x, mixed]), np.stack([mixed, along_y])]) / np.sqrt(1 + slope_x**2 + slope_y**2)

@@ -60,12 +60,14 @@ class MeasuredNodes:
         for start in range(0, self.count, _BLOCK):
             yield slice(start, min(start + _BLOCK, self.count))
 
+    def terms(self, part: slice) -> FloatArray:
+        """Return the monomials of the common modes at some nodes, shape (n_terms, b)."""
+        (center_x, center_y), scale = self.common.center_m, self.common.scale_m
+        return monomials((self.x_m[part] - center_x) / scale, (self.y_m[part] - center_y) / scale, self.common.degree)
+
     def moments(self, part: slice, vectors: FloatArray) -> FloatArray:
         """Return the sums of vectors (m, 2, b) times the monomials of the common modes, shape (m, 2, n_terms)."""
-        (center_x, center_y), scale = self.common.center_m, self.common.scale_m
-        u, v = (self.x_m[part] - center_x) / scale, (self.y_m[part] - center_y) / scale
-        terms = monomials(u, v, self.common.degree)
-        return np.asarray((vectors.reshape(-1, terms.shape[1]) @ terms.T).reshape(len(vectors), 2, -1))
+        return np.asarray(vectors @ self.terms(part).T)
 
     def modes_times(self, moments: FloatArray) -> FloatArray:
         """Return the inner products of the common modes with vectors of these `moments`, shape (m, k)."""

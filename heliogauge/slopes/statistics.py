@@ -10,8 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from heliogauge.slopes.map import SlopeMap, monomials
-from heliogauge.slopes.normal_angles import d_angles_d_slopes, normal_angles, tangents
+from heliogauge.slopes.map import SlopeMap
+from heliogauge.slopes.normal_angles import across_normal, d_angles_d_slopes, normal_angles, tangents
 from heliogauge.slopes.removal import (
     MeasuredNodes,
     Patterns,
@@ -174,16 +174,22 @@ def statistics_of_removals(slope_map: SlopeMap, removals: Sequence[Removal]) -> 
     """
     nodes = measured_nodes(slope_map)
     patterns = Patterns.of(nodes)
+    fits = fit_removals(nodes, patterns, removals)
+    every = _PatternSums.zero(nodes.common.coefficients.shape[2])
+    sums_of_fits = [_AngleSums.zero(nodes.common.coefficients.shape[2]) for _ in fits]
     mean = np.zeros(2)
     for part in nodes.blocks():
-        design = nodes.design[:, part]
-        mean += normal_angles(*(design + nodes.errors[:, part]), *design).sum(axis=1) / nodes.count
+        block = _Block.of(nodes, patterns, part)
+        mean += normal_angles(*(block.design + block.errors), *block.design, across=block.across_design).sum(axis=1)
+        every.add(block)
+        for fit, sums in zip(fits, sums_of_fits, strict=True):
+            sums.add(block, fit)
+    mean /= nodes.count
     found = []
-    for fit in fit_removals(nodes, patterns, removals):
-        sums = _angles_left(nodes, patterns, fit)
+    for fit, sums in zip(fits, sums_of_fits, strict=True):
         sdx, sdy = np.sqrt(sums.squares / nodes.count).tolist()
         noise_x, noise_y = np.sqrt(sums.noise / nodes.count).tolist()
-        sigma_x, sigma_y, sigma = (sums.sigma_of_rms(nodes, fit, chosen) for chosen in ([0], [1], [0, 1]))
+        sigma_x, sigma_y, sigma = (sums.sigma_of_rms(nodes, fit, every, chosen) for chosen in ([0], [1], [0, 1]))
         found.append(
             SlopeStatistics(
                 sdx_rad=sdx,
@@ -204,84 +210,107 @@ def statistics_of_removals(slope_map: SlopeMap, removals: Sequence[Removal]) -> 
     return found
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Block:
+    """Some of the nodes: design slopes, errors and variance (2, b), all patterns (6, 2, b), monomials (n_terms, b)."""
+
+    design: FloatArray
+    errors: FloatArray
+    variance: FloatArray
+    patterns: FloatArray
+    weighted_patterns: FloatArray
+    terms: FloatArray
+    across_design: tuple[FloatArray, FloatArray, FloatArray]
+
+    @classmethod
+    def of(cls, nodes: MeasuredNodes, patterns: Patterns, part: slice) -> "_Block":
+        design, variance = nodes.design[:, part], nodes.variance[:, part]
+        at = patterns.at(nodes.x_m[part], nodes.y_m[part], design)
+        return cls(
+            design, nodes.errors[:, part], variance, at, at * variance, nodes.terms(part), across_normal(*design)
+        )
+
+
+@dataclass(slots=True, eq=False)
+class _PatternSums:
+    """Sums over the nodes of patterns times patterns times variance (6, 6), and of patterns times monomials."""
+
+    squares: FloatArray
+    moments: FloatArray
+
+    @classmethod
+    def zero(cls, n_terms: int) -> "_PatternSums":
+        return cls(np.zeros((6, 6)), np.zeros((6, 2, n_terms)))
+
+    def add(self, block: _Block) -> None:
+        self.squares += block.weighted_patterns.reshape(6, -1) @ block.patterns.reshape(6, -1).T
+        self.moments += block.patterns @ block.terms.T
+
+
 @dataclass(slots=True, eq=False)
 class _AngleSums:
-    """Sums over the nodes that the RMS of the angles and its sigma are made of, of p patterns.
+    """Sums over the nodes that the RMS of the angles and its sigma are made of, after one removal.
 
     squares, noise (2,): Of the squared angles, and of their random variances.
     noise_squares (2, 2): Of the squared covariances of the two angles.
-    pull_pull (2, 2): Of pulls times pulls times variance; a pull is how half the squared angle changes with the slopes.
-    pull_pattern, pull_variance_pattern (2, p): Of pulls times patterns, without and with the variance.
-    pattern_variance_pattern (p, p): Of patterns times patterns times variance.
-    pull_moments (2, 2, n_terms), pattern_moments (p, 2, n_terms): As `MeasuredNodes.moments` gives them.
+    pulls (2, 2): Of pulls times pulls times variance; a pull is how half the squared angle changes with the slopes.
+    pull_patterns, pull_variance_patterns (2, 6): Of pulls times patterns, without and with the variance.
+    moments (2, 2, n_terms): Of pulls times monomials.
     """
 
     squares: FloatArray
     noise: FloatArray
     noise_squares: FloatArray
-    pull_pull: FloatArray
-    pull_pattern: FloatArray
-    pull_variance_pattern: FloatArray
-    pattern_variance_pattern: FloatArray
-    pull_moments: FloatArray
-    pattern_moments: FloatArray
+    pulls: FloatArray
+    pull_patterns: FloatArray
+    pull_variance_patterns: FloatArray
+    moments: FloatArray
 
     @classmethod
-    def zero(cls, p: int, n_terms: int) -> "_AngleSums":
-        """Return empty sums."""
-        return cls(
-            squares=np.zeros(2),
-            noise=np.zeros(2),
-            noise_squares=np.zeros((2, 2)),
-            pull_pull=np.zeros((2, 2)),
-            pull_pattern=np.zeros((2, p)),
-            pull_variance_pattern=np.zeros((2, p)),
-            pattern_variance_pattern=np.zeros((p, p)),
-            pull_moments=np.zeros((2, 2, n_terms)),
-            pattern_moments=np.zeros((p, 2, n_terms)),
-        )
+    def zero(cls, n_terms: int) -> "_AngleSums":
+        shapes = ((2,), (2,), (2, 2), (2, 2), (2, 6), (2, 6))
+        squares, noise, noise_squares, pulls, patterns, weighted = (np.zeros(shape) for shape in shapes)
+        return cls(squares, noise, noise_squares, pulls, patterns, weighted, np.zeros((2, 2, n_terms)))
 
-    def sigma_of_rms(self, nodes: MeasuredNodes, fit: RemovalFit, chosen: list[int]) -> float:
+    def add(self, block: _Block, fit: RemovalFit) -> None:
+        """Add some nodes, with what the removal leaves of their errors."""
+        left = block.design + block.errors
+        for amount, number in zip(fit.amounts, fit.taken, strict=True):
+            left -= amount * block.patterns[number]
+        angle_x, angle_y = normal_angles(*left, *block.design, across=block.across_design)
+        per_length = 1 / np.sqrt(1 + left[0] ** 2 + left[1] ** 2)
+        by_x, mixed, by_y = (one * per_length for one in across_normal(*left))
+        variance_x, variance_y = block.variance
+        noise_x = by_x**2 * variance_x + mixed**2 * variance_y
+        noise_y = mixed**2 * variance_x + by_y**2 * variance_y
+        both = mixed * (by_x * variance_x + by_y * variance_y)
+        self.squares += float(angle_x @ angle_x), float(angle_y @ angle_y)
+        self.noise += noise_x.sum(), noise_y.sum()
+        shared = float(both @ both)
+        self.noise_squares += [[float(noise_x @ noise_x), shared], [shared, float(noise_y @ noise_y)]]
+        pull = np.stack([angle_x * by_x, angle_x * mixed, angle_y * mixed, angle_y * by_y]).reshape(2, 2, -1)
+        flat = pull.reshape(2, -1)
+        self.pulls += (flat * block.variance.reshape(-1)) @ flat.T
+        self.pull_patterns += flat @ block.patterns.reshape(6, -1).T
+        self.pull_variance_patterns += flat @ block.weighted_patterns.reshape(6, -1).T
+        self.moments += pull @ block.terms.T
+
+    def sigma_of_rms(self, nodes: MeasuredNodes, fit: RemovalFit, every: _PatternSums, chosen: list[int]) -> float:
         """Return the sigma of the RMS of one component, or of both: with n rms^2 changing by 2 pull . d(errors)."""
         squares = float(self.squares[chosen].sum())
         if squares == 0:
             return 0.0
         # The pull without the patterns: what they take along with the errors changes nothing that is left.
-        share = fit.inverse @ self.pull_pattern[chosen].sum(axis=0)
-        random = float(self.pull_pull[np.ix_(chosen, chosen)].sum())
-        random -= 2 * float(share @ self.pull_variance_pattern[chosen].sum(axis=0))
-        random += float(share @ self.pattern_variance_pattern @ share)
+        taken = fit.taken
+        share = fit.inverse @ self.pull_patterns[chosen].sum(axis=0)[taken]
+        random = float(self.pulls[np.ix_(chosen, chosen)].sum())
+        random -= 2 * float(share @ self.pull_variance_patterns[chosen].sum(axis=0)[taken])
+        random += float(share @ every.squares[np.ix_(taken, taken)] @ share)
         overcount = 0.5 * float(self.noise_squares[np.ix_(chosen, chosen)].sum())
-        moments = self.pull_moments[chosen].sum(axis=0) - np.tensordot(share, self.pattern_moments, axes=1)
+        moments = self.moments[chosen].sum(axis=0) - np.tensordot(share, every.moments[taken], axes=1)
         common = float(np.sum(nodes.modes_times(moments[None]) ** 2))
         variance = nodes.noise_correlation * max(random - overcount, 0.0) + common
         return float(np.sqrt(variance / (nodes.count * squares)))
-
-
-def _angles_left(nodes: MeasuredNodes, patterns: Patterns, fit: RemovalFit) -> _AngleSums:
-    """Go through the nodes with what a removal leaves of their errors."""
-    p = len(fit.taken)
-    sums = _AngleSums.zero(p, nodes.common.coefficients.shape[2])
-    for part in nodes.blocks():
-        design, variance = nodes.design[:, part], nodes.variance[:, part]
-        taken = patterns.at(nodes.x_m[part], nodes.y_m[part], design)[fit.taken]
-        left = design + nodes.errors[:, part] - np.tensordot(fit.amounts, taken, axes=1)
-        angles, by_slope = normal_angles(*left, *design), d_angles_d_slopes(*left)
-        pull, weighted = angles[:, None] * by_slope, by_slope * variance
-        noise = [[(by_slope[i] * weighted[k]).sum(axis=0) for k in (0, 1)] for i in (0, 1)]
-        sums.squares += (angles**2).sum(axis=1)
-        sums.noise += [noise[0][0].sum(), noise[1][1].sum()]
-        sums.noise_squares += [[float(one @ one) for one in row] for row in noise]
-        flat_pull, flat_taken = pull.reshape(2, -1), taken.reshape(p, 2 * angles.shape[1])
-        sums.pull_pull += (flat_pull * variance.reshape(-1)) @ flat_pull.T
-        sums.pull_moments += nodes.moments(part, pull)
-        if p:
-            taken_weighted = flat_taken * variance.reshape(-1)
-            sums.pull_pattern += flat_pull @ flat_taken.T
-            sums.pull_variance_pattern += flat_pull @ taken_weighted.T
-            sums.pattern_variance_pattern += taken_weighted @ flat_taken.T
-            sums.pattern_moments += nodes.moments(part, taken)
-    return sums
 
 
 def common_rms(slope_map: SlopeMap) -> dict[str, tuple[float, float]]:
@@ -294,11 +323,7 @@ def common_rms(slope_map: SlopeMap) -> dict[str, tuple[float, float]]:
     n_terms = common.coefficients.shape[2]
     products = np.zeros((n_terms, n_terms))
     for part in nodes.blocks():
-        u, v = (
-            (nodes.x_m[part] - common.center_m[0]) / common.scale_m,
-            (nodes.y_m[part] - common.center_m[1]) / common.scale_m,
-        )
-        terms = monomials(u, v, common.degree)
+        terms = nodes.terms(part)
         products += terms @ terms.T / nodes.count
     squares = np.einsum("kat,ts,kas->ka", common.coefficients, products, common.coefficients)
     found = {}
