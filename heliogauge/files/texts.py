@@ -3,6 +3,7 @@
 import csv
 import io
 import json
+import math
 import re
 import tomllib
 from collections.abc import Iterable, Iterator
@@ -14,8 +15,9 @@ from heliogauge.files.memory import MIB, refuse_large
 from heliogauge.files.regular import read_regular
 
 #: Largest files of each kind. A table of residuals of a million observations has 300 MiB, a cameras.json of 10,000
-#: photos 20 MiB, a measurement.toml a few KiB (the standard library reads 1 MiB of TOML in a second).
-MOST_JSON_BYTES, MOST_CSV_BYTES, MOST_TOML_BYTES, MOST_TEXT_BYTES = 256 * MIB, 2048 * MIB, 4 * MIB, 1024 * MIB
+#: photos 20 MiB, a measurement.toml a few KiB (the standard library reads a usual MiB of TOML in a second, the
+#: worst legal one in five).
+MOST_JSON_BYTES, MOST_CSV_BYTES, MOST_TOML_BYTES, MOST_TEXT_BYTES = 256 * MIB, 2048 * MIB, MIB, 1024 * MIB
 
 # "{}," is three characters and a dict of 64 bytes in a list; "," is one, and an empty cell a pointer of 8.
 _JSON_GROWTH, _CSV_GROWTH, _TEXT_GROWTH = 26, 20, 6
@@ -68,7 +70,7 @@ def parse_json(text: str, where: str, *, nan: bool = False) -> Any:
         raise ValueError(f"{name} is no number of JSON; write null")
 
     try:
-        content = json.loads(text, parse_constant=constant, parse_int=_integer)
+        content = json.loads(text, parse_constant=constant, parse_int=_integer, parse_float=None if nan else _finite)
     except RecursionError:
         raise InputError(f"{where}: not valid JSON (nested too deeply); is the file whole?") from None
     except ValueError as error:
@@ -79,6 +81,13 @@ def parse_json(text: str, where: str, *, nan: bool = False) -> Any:
     if _NO_TEXT.search(text):
         _check_texts(where, content)
     return content
+
+
+def _finite(digits: str) -> float:
+    value = float(digits)
+    if math.isinf(value):
+        raise ValueError(f"{digits[:40]} is beyond the numbers that a program can hold")
+    return value
 
 
 def read_toml(path: Path) -> dict[str, Any]:

@@ -67,6 +67,9 @@ class GrowingFolder:
         try:
             sweep(self.path)
             self._check()
+            if (self.path / self.journal_file).exists():
+                with (self.path / self.journal_file).open("a", encoding="utf-8") as journal:
+                    _refuse_second_writer(journal, self.path)
             if self._force and self.path.exists() and any(self.path.iterdir()):
                 self._earlier = hidden_beside(self.path, EARLIER)
                 self.path.rename(self._earlier)
@@ -74,6 +77,7 @@ class GrowingFolder:
             self.path.mkdir(parents=True, exist_ok=True)
             self.before = {name: one for name, one in self._read_journal().items() if self.is_whole(name, one)}
             self._journal = (self.path / self.journal_file).open("a", encoding="utf-8")
+            _refuse_second_writer(self._journal, self.path)
         except OSError as error:
             raise InputError(
                 f"{self.path}: no folder of results can be made there ({error.strerror or error}); choose another with "
@@ -145,3 +149,22 @@ class GrowingFolder:
                 entry = parse_json(line, str(journal))
                 finished[str(entry["name"])] = Finished(str(entry["digest"]), dict(entry["row"]))
         return finished
+
+
+def _refuse_second_writer(journal: TextIO, path: Path) -> None:
+    """Lock the journal, as long as it is open; two runs in one folder would write over each other's parts.
+
+    InputError: Another run has it.
+    """
+    try:
+        import fcntl
+    except ImportError:
+        # Windows keeps a file that is open from being replaced, which the second run then says.
+        return
+    try:
+        fcntl.flock(journal, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        raise InputError(f"{path}: another run is writing there; wait until it ends, or choose another --out") from None
+    except OSError:
+        # Drives of a network that have no locks: there nobody is told.
+        return

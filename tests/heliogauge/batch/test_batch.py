@@ -286,6 +286,15 @@ def test_ctrl_c_keeps_what_is_finished(days: Path, tmp_path: Path) -> None:
     assert measure(days, out).resumed == 1
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows locks files by itself")
+@pytest.mark.parametrize("force", [False, True])
+def test_a_second_run_into_the_same_folder_is_refused(days: Path, tmp_path: Path, force: bool) -> None:
+    out = tmp_path / "out"
+    with BatchFolder(out), pytest.raises(InputError, match="another run is writing there"):
+        measure_batch([days], out, HERE, SilentProgress(), {"thorough": False}, report=False, force=force)
+    assert measure(days, out).resumed == 0
+
+
 @pytest.mark.slow
 def test_processes_give_the_same_numbers(days: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("OMP_NUM_THREADS", "1")

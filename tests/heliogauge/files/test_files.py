@@ -51,7 +51,7 @@ class TestRegular:
 
     def test_too_large(self, tmp_path: Path) -> None:
         (tmp_path / "m.toml").write_bytes(b"#" * 5 * 2**20)
-        with pytest.raises(InputError, match=r"5.0 MiB; a TOML file of at most 4 MiB is read"):
+        with pytest.raises(InputError, match=r"5.0 MiB; a TOML file of at most 1 MiB is read"):
             read_toml(tmp_path / "m.toml")
 
     def test_hole_of_a_terabyte(self, tmp_path: Path) -> None:
@@ -125,6 +125,12 @@ class TestTexts:
     def test_json(self, tmp_path: Path, content: bytes, says: str) -> None:
         (tmp_path / "a.json").write_bytes(content)
         with pytest.raises(InputError, match=rf"a\.json.*{says}"):
+            read_json(tmp_path / "a.json")
+
+    @pytest.mark.parametrize("digits", ["1e999", "-1e400"])
+    def test_json_numbers_that_are_infinite_are_refused(self, tmp_path: Path, digits: str) -> None:
+        (tmp_path / "a.json").write_text(f'{{"focal_px": {digits}}}')
+        with pytest.raises(InputError, match=f"{digits} is beyond"):
             read_json(tmp_path / "a.json")
 
     def test_json_as_it_should_be(self, tmp_path: Path) -> None:
