@@ -46,6 +46,9 @@ def measure_command(
         Literal["nothing", "tilt", "focus", "quadratic"] | None,
         typer.Option("--remove", help="What is taken out of the maps.  [default: as measurement.toml says]"),
     ] = None,
+    strict: Annotated[
+        bool, typer.Option("--strict", help="Refuse frames that would have to be mended or left out.")
+    ] = False,
     jobs: Jobs = None,
     force: Force = False,
     no_report: NoReport = False,
@@ -83,6 +86,7 @@ def measure_command(
         align=None if align is None else Align(align),
         grid_step_mm=grid_step_mm,
         remove=None if remove is None else Removal(remove),
+        strict=strict,
         jobs=jobs,
     )
     deliver(

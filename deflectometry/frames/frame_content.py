@@ -40,8 +40,8 @@ def sample_frames(frames: npt.NDArray[Any], region: BoolArray | None, response: 
     response: Makes readings linear.
     Returns: At most 2000 lit pixels.
 
-    Lit: the spread over the frames is above 0.3 of its 99th percentile. A mirror that fills 1 % of the image is
-    found.
+    Lit: the spread over the frames (`spread_of_frames`) is above 0.3 of its 99th percentile. A mirror that fills 1 % of
+    the image is found.
     """
     height, width = frames.shape[1:]
     stride = max(1, int(np.sqrt(height * width / (8 * _PIXELS))))
@@ -50,11 +50,21 @@ def sample_frames(frames: npt.NDArray[Any], region: BoolArray | None, response: 
         raw = raw[:, region[stride // 2 :: stride, stride // 2 :: stride].ravel()]
     values = raw.astype(np.float32)
     finite = np.isfinite(values).all(axis=0)
-    spread = np.where(finite, values, np.float32(0)).std(axis=0)
+    spread = spread_of_frames(np.where(finite, values, np.float32(0)))
     lit = np.flatnonzero(finite & (spread > 0.3 * np.quantile(spread, 0.99))) if spread.size else np.zeros(0, int)
     lit = lit[:: max(1, -(-lit.size // _PIXELS))]
     readings = values[:, lit].astype(np.float64)
     return FrameSample(readings, readings if response is None else response.linearise(readings), raw)
+
+
+def spread_of_frames(values: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+    """Return how much each pixel varies from frame to frame, whatever a single frame shows.
+
+    Shapes: values (n, m), result (m,): half the range of the middle three quarters.
+    """
+    low, high = len(values) // 8, len(values) - 1 - len(values) // 8
+    ordered = np.partition(values, (low, high), axis=0)
+    return np.asarray(0.5 * (ordered[high] - ordered[low]), dtype=np.float32)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -206,11 +216,13 @@ def frame_content(
         others = position_from_sets(fit, pattern, tuple(i for i in group if i != j) or group, noise)
         usable = others.log_odds > 6.9
         angle = TURN_RAD * fringes.periods * np.where(usable, others.fraction, everywhere[fringes.axis])
-        waves = [modulation * wave(order * angle) for order in (1, 2) for wave in (np.cos, np.sin)]
+        # Blur weakens fine fringes: each set by its usual modulation.
+        own = modulation * float(np.median(fit.modulation[j] / np.maximum(modulation, 1e-9)))
+        waves = [own * wave(order * angle) for order in (1, 2) for wave in (np.cos, np.sin)]
         basis = np.stack([offset, *waves])
         # Weak priors: light 1 +- 0.1, harmonics 0 +- 0.3, against 2 % of systematic misfit. Where only a third of a
         # fringe is in view, the five waves are nearly dependent, and a misfit of 1 % turned a step by 90 deg.
-        systematic = light.shape[1] * (0.02 * float(np.median(modulation))) ** 2
+        systematic = light.shape[1] * (0.02 * float(np.median(own))) ** 2
         weight = systematic / np.array([0.01, np.inf, np.inf, 0.09, 0.09])
         inverse = np.linalg.pinv(basis @ basis.T + np.diag(weight))
         coefficients = (light @ basis.T + weight * np.array([1.0, 0, 0, 0, 0])) @ inverse
@@ -226,7 +238,7 @@ def frame_content(
         sigma[:, j] = np.sqrt(spread * 0.5 * (inverse[1, 1] + inverse[2, 2])) / size
         exposure[position] = coefficients[position, 0]
         sigma_exposure[position] = np.sqrt(spread[position] * inverse[0, 0])
-        planned = np.median(size[position]) * modulation * np.cos(angle - fringes.steps_rad[:, None])
+        planned = np.median(size[position]) * own * np.cos(angle - fringes.steps_rad[:, None])
         misfit[position] = (light[position] - offset - planned).std(axis=1) / (planned.std() + 1e-12)
         # The best frame of the set gives the usual misfit: where blur or the other sets limit it, all frames share it.
         usual = float(robust_scale_of_rows(left[position]).min()) + 0.02 * float(np.median(modulation))

@@ -37,6 +37,20 @@ class FaultKind(StrEnum):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Remedy:
+    """How a sequence with a fault can be used after all.
+
+    shows: Frames that show another frame's fringes, and whose; None: nobody's.
+    steps_rad: Sets (by their place in the pattern) whose steps are others than planned, and which.
+    pattern: The pattern that the sequence fits.
+    """
+
+    shows: Mapping[int, int | None] = field(default_factory=dict)
+    steps_rad: Mapping[int, FloatArray] = field(default_factory=dict)
+    pattern: FringePattern | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class FrameFault:
     """One fault found in the frames.
 
@@ -44,6 +58,7 @@ class FrameFault:
     message: What was seen, in numbers, and what to do.
     severity: An error makes the result wrong; a doubt makes it worse.
     numbers: What was seen, by name with unit.
+    remedy: How the sequence can be used after all, where it can.
     """
 
     kind: FaultKind
@@ -51,6 +66,7 @@ class FrameFault:
     message: str
     severity: Literal["error", "doubt"] = "error"
     numbers: Mapping[str, float] = field(default_factory=dict)
+    remedy: Remedy | None = None
 
     @property
     def doubt(self) -> Doubt:

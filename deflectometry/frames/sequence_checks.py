@@ -24,6 +24,7 @@ from deflectometry.frames.light_checks import (
     SIGNIFICANT,
     FaultKind,
     FrameFault,
+    Remedy,
     check_exposure,
     check_finite,
     check_gamma,
@@ -46,10 +47,13 @@ from deflectometry.setup.patterns import Axis, FringePattern, FringeSet
 from heliogauge.adjust.robust_scale import robust_scale
 from heliogauge.validate import BoolArray, FloatArray
 
-__all__ = ["FaultKind", "FrameFault", "check_frames"]
+__all__ = ["FaultKind", "FrameFault", "check_frames", "light_noise", "shorten_faults"]
 
 #: A step error of this size moves the phase by as much as 1 DN of noise at a modulation of 100 DN with 4 frames.
 _STEP_TOLERANCE_RAD = math.radians(0.5)
+
+#: Noise of all sets together over that of the usual set, from which single sets are spoilt.
+_SPOILT_POOL = 3.0
 
 
 def check_frames(
@@ -60,7 +64,7 @@ def check_frames(
     region: BoolArray | None = None,
     saturation_dn: float = math.inf,
 ) -> list[FrameFault]:
-    """Look for faults of the frames on a sample of pixels.
+    """Look for faults of the frames on a sample of pixels: every one, see `shorten_faults`.
 
     frames (n, h, w): Frames in the order of the pattern [DN].
     pattern: What should have been shown.
@@ -87,7 +91,7 @@ def check_frames(
     if _errors(faults):
         return faults
     sample = _unsaturated(sample, frames.dtype, saturation_dn)
-    noise = _linear_noise(sample, pattern, _rounding_variance(sample, frames.dtype, response))
+    noise = light_noise(sample, pattern, frames.dtype, response)
     fit = fit_sets(sample.light, pattern)
     scatter = [math.sqrt(2.0 / fringes.n_frames) for fringes in pattern.sets]
     strength = float(np.median(np.median(fit.modulation / np.sqrt(noise.variance(fit.offset)), axis=1) / scatter))
@@ -97,7 +101,7 @@ def check_frames(
     sequence = _sequence_faults(sample, pattern, noise)
     if _errors(sequence):
         known = _all_late(sample, pattern, noise, sequence) or _other_pattern(sample, pattern, noise, sequence)
-        return [*faults, *(known or _shortened(sequence))]
+        return [*faults, *(known or sequence)]
     gamma = list(check_gamma(sample, fit, pattern, noise))
     # Harmonics change a frame's mean light by a few per cent, which is no flicker.
     faults += ([] if response_helps(sample, fit, pattern, noise) else gamma) if gamma else sequence
@@ -150,15 +154,27 @@ def _rounding_variance(sample: FrameSample, dtype: np.dtype[Any], response: Ligh
     return QUANTISATION_VARIANCE_DN2 * slope**2
 
 
-def _linear_noise(sample: FrameSample, pattern: FringePattern, floor: float) -> NoiseModel:
+def light_noise(
+    sample: FrameSample, pattern: FringePattern, dtype: np.dtype[Any], response: LightResponse | None
+) -> NoiseModel:
     """Estimate the noise of linear light, pooled; a few spoilt sets do not move it."""
+    floor = _rounding_variance(sample, dtype, response)
     solvers = [solve_steps(fringes.steps_rad) for fringes in pattern.sets]
     if all(solver.redundancy == 0 for solver in solvers):
         # Three frames leave nothing: the spread of the sets' offsets stands in (its median resists spoilt sets).
         offsets = fit_sets(sample.light, pattern).offset
         spread = robust_scale(offsets - np.median(offsets, axis=0))
         return NoiseModel(max(math.sqrt(3.0) * spread, math.sqrt(floor)))
-    return estimate_noise(sample.light, solvers, floor_dn2=floor)
+    pooled = estimate_noise(sample.light, solvers, floor_dn2=floor)
+    # A frame of noise spoils the pool: the usual set stands for all where most are quieter by far.
+    level = np.full(1, float(np.median(sample.light)))
+    single = [
+        estimate_noise(sample.light[position], [solver], floor_dn2=floor)
+        for solver, position in zip(solvers, pattern.frame_slices, strict=True)
+        if solver.redundancy
+    ]
+    usual = sorted(single, key=lambda one: float(one.variance(level)[0]))[len(single) // 2]
+    return usual if float(pooled.variance(level)[0]) > _SPOILT_POOL**2 * float(usual.variance(level)[0]) else pooled
 
 
 def _check_content(sample: FrameSample, fit: SetFit, pattern: FringePattern, noise: NoiseModel) -> Iterator[FrameFault]:
@@ -222,12 +238,15 @@ def _label(pattern: FringePattern, index: int) -> str:
     return ""
 
 
-def _repeated_fault(pattern: FringePattern, earlier: int, later: int) -> FrameFault:
+def _repeated_fault(pattern: FringePattern, earlier: int, later: int, wrong: int | None = None) -> FrameFault:
+    """Say that two images are one; `wrong` is the frame that it is not of."""
+    remedy = None if wrong is None else Remedy(shows={wrong: earlier if wrong == later else later})
     return FrameFault(
         FaultKind.REPEATED,
         (earlier, later),
         f"{pattern.describe_frame(later)} is identical to frame {earlier} in every pixel looked at: the same image was "
         "stored twice; take the sequence again",
+        remedy=remedy,
     )
 
 
@@ -242,6 +261,9 @@ def _all_late(
         light, raw = np.roll(sample.light, shift, axis=0), np.roll(sample.raw, shift, axis=0)
         moved = _sequence_faults(FrameSample(sample.readings, light, raw), pattern, noise)
         errors = _errors(moved)
+        shows: dict[int, int | None] = {k: (k + shift) % (last + 1) for k in range(last + 1)}
+        if errors:
+            shows[last - edge] = None
         # The frame that the move brings round from the other end is wrong for sure; nothing else may be.
         if all(edge in fault.frames and len(fault.frames) <= 2 for fault in errors):
             return [
@@ -250,6 +272,7 @@ def _all_late(
                     tuple(range(pattern.n_frames)),
                     f"every frame comes one step too {word}: the sequence fits the pattern when moved by one frame; "
                     "wait longer between display and exposure, or check for a missing first image",
+                    remedy=Remedy(shows=shows),
                 )
             ]
     return []
@@ -269,6 +292,7 @@ def _other_pattern(
         if _errors(moved):
             continue
         frames = tuple(range(pattern.n_frames))
+        exchanged = any(one.axis is not other.axis for one, other in zip(sets, pattern.sets, strict=True))
         steps = ", ".join(f"{math.degrees(value):g}" for value in sets[0].steps_rad)
         return [
             FrameFault(
@@ -277,6 +301,8 @@ def _other_pattern(
                 f"frames 0 to {frames[-1]} do not show the pattern of measurement.toml, but fit one with {name} (first "
                 f"set: {sets[0].axis} fringes, {sets[0].periods:g} periods, steps {steps} deg); write into "
                 "[[pattern.set]] what was displayed",
+                # Whether axes are exchanged is for the user to say: both give a surface.
+                remedy=None if exchanged else Remedy(pattern=FringePattern(sets)),
             )
         ]
     return []
@@ -295,7 +321,7 @@ def _mistaken_patterns(pattern: FringePattern) -> Iterator[tuple[str, tuple[Frin
         yield name, tuple(replace(one, steps_rad=steps) for one, steps in sets)
 
 
-def _shortened(faults: list[FrameFault], most: int = 4) -> list[FrameFault]:
+def shorten_faults(faults: list[FrameFault], most: int = 4) -> list[FrameFault]:
     """Return the first faults and one for all the others: so many have a common cause."""
     errors = _errors(faults)
     if len(errors) <= most or all(fault.kind is FaultKind.WRONG_STEP for fault in errors):
@@ -325,20 +351,21 @@ def _misplaced(content: FrameContent, pattern: FringePattern, repeated: dict[int
             continue
         own, other = pattern.describe_frame(frame), pattern.describe_frame(source)
         if frame in repeated:
-            yield _repeated_fault(pattern, repeated[frame], frame)
+            yield _repeated_fault(pattern, repeated[frame], frame, frame)
         elif repeated.get(source) == frame:
             # The earlier of two identical frames shows the later one's content: the later image overwrote it.
-            yield _repeated_fault(pattern, frame, source)
+            yield _repeated_fault(pattern, frame, source, frame)
         elif shown.get(source) == frame:
             done.add(source)
             text = f"{own} and {other} show each other's fringes; exchange them"
-            yield FrameFault(FaultKind.SWAPPED, (frame, source), text)
+            remedy = Remedy(shows={frame: source, source: frame})
+            yield FrameFault(FaultKind.SWAPPED, (frame, source), text, remedy=remedy)
         elif source < frame:
             text = f"{own} still shows {other}; wait longer between display and exposure and take the sequence again"
-            yield FrameFault(FaultKind.STALE, (frame,), text)
+            yield FrameFault(FaultKind.STALE, (frame,), text, remedy=Remedy(shows={frame: source}))
         else:
             text = f"{own} shows what belongs to {other}; check the order of the images"
-            yield FrameFault(FaultKind.SWAPPED, (frame, source), text)
+            yield FrameFault(FaultKind.SWAPPED, (frame, source), text, remedy=Remedy(shows={frame: source}))
         done.add(frame)
 
 
@@ -374,14 +401,16 @@ def _corrupt(content: FrameContent, pattern: FringePattern, named: set[int]) -> 
     for frame in range(pattern.n_frames):
         if frame in named:
             continue
-        if _shown(content, pattern, frame) is None:
+        whole = _shown(content, pattern, frame) is None
+        if whole:
             seen = f"shows no fringes of this pattern (best match explains {content.explained[frame].max():.0%} of it)"
         elif not misplaced and content.spoilt_share[frame] > usual + 0.03:
             seen = f"does not fit in {content.spoilt_share[frame]:.0%} of the pixels ({usual:.1%} is usual here)"
         else:
             continue
         text = f"{pattern.describe_frame(frame)} {seen}: a damaged or obstructed image; take it again"
-        yield FrameFault(FaultKind.CORRUPT, (frame,), text)
+        remedy = Remedy(shows={frame: None}) if whole else None
+        yield FrameFault(FaultKind.CORRUPT, (frame,), text, remedy=remedy)
 
 
 def _differs(found: StepEstimate, planned: FloatArray, *, flicker: float = 0.0) -> bool:
@@ -448,4 +477,6 @@ def _step_fault(pattern: FringePattern, index: int, frames: tuple[int, ...], fou
         f"{per_step:.3f} +- {max(error, 5e-4):.3f} deg (360 deg / {360 / per_step:.3f}), not {planned:.3f} deg; frame "
         f"{frames[worst]} is {math.degrees(float(steps[worst] - fringes.steps_rad[worst])):+.2f} deg off; "
         f"write the true steps into [[pattern.set]]: steps_deg = [{listed}]",
+        # Five frames and more tell their steps alone; fewer lean on a finer set, which may be wrong itself.
+        remedy=Remedy(steps_rad={index: found.steps_rad}) if len(steps) >= 5 else None,
     )

@@ -2,7 +2,7 @@
 
 from deflectometry.frames.image_file_checks import check_compression, check_size
 from deflectometry.keys import DeflectometryMeasurement
-from deflectometry.pipeline.images import image_files, observe, read_response, refuse_faulty_frames
+from deflectometry.pipeline.images import image_files, mend_frames, observe, read_response
 from deflectometry.pipeline.inputs import (
     build_pattern,
     build_setup,
@@ -40,4 +40,6 @@ def find_faults(measurement: DeflectometryMeasurement, findings: Findings) -> No
     frames = findings.attempt(read_frames, files)
     if frames is not None:
         findings.add(frames.doubts)
-        findings.add(findings.attempt(refuse_faulty_frames, observe(measurement, pattern, frames)))
+        usable = findings.attempt(mend_frames, observe(measurement, pattern, frames))
+        if usable is not None:
+            findings.add(usable.doubts)

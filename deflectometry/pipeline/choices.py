@@ -20,6 +20,8 @@ class Options:
         Grid step of the maps [mm]; None as measurement.toml says, else 0.4 to 1 of the spacing of the pixels.
     remove : Removal or None
         What is taken out of the maps; None as measurement.toml says.
+    strict : bool
+        Refuse frames that had to be mended or left out.
     jobs : int or None
         Threads that decode images; None for all processors.
     """
@@ -27,6 +29,7 @@ class Options:
     align: Align | None = None
     grid_step_mm: float | None = None
     remove: Removal | None = None
+    strict: bool = False
     jobs: int | None = None
 
 

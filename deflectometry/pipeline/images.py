@@ -1,13 +1,15 @@
-"""From the images of a measurement to what is evaluated; frames that contradict the pattern are refused."""
+"""From the images of a measurement to what is evaluated; frames that contradict the pattern are mended or refused."""
 
 from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from calibration.screen import ScreenResponse
 from deflectometry.frames.image_file_checks import check_noise, saturation_level
-from deflectometry.frames.sequence_checks import check_frames
+from deflectometry.frames.repair import repair_frames
+from deflectometry.frames.sequence_checks import shorten_faults
 from deflectometry.fringes.observation import Observation
 from deflectometry.fringes.phase import NoiseModel
 from deflectometry.fringes.screen_map import ScreenMapLimits
@@ -17,6 +19,7 @@ from heliogauge.doubts import Doubt, gather_doubts
 from heliogauge.errors import EstimationError, FailurePicture, InputError
 from heliogauge.images.photos import Frames
 from heliogauge.results.tables import read_number_columns
+from heliogauge.validate import FloatArray
 
 
 def image_files(measurement: DeflectometryMeasurement) -> tuple[Path, ...]:
@@ -59,24 +62,44 @@ def read_response(measurement: DeflectometryMeasurement) -> ScreenResponse | Non
         raise InputError(f"{measurement.path(name)}: {error}") from None
 
 
-def refuse_faulty_frames(observation: Observation) -> tuple[Doubt, ...]:
-    """Refuse frames that contradict the pattern; return what is doubtful about the others.
+@dataclass(frozen=True, slots=True, eq=False)
+class UsableFrames:
+    """What the frames of a measurement can be used for.
 
+    observation: Frames and pattern as they are evaluated; the very ones given where nothing had to be mended.
+    doubts: What was mended, and what is doubtful.
+    sigma_periods (2,): Relative standard deviations of the scale of u and of v where periods were estimated.
+    """
+
+    observation: Observation
+    doubts: tuple[Doubt, ...]
+    sigma_periods: FloatArray
+
+
+def mend_frames(observation: Observation, *, strict: bool = False) -> UsableFrames:
+    """Use faulty frames as far as they go; refuse what cannot be mended.
+
+    strict: Refuse whatever had to be mended.
     EstimationError: At least one fault that makes the phases wrong, each with the frames and the remedy.
     """
-    faults = check_frames(
+    repaired = repair_frames(
         observation.frames,
         observation.pattern,
         response=observation.response,
         saturation_dn=observation.limits.saturation_dn,
     )
-    errors = [fault.message for fault in faults if fault.severity == "error"]
-    if errors:
-        raise EstimationError("images.fringes: " + "\n  ".join(errors))
+    refused = repaired.found if strict else repaired.errors
+    messages = [fault.message for fault in shorten_faults(list(refused))]
+    if strict and not messages:
+        messages = [doubt.text for doubt in repaired.repairs]
+    if messages:
+        raise EstimationError("images.fringes: " + "\n  ".join(messages))
     noise = None
     if observation.noise is not None and observation.response is None:
         noise = check_noise(observation.frames, observation.pattern, observation.noise)
-    return gather_doubts((fault.doubt for fault in faults), noise)
+    doubts = gather_doubts(repaired.repairs, (fault.doubt for fault in repaired.faults), noise)
+    used = replace(observation, frames=repaired.frames, pattern=repaired.pattern)
+    return UsableFrames(used, doubts, repaired.sigma_periods)
 
 
 def pictures_of_frames(observation: Observation) -> Iterator[FailurePicture]:

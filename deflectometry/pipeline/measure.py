@@ -1,11 +1,13 @@
 """A measurement folder to results: the stages follow each other in `run`."""
 
+from dataclasses import replace
+
 from deflectometry.frames.image_file_checks import check_compression, check_size
 from deflectometry.keys import DeflectometryMeasurement
 from deflectometry.pipeline.choices import Options, build_choices
 from deflectometry.pipeline.evaluate import evaluate_frames
 from deflectometry.pipeline.headline import facet_numbers, numbers_of_facets, pose_numbers
-from deflectometry.pipeline.images import image_files, observe, pictures_of_frames, refuse_faulty_frames
+from deflectometry.pipeline.images import image_files, mend_frames, observe, pictures_of_frames
 from deflectometry.pipeline.inputs import (
     build_pattern,
     build_setup,
@@ -57,7 +59,9 @@ def run(
     observation = observe(measurement, pattern, frames)
     check_size(observation.frames.shape[:0:-1], setup.camera, str(measurement.folder))
     with progress.stage("check frames"), showing(lambda: pictures_of_frames(observation)):
-        frame_doubts = refuse_faulty_frames(observation)
+        usable = mend_frames(observation, strict=options.strict)
+    observation = usable.observation
+    setup = replace(setup, sigma_periods=usable.sigma_periods)
     mirror = describe_mirror(measurement, setup)
     if mirror.known_pose is not None:
         refuse_impossible(setup, mirror.known_pose.cam_from_mirror)
@@ -76,7 +80,7 @@ def run(
         check_screen(measurement, setup.screen),
         frames.doubts,
         check_compression([file.name for file in measurement.fringe_files]),
-        frame_doubts,
+        usable.doubts,
         check_missing_sigmas(measurement, setup),
         evaluation.doubts,
         check_beyond_table(setup.screen, *evaluation.screen_map.points_seen()),
@@ -86,7 +90,7 @@ def run(
         hashes = hash_files(measurement.input_files, measurement.folder)
     return Result(
         setup,
-        pattern,
+        observation.pattern,
         evaluation,
         maps,
         assembled,

@@ -183,6 +183,9 @@ class Setup(ShortRepr):
     covariance_cam_from_screen (6, 6): Covariance of the steps of `RigidTransform.moved`: rotation [rad], then
         translation [m]. Zero: exact.
     sigma_screen_points_m: Standard deviation of the screen's shape [m].
+    sigma_size_m (2,): Standard deviations of its width and height [m].
+    sigma_sag_m: Standard deviation of how far its middle stands out of the plane of its edges [m].
+    sigma_periods (2,): Relative standard deviations of the scale of u and of v, where periods were estimated.
     """
 
     camera: Camera
@@ -190,6 +193,9 @@ class Setup(ShortRepr):
     cam_from_screen: RigidTransform
     covariance_cam_from_screen: FloatArray = field(default_factory=lambda: np.zeros((6, 6)))
     sigma_screen_points_m: float = 0.0
+    sigma_size_m: FloatArray = field(default_factory=lambda: np.zeros(2))
+    sigma_sag_m: float = 0.0
+    sigma_periods: FloatArray = field(default_factory=lambda: np.zeros(2))
 
     def __post_init__(self) -> None:
         matrix = covariance_matrix("covariance_cam_from_screen", self.covariance_cam_from_screen, 6)

@@ -1,5 +1,6 @@
 """The share of the uncertainty that a whole slope map has in common: pose, screen and camera."""
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
@@ -96,6 +97,8 @@ def _perturbations(setup: Setup, cam_from_mirror: RigidTransform, located: Uncer
     if setup.sigma_screen_points_m > 0:
         for warp in _screen_warps(setup.sigma_screen_points_m):
             yield _Perturbed("screen shape", setup, cam_from_mirror, warp)
+    for source, warp in _screen_sizes(setup):
+        yield _Perturbed(source, setup, cam_from_mirror, warp)
 
 
 def principal_steps(covariance: FloatArray) -> FloatArray:
@@ -126,6 +129,26 @@ def _screen_warps(sigma_m: float) -> Iterator[Warp]:
     for axis, orders in ((0, in_plane), (1, in_plane), (2, out_of_plane)):
         for order in orders:
             yield Warp(axis, order, sigma_m / float(np.sqrt(len(orders))))
+
+
+def _screen_sizes(setup: Setup) -> Iterator[tuple[str, Warp]]:
+    """Yield what width, height, sag and periods that are one sigma off do to the screen's points.
+
+    A width off by s moves the point at u by s (u - 1/2), an RMS of s / sqrt(12) over the display; a bulge that is s
+    high in the middle and 0 at two edges is a Legendre polynomial of order 2 with an RMS of 2 s / (3 sqrt(5)).
+    """
+    corners = setup.screen.points_m(np.array([0.0, 1.0, 0.5, 0.5]), np.array([0.5, 0.5, 0.0, 1.0]))
+    size_m = np.linalg.norm(corners[[1, 3]] - corners[[0, 2]], axis=1)
+    orders = ((1, 0), (0, 1))
+    for axis, order in enumerate(orders):
+        if setup.sigma_size_m[axis] > 0:
+            yield "screen size", Warp(axis, order, float(setup.sigma_size_m[axis]) / math.sqrt(12.0))
+        if setup.sigma_periods[axis] > 0:
+            by_periods = float(setup.sigma_periods[axis] * size_m[axis])
+            yield "fringe periods", Warp(axis, order, by_periods / math.sqrt(12.0))
+    if setup.sigma_sag_m > 0:
+        for order in ((2, 0), (0, 2)):
+            yield "screen sag", Warp(2, order, setup.sigma_sag_m * 2.0 / (3.0 * math.sqrt(5.0)))
 
 
 def _as_modes(sources: list[str], changes: list[FloatArray], points_m: FloatArray, sample: PixelSamples) -> CommonModes:

@@ -1,0 +1,407 @@
+"""Sequences with faults are used as far as they go: frames left out, put in order, moved back, steps as they were."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from scipy import ndimage
+
+from deflectometry.frames.frame_content import FrameSample, fit_sets, sample_frames
+from deflectometry.frames.frame_model import FrameModel, Oddity, OddityKind, estimate_frames
+from deflectometry.frames.light_checks import FaultKind, FrameFault, saturation_limit
+from deflectometry.frames.sequence_checks import check_frames, light_noise
+from deflectometry.fringes.fringe_orders import search_orders
+from deflectometry.fringes.phase import TURN_RAD, LightResponse
+from deflectometry.setup.patterns import Axis, FringePattern, FringeSet, determines_phase
+from heliogauge.doubts import Doubt
+from heliogauge.errors import EstimationError
+from heliogauge.validate import FloatArray
+
+#: Repairs after one another: each takes away what hid the next.
+_MOST_REPAIRS = 8
+#: Amplitude below which noise alone passes for fringes once in a million, over the noise of an amplitude.
+_NO_FRINGES = 5.26
+#: Faults that say where a frame's content belongs.
+_MISPLACED = (FaultKind.REPEATED, FaultKind.STALE, FaultKind.SWAPPED, FaultKind.CORRUPT)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RepairedFrames:
+    """A sequence as it can be used.
+
+    frames (m, h, w): The frames kept, in the order of the pattern; the very ones given where nothing was changed [DN].
+    pattern: What they show.
+    faults: What is left that cannot be mended (severity "error"), or is only doubtful.
+    repairs: What was done.
+    sigma_periods (2,): Relative standard deviations of the scale of u and of v where periods were estimated.
+    found: Errors before anything was mended.
+    """
+
+    frames: npt.NDArray[Any]
+    pattern: FringePattern
+    faults: tuple[FrameFault, ...]
+    found: tuple[FrameFault, ...] = ()
+    repairs: tuple[Doubt, ...] = ()
+    sigma_periods: FloatArray = field(default_factory=lambda: np.zeros(2))
+
+    @property
+    def errors(self) -> tuple[FrameFault, ...]:
+        """Faults that make the result wrong."""
+        return tuple(fault for fault in self.faults if fault.severity == "error")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _State:
+    """A sequence on the way: frames, pattern, and which image each frame was."""
+
+    frames: npt.NDArray[Any]
+    pattern: FringePattern
+    numbers: tuple[int, ...]
+    original: FringePattern
+    response: LightResponse | None
+    saturation_dn: float
+    repairs: tuple[Doubt, ...] = ()
+    sigma_periods: FloatArray = field(default_factory=lambda: np.zeros(2))
+
+    def describe(self, frame: int) -> str:
+        """Say which frame of the measurement this one is."""
+        return self.original.describe_frame(self.numbers[frame])
+
+    def listed(self, frames: Sequence[int]) -> str:
+        """Name frames by their numbers in the measurement."""
+        numbers = [self.numbers[frame] for frame in frames]
+        if len(numbers) == 1:
+            return self.describe(frames[0])
+        if len(numbers) > 3 and numbers == list(range(numbers[0], numbers[-1] + 1)):
+            return f"frames {numbers[0]} to {numbers[-1]}"
+        return f"frames {', '.join(map(str, numbers))}"
+
+    def with_doubt(self, doubt: Doubt, **changes: Any) -> "_State":
+        """Return the sequence after a repair."""
+        return replace(self, repairs=(*self.repairs, doubt), **changes)
+
+
+def repair_frames(
+    frames: npt.NDArray[Any],
+    pattern: FringePattern,
+    *,
+    response: LightResponse | None = None,
+    saturation_dn: float = math.inf,
+) -> RepairedFrames:
+    """Find faults of a sequence and mend what can be mended without a guess.
+
+    frames (n, h, w): Frames in the order of the pattern [DN].
+    pattern: What should have been shown.
+    response: Makes readings linear in the display's level.
+
+    Frames that show nothing of use are left out while the rest determines all phases; frames in another order are put
+    right where every frame names one place; steps, places and periods of a set, offsets, gains and shifts of frames are
+    estimated (`deflectometry.frames.frame_model`) and used. Every repair is a doubt. What is left as an error is not
+    mended, and then nothing is.
+    """
+    given = _State(frames, pattern, tuple(range(len(frames))), pattern, response, saturation_dn)
+    first = _check(given)
+    state = _without_unresolved(given)
+    faults = first if state is given else _check(state)
+    for _ in range(_MOST_REPAIRS):
+        errors = [fault for fault in faults if fault.severity == "error"]
+        if any(fault.kind in (FaultKind.FRAME_COUNT, FaultKind.NOT_FINITE, FaultKind.SATURATION) for fault in errors):
+            break
+        mended = _mended(state, errors)
+        if mended is None:
+            break
+        state = mended
+        faults = _check(state)
+    found = tuple(fault for fault in first if fault.severity == "error")
+    if any(fault.severity == "error" for fault in faults):
+        return RepairedFrames(frames, pattern, found or tuple(faults), found)
+    return RepairedFrames(state.frames, state.pattern, tuple(faults), found, state.repairs, state.sigma_periods)
+
+
+def _check(state: _State) -> list[FrameFault]:
+    return check_frames(state.frames, state.pattern, response=state.response, saturation_dn=state.saturation_dn)
+
+
+def _mended(state: _State, errors: list[FrameFault]) -> _State | None:
+    """Return the sequence after the next repair; None where there is nothing to mend, or no way to."""
+    shows: dict[int, int | None] = {}
+    for fault in errors:
+        if fault.kind in _MISPLACED and fault.remedy is not None:
+            shows.update(fault.remedy.shows)
+    if shows:
+        return _reordered(state, shows, [fault for fault in errors if fault.kind in _MISPLACED])
+    pattern = next((fault.remedy.pattern for fault in errors if fault.remedy and fault.remedy.pattern), None)
+    if pattern is not None:
+        return state.with_doubt(_pattern_doubt(state, pattern, errors[0]), pattern=pattern)
+    model = None
+    if not any(fault.kind is FaultKind.LOW_MODULATION for fault in errors):
+        model = _modelled(state)
+    if model is not None and model.oddities:
+        return _with_model(state, model)
+    steps: dict[int, FloatArray] = {}
+    for fault in errors:
+        if fault.remedy is not None:
+            steps.update(fault.remedy.steps_rad)
+    if steps:
+        return _with_steps(state, steps, errors)
+    spoilt = [frame for fault in errors if fault.kind is FaultKind.CORRUPT for frame in fault.frames]
+    if spoilt:
+        return _left_out(state, spoilt, "do not fit in a part of the pixels", FaultKind.CORRUPT)
+    return None
+
+
+# --- frames left out, frames put in order ---------------------------------------------------------------------------
+
+
+def _without_unresolved(state: _State) -> _State:
+    """Leave out sets whose fringes are too fine for camera or display: noise makes as much modulation."""
+    pattern = state.pattern
+    if len(state.frames) != pattern.n_frames:
+        return state
+    sample = sample_frames(state.frames, None, state.response)
+    if sample.light.shape[1] < 30 or not np.isfinite(sample.light).all():
+        return state
+    good = sample.readings.max(axis=0) < saturation_limit(state.frames.dtype, state.saturation_dn)
+    light = sample.light[:, good]
+    if light.shape[1] < 30:
+        return state
+    lit = FrameSample(sample.readings[:, good], light, sample.raw)
+    noise = light_noise(lit, pattern, state.frames.dtype, state.response)
+    fit = fit_sets(light, pattern)
+    weak = []
+    for index, fringes in enumerate(pattern.sets):
+        least = _NO_FRINGES * np.sqrt(2.0 / fringes.n_frames * noise.variance(fit.offset[index]))
+        if float(np.mean(fit.modulation[index] < least)) > 0.5:
+            weak.append(index)
+    if not weak or len(weak) == len(pattern.sets):
+        return state
+    gone = [k for index in weak for k in range(pattern.frame_slices[index].start, pattern.frame_slices[index].stop)]
+    left = _without_frames(state, gone)
+    if left is None:
+        return state
+    words = ", ".join(f"{pattern.sets[i].axis} with {pattern.sets[i].periods:g} periods" for i in weak)
+    doubt = Doubt(
+        "fringes_unresolved",
+        f"the fringes of {words} are not resolved: their modulation is what noise makes; left out, and the sigmas are "
+        "those of the coarser fringes: focus the camera nearer to the display's image, or show fewer periods",
+        {"sets_count": len(weak)},
+    )
+    return left.with_doubt(doubt)
+
+
+def _without_frames(state: _State, frames: Sequence[int]) -> _State | None:
+    """Leave frames out; None where the rest does not determine every phase and order."""
+    gone = set(frames)
+    sets, kept = [], []
+    for fringes, where in zip(state.pattern.sets, state.pattern.frame_slices, strict=True):
+        inside = [k for k in range(where.start, where.stop) if k not in gone]
+        steps = fringes.steps_rad[[k - where.start for k in inside]]
+        if len(inside) < fringes.n_frames and not _enough(steps):
+            continue
+        sets.append(replace(fringes, steps_rad=steps))
+        kept.extend(inside)
+    for axis in Axis:
+        periods = [one.periods for one in sets if one.axis is axis]
+        if not periods:
+            return None
+        try:
+            search_orders(periods)
+        except EstimationError:
+            return None
+    numbers = tuple(state.numbers[k] for k in kept)
+    return replace(state, frames=state.frames[kept], pattern=FringePattern(tuple(sets)), numbers=numbers)
+
+
+def _enough(steps_rad: FloatArray) -> bool:
+    return len(steps_rad) >= 3 and determines_phase(steps_rad)
+
+
+def _left_out(state: _State, frames: Sequence[int], why: str, kind: FaultKind) -> _State | None:
+    left = _without_frames(state, frames)
+    if left is None:
+        return None
+    doubt = Doubt(
+        "frames_left_out",
+        f"{state.listed(sorted(frames))} {why}: left out; the result rests on {len(left.numbers)} of "
+        f"{state.original.n_frames} frames, with the sigma they have. Take the sequence again for all of it "
+        f"({kind.value})",
+        {"left_out_count": len(frames), "frames_count": state.original.n_frames},
+    )
+    return left.with_doubt(doubt)
+
+
+_WHY = {
+    FaultKind.REPEATED: "shows another frame's image again",
+    FaultKind.STALE: "still shows another frame's fringes",
+    FaultKind.SWAPPED: "shows another frame's fringes",
+    FaultKind.CORRUPT: "is damaged or obstructed",
+}
+
+
+def _reordered(state: _State, shows: Mapping[int, int | None], faults: list[FrameFault]) -> _State | None:
+    """Put frames where their content belongs; leave out what has no place, and what has two."""
+    n = state.pattern.n_frames
+    # Image of each frame's content; a frame that shows itself keeps its place, whoever else shows it too.
+    source = {k: k for k in range(n) if k not in shows}
+    claims: dict[int, list[int]] = {}
+    for image, frame in shows.items():
+        if frame is not None and frame not in source:
+            claims.setdefault(frame, []).append(image)
+    moved = {frame: images[0] for frame, images in claims.items() if len(images) == 1}
+    lost = [k for k in range(n) if k not in source and k not in moved]
+    order = [source.get(k, moved.get(k, k)) for k in range(n)]
+    result = state
+    if moved:
+        frames = sorted(moved)
+        doubt = Doubt(
+            "frames_reordered",
+            f"{state.listed(frames)} show each other's fringes (image {state.numbers[moved[frames[0]]]} belongs to "
+            f"frame {state.numbers[frames[0]]}): put into the order of the pattern; check how the images were named",
+            {"moved_count": len(frames), "frames_count": state.original.n_frames},
+        )
+        numbers = tuple(state.numbers[k] for k in order)
+        result = state.with_doubt(doubt, frames=state.frames[order], numbers=numbers)
+        # Names are those of the frames that the content belongs to.
+        result = replace(result, numbers=state.numbers)
+    if lost:
+        kind = next((one.kind for one in faults if set(one.frames) & set(lost)), FaultKind.CORRUPT)
+        return _left_out(result, lost, _WHY.get(kind, "is damaged"), kind)
+    return result
+
+
+# --- steps ----------------------------------------------------------------------------------------------------------
+
+
+def _pattern_doubt(state: _State, pattern: FringePattern, fault: FrameFault) -> Doubt:
+    ratio = float(pattern.sets[0].steps_rad[1] / state.pattern.sets[0].steps_rad[1])
+    return Doubt(
+        "fringe_steps_corrected",
+        f"{fault.message}. That pattern was used",
+        {"steps_ratio": ratio},
+    )
+
+
+def _with_steps(state: _State, steps: Mapping[int, FloatArray], errors: list[FrameFault]) -> _State:
+    sets = [
+        replace(one, steps_rad=steps[index]) if index in steps else one for index, one in enumerate(state.pattern.sets)
+    ]
+    said = next(fault.message for fault in errors if fault.remedy is not None and fault.remedy.steps_rad)
+    ratio = max((float(steps[i][-1] / state.pattern.sets[i].steps_rad[-1]) for i in steps), key=lambda r: abs(r - 1))
+    more = f"; so in {len(steps)} sets" if len(steps) > 1 else ""
+    doubt = Doubt("fringe_steps_corrected", f"{said}{more}. The steps found were used", {"steps_ratio": ratio})
+    return state.with_doubt(doubt, pattern=FringePattern(tuple(sets)))
+
+
+# --- what the frames have beside their fringes ----------------------------------------------------------------------
+
+
+def _modelled(state: _State) -> FrameModel | None:
+    """Estimate what frames have beside their fringes, if enough pixels show them."""
+    sample = sample_frames(state.frames, None, state.response)
+    if sample.light.shape[1] < 100:
+        return None
+    limit = saturation_limit(state.frames.dtype, state.saturation_dn)
+    noise = light_noise(sample, state.pattern, state.frames.dtype, state.response)
+    return estimate_frames(state.frames, state.pattern, noise, response=state.response, saturation_dn=limit)
+
+
+def _with_model(state: _State, model: FrameModel) -> _State | None:
+    """Apply what was found: light, shifts, steps, places, periods; frames of another contrast are left out."""
+    kinds = {kind: [one for one in model.oddities if one.kind is kind] for kind in OddityKind}
+    blurred = sorted({frame for one in kinds[OddityKind.CONTRAST] for frame in one.frames})
+    if blurred:
+        # Where single frames are of another sharpness, what else they seem to have is part of it.
+        why = "has another contrast or sharpness than the rest of its set"
+        return _left_out(state, blurred, why, FaultKind.CORRUPT)
+    moved = [*kinds[OddityKind.PLACE_OF_SET], *kinds[OddityKind.PERIODS_OF_SET]]
+    if moved:
+        return _with_places(state, model, moved)
+    frames = state.frames
+    odd_light = bool(model.offset_dn.any() or model.gain.any())
+    if odd_light or model.shift_px.any():
+        frames = frames.astype(np.float32)
+        for k, frame in enumerate(frames):
+            if odd_light:
+                frames[k] = (frame - model.offset_dn[k]) / (1 + model.gain[k])
+            if model.shift_px[k].any():
+                frames[k] = ndimage.shift(frames[k], model.shift_px[k][::-1], order=5, mode="nearest")
+    sets = [
+        replace(one, steps_rad=one.steps_rad + model.step_rad[where])
+        for one, where in zip(state.pattern.sets, state.pattern.frame_slices, strict=True)
+    ]
+    doubts = (*state.repairs, *(_say(state, one) for one in model.oddities))
+    return replace(state, frames=frames, pattern=FringePattern(tuple(sets)), repairs=doubts)
+
+
+def _with_places(state: _State, model: FrameModel, moved: list[Oddity]) -> _State | None:
+    """Use places and periods of sets as found, where most sets of the axis agree without that."""
+    sets = list(state.pattern.sets)
+    sigma, doubts = state.sigma_periods.copy(), list(state.repairs)
+    starts = [where.start for where in state.pattern.frame_slices]
+    odd = [starts.index(one.frames[0]) for one in moved]
+    for axis in Axis:
+        same = [i for i, one in enumerate(sets) if one.axis is axis]
+        if 2 * len(set(odd) & set(same)) >= len(same):
+            return None
+    for index, one in zip(odd, moved, strict=True):
+        fringes, where = sets[index], state.pattern.frame_slices[index]
+        scale = float(model.periods[where][0])
+        # cos(2 pi P (w + scale (w - 1/2)) - s - d) has the periods P (1 + scale) and a place of its own.
+        steps = fringes.steps_rad + float(model.step_rad[where][0]) + 0.5 * scale * TURN_RAD * fringes.periods
+        sets[index] = FringeSet(fringes.axis, fringes.periods * (1 + scale), steps)
+        doubts.append(_say(state, one))
+        finest = max(other.periods for other in state.pattern.sets if other.axis is fringes.axis)
+        if one.kind is OddityKind.PERIODS_OF_SET and fringes.periods == finest:
+            number = 0 if fringes.axis is Axis.X else 1
+            sigma[number] = math.hypot(sigma[number], float(one.sigma[0]))
+    return replace(state, pattern=FringePattern(tuple(sets)), repairs=tuple(doubts), sigma_periods=sigma)
+
+
+def _say(state: _State, one: Oddity) -> Doubt:
+    """Say what was found and used."""
+    where = state.listed(one.frames)
+    index = next(i for i, part in enumerate(state.pattern.frame_slices) if part.start <= one.frames[0] < part.stop)
+    fringes = state.pattern.sets[index]
+    of_set = f"{fringes.axis} fringes with {fringes.periods:g} periods"
+    value, sigma = one.value, one.sigma
+    if one.kind is OddityKind.OFFSET:
+        text = f"{where}: {value[0]:+.2f} +- {sigma[0]:.2f} DN of light beside the fringes; taken off"
+        return Doubt("light_changes", f"{text}. Switch room light and automatic exposure off", {"offset_dn": value[0]})
+    if one.kind in (OddityKind.GAIN, OddityKind.DRIFT):
+        how = "drifts by" if one.kind is OddityKind.DRIFT else "is off by"
+        text = f"{where}: the light {how} {value[0]:+.2%} +- {sigma[0]:.2%}; divided out"
+        remedy = "lock the exposure, let the display warm up, expose for whole refresh periods"
+        return Doubt("light_changes", f"{text}. For the next time: {remedy}", {"change_share": value[0]})
+    if one.kind in (OddityKind.SHIFT, OddityKind.KNOCK):
+        text = (
+            f"{where}: moved by ({value[0]:+.3f} +- {sigma[0]:.3f}, {value[1]:+.3f} +- {sigma[1]:.3f}) px against the "
+            "others; moved back. The camera or the mirror moved: fix both"
+        )
+        return Doubt("frames_moved", text, {"shift_x_px": value[0], "shift_y_px": value[1]})
+    if one.kind is OddityKind.PERIODS_OF_SET:
+        found = fringes.periods * (1 + value[0])
+        text = (
+            f"{of_set}: the other sets of this direction say {found:.4g} +- {fringes.periods * sigma[0]:.2g} periods; "
+            "that was used. Check [[pattern.set]] and that the display shows every pixel of the pattern"
+        )
+        return Doubt("fringe_periods_corrected", text, {"periods_count": found, "periods_ratio": 1 + value[0]})
+    if one.kind is OddityKind.PLACE_OF_SET:
+        share = value[0] / (TURN_RAD * fringes.periods)
+        text = (
+            f"{of_set}: displayed {share:+.3%} +- {sigma[0] / (TURN_RAD * fringes.periods):.3%} of the screen beside "
+            "their place; moved back. Check that the display shows every pattern at the same place and size"
+        )
+        return Doubt("fringes_displaced", text, {"displaced_share": share})
+    if one.kind is OddityKind.STEP:
+        text = f"{where}: its step is {np.degrees(value[0]):+.2f} +- {np.degrees(sigma[0]):.2f} deg off; that was used"
+        return Doubt("fringe_steps_corrected", text, {"step_off_rad": value[0]})
+    each = math.degrees(float(np.mean(np.diff(fringes.steps_rad)))) * (1 + value[0])
+    of_all = "all sets" if one.kind is OddityKind.STEPS_OF_ALL else of_set
+    text = (
+        f"{of_all}: the steps are {1 + value[0]:.4f} +- {sigma[0]:.4f} of those in [[pattern.set]] ({each:.3f} deg); "
+        "that was used. Write the true steps into measurement.toml"
+    )
+    return Doubt("fringe_steps_corrected", text, {"steps_ratio": 1 + value[0]})

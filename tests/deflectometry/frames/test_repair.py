@@ -1,0 +1,115 @@
+"""Sequences with a fault are mended: each fault alone is found with its size, and good frames are left as they are."""
+
+import numpy as np
+import pytest
+from scipy import ndimage
+
+from deflectometry.frames.frame_model import Oddity, OddityKind, estimate_frames
+from deflectometry.frames.repair import repair_frames
+from deflectometry.fringes.phase import NoiseModel
+from deflectometry.setup.patterns import Axis, FringePattern, make_pattern
+from tests.deflectometry.fringe_drawing import Scene
+
+PATTERN = make_pattern([0.9, 3.9, 15.9, 63.9], [0.9, 3.9, 15.9, 63.9])
+NOISE = NoiseModel(1.0)
+
+
+@pytest.fixture(scope="module")
+def readings() -> np.ndarray:
+    return Scene().readings(PATTERN, np.random.default_rng(1))
+
+
+def _found(readings: np.ndarray, pattern: FringePattern = PATTERN) -> tuple[Oddity, ...]:
+    model = estimate_frames(np.rint(readings).astype(np.uint8), pattern, NOISE, saturation_dn=255)
+    assert model is not None
+    return model.oddities
+
+
+def _close(found: Oddity, value: float) -> bool:
+    return bool(abs(found.value[0] - value) < 4 * found.sigma[0])
+
+
+@pytest.mark.parametrize(("steps", "gamma"), [(3, 1.0), (3, 1.4), (4, 1.0), (4, 2.2), (8, 1.4), (8, 2.2)])
+def test_good_frames_and_a_gamma_are_nothing_odd(steps: int, gamma: float) -> None:
+    pattern = make_pattern([0.9, 3.9, 15.9], [0.9, 3.9, 15.9], steps)
+    assert _found(Scene(gamma=gamma).readings(pattern, np.random.default_rng(2)), pattern) == ()
+
+
+@pytest.mark.parametrize(("frame", "offset_dn"), [(14, -6.0), (29, 3.0)])
+def test_offset_of_a_frame(readings: np.ndarray, frame: int, offset_dn: float) -> None:
+    readings = readings.copy()
+    readings[frame] += offset_dn
+    (found,) = _found(readings)
+    assert (found.kind, found.frames) == (OddityKind.OFFSET, (frame,))
+    assert _close(found, offset_dn)
+
+
+def test_drift(readings: np.ndarray) -> None:
+    (found,) = _found(readings * np.linspace(1, 0.95, 32)[:, None, None])
+    assert found.kind is OddityKind.DRIFT
+    assert _close(found, -0.05)
+
+
+def test_moved_frames(readings: np.ndarray) -> None:
+    readings = readings.copy()
+    for k in (13,):
+        readings[k] = ndimage.shift(readings[k], (0.3, 0.5), order=5, mode="nearest")
+    kinds = {one.kind for one in _found(readings)}
+    assert kinds & {OddityKind.SHIFT, OddityKind.CONTRAST}
+
+
+def _declared(change: float, index: int) -> FringePattern:
+    sets = list(PATTERN.sets)
+    one = sets[index]
+    sets[index] = type(one)(one.axis, one.periods * (1 + change), one.steps_rad)
+    return FringePattern(tuple(sets))
+
+
+@pytest.mark.parametrize("index", [3, 6, 7])
+def test_periods_of_one_set(readings: np.ndarray, index: int) -> None:
+    frames = np.rint(readings).astype(np.uint8)
+    repaired = repair_frames(frames, _declared(0.0016, index))
+    assert not repaired.errors
+    assert [doubt.code for doubt in repaired.repairs] == ["fringe_periods_corrected"]
+    # The scale of the finest fringes is that of the others then, and as uncertain.
+    sigma = max(float(repaired.sigma_periods.max()), 1e-4)
+    assert abs(repaired.pattern.sets[index].periods / PATTERN.sets[index].periods - 1) < 4 * sigma
+    assert (repaired.sigma_periods > 0).tolist() == [index == 7, index == 3]
+
+
+def test_good_frames_stay_the_very_same(readings: np.ndarray) -> None:
+    frames = np.rint(readings).astype(np.uint8)
+    repaired = repair_frames(frames, PATTERN)
+    assert repaired.frames is frames
+    assert repaired.pattern is PATTERN
+    assert repaired.repairs == repaired.faults == ()
+
+
+def test_a_set_that_is_not_resolved_is_left_out(readings: np.ndarray) -> None:
+    readings = readings.copy()
+    rng = np.random.default_rng(6)
+    readings[28:] = 110 + rng.standard_normal(readings[28:].shape)
+    repaired = repair_frames(np.rint(readings).astype(np.uint8), PATTERN)
+    assert not repaired.errors
+    assert [doubt.code for doubt in repaired.repairs] == ["fringes_unresolved"]
+    assert len(repaired.pattern.sets_of(Axis.X)) == 3
+
+
+def test_lost_axis_is_refused(readings: np.ndarray) -> None:
+    readings = readings.copy()
+    readings[16:] = 110 + np.random.default_rng(6).standard_normal(readings[16:].shape)
+    repaired = repair_frames(np.rint(readings).astype(np.uint8), PATTERN)
+    assert repaired.errors
+    assert repaired.repairs == ()
+
+
+def test_all_late_and_permuted_frames_are_put_in_order(readings: np.ndarray) -> None:
+    frames = np.rint(readings).astype(np.uint8)
+    repaired = repair_frames(np.roll(frames, 1, axis=0), PATTERN)
+    assert [doubt.code for doubt in repaired.repairs] == ["frames_reordered"]
+    assert (repaired.frames == frames).all()
+    order = np.arange(32)
+    order[[4, 9, 30]] = [9, 30, 4]
+    repaired = repair_frames(frames[order], PATTERN)
+    assert [doubt.code for doubt in repaired.repairs] == ["frames_reordered"]
+    assert (repaired.frames == frames).all()
