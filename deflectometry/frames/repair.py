@@ -275,10 +275,17 @@ def _reordered(state: _State, shows: Mapping[int, int | None], faults: list[Fram
 # --- steps ----------------------------------------------------------------------------------------------------------
 
 
+def _steps_doubt(text: str, numbers: Mapping[str, float]) -> Doubt:
+    return Doubt("fringe_steps_corrected", text, numbers)
+
+
+def _light_doubt(text: str, numbers: Mapping[str, float]) -> Doubt:
+    return Doubt("frame_light_corrected", text, numbers)
+
+
 def _pattern_doubt(state: _State, pattern: FringePattern, fault: FrameFault) -> Doubt:
     ratio = float(pattern.sets[0].steps_rad[1] / state.pattern.sets[0].steps_rad[1])
-    return Doubt(
-        "fringe_steps_corrected",
+    return _steps_doubt(
         f"{fault.message}. That pattern was used",
         {"steps_ratio": ratio},
     )
@@ -291,7 +298,7 @@ def _with_steps(state: _State, steps: Mapping[int, FloatArray], errors: list[Fra
     said = next(fault.message for fault in errors if fault.remedy is not None and fault.remedy.steps_rad)
     ratio = max((float(steps[i][-1] / state.pattern.sets[i].steps_rad[-1]) for i in steps), key=lambda r: abs(r - 1))
     more = f"; so in {len(steps)} sets" if len(steps) > 1 else ""
-    doubt = Doubt("fringe_steps_corrected", f"{said}{more}. The steps found were used", {"steps_ratio": ratio})
+    doubt = _steps_doubt(f"{said}{more}. The steps found were used", {"steps_ratio": ratio})
     return state.with_doubt(doubt, pattern=FringePattern(tuple(sets)))
 
 
@@ -369,12 +376,12 @@ def _say(state: _State, one: Oddity) -> Doubt:
     value, sigma = one.value, one.sigma
     if one.kind is OddityKind.OFFSET:
         text = f"{where}: {value[0]:+.2f} +- {sigma[0]:.2f} DN of light beside the fringes; taken off"
-        return Doubt("light_changes", f"{text}. Switch room light and automatic exposure off", {"offset_dn": value[0]})
+        return _light_doubt(f"{text}. Switch room light and automatic exposure off", {"offset_dn": value[0]})
     if one.kind in (OddityKind.GAIN, OddityKind.DRIFT):
         how = "drifts by" if one.kind is OddityKind.DRIFT else "is off by"
         text = f"{where}: the light {how} {value[0]:+.2%} +- {sigma[0]:.2%}; divided out"
         remedy = "lock the exposure, let the display warm up, expose for whole refresh periods"
-        return Doubt("light_changes", f"{text}. For the next time: {remedy}", {"change_share": value[0]})
+        return _light_doubt(f"{text}. For the next time: {remedy}", {"change_share": value[0]})
     if one.kind in (OddityKind.SHIFT, OddityKind.KNOCK):
         text = (
             f"{where}: moved by ({value[0]:+.3f} +- {sigma[0]:.3f}, {value[1]:+.3f} +- {sigma[1]:.3f}) px against the "
@@ -397,11 +404,11 @@ def _say(state: _State, one: Oddity) -> Doubt:
         return Doubt("fringes_displaced", text, {"displaced_share": share})
     if one.kind is OddityKind.STEP:
         text = f"{where}: its step is {np.degrees(value[0]):+.2f} +- {np.degrees(sigma[0]):.2f} deg off; that was used"
-        return Doubt("fringe_steps_corrected", text, {"step_off_rad": value[0]})
+        return _steps_doubt(text, {"step_off_rad": value[0]})
     each = math.degrees(float(np.mean(np.diff(fringes.steps_rad)))) * (1 + value[0])
     of_all = "all sets" if one.kind is OddityKind.STEPS_OF_ALL else of_set
     text = (
         f"{of_all}: the steps are {1 + value[0]:.4f} +- {sigma[0]:.4f} of those in [[pattern.set]] ({each:.3f} deg); "
         "that was used. Write the true steps into measurement.toml"
     )
-    return Doubt("fringe_steps_corrected", text, {"steps_ratio": 1 + value[0]})
+    return _steps_doubt(text, {"steps_ratio": 1 + value[0]})
