@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy import ndimage
 
 from deflectometry.frames.frame_content import FrameSample, fit_sets, sample_frames
 from deflectometry.frames.frame_model import FrameModel, Oddity, OddityKind, estimate_frames
@@ -326,6 +325,8 @@ def _with_model(state: _State, model: FrameModel) -> _State | None:
     moved = [*kinds[OddityKind.PLACE_OF_SET], *kinds[OddityKind.PERIODS_OF_SET]]
     if moved:
         return _with_places(state, model, moved)
+    from scipy import ndimage
+
     frames = state.frames
     odd_light = bool(model.offset_dn.any() or model.gain.any())
     if odd_light or model.shift_px.any():
