@@ -1,6 +1,6 @@
 """Photos with what was found in them: detections, residual vectors, and what was refused and why."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -49,6 +49,29 @@ class PhotoMarks:
     labels: Sequence[str] = ()
     residual_px: FloatArray | None = None
     refused: bool = False
+
+
+def refused_marks(name: str, table: Mapping[str, Sequence[str]], color: str) -> dict[str, PhotoMarks]:
+    """Return the marks of refused points by photo, each with its reason.
+
+    name: What they are; the legend shows it.
+    table: Columns ``name``, ``reason``, ``image``, ``x_px``, ``y_px`` as texts; rows without photo or place are left
+        out.
+    """
+    rows: dict[str, list[int]] = {}
+    for row, (image, x, y) in enumerate(zip(*(table.get(key, ()) for key in ("image", "x_px", "y_px")), strict=True)):
+        if image and x and y and np.isfinite([float(x), float(y)]).all():
+            rows.setdefault(image, []).append(row)
+    return {
+        image: PhotoMarks(
+            name,
+            np.array([[float(table[f"{axis}_px"][row]) for axis in "xy"] for row in own]),
+            color,
+            [f"{table['name'][row]}: {table['reason'][row]}" for row in own],
+            refused=True,
+        )
+        for image, own in rows.items()
+    }
 
 
 @dataclass(frozen=True, slots=True, eq=False)

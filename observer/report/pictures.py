@@ -1,7 +1,5 @@
 """What the camera saw, in a trough's report: photos with what was found, slices of the mirror through all of them."""
 
-from collections import defaultdict
-
 import numpy as np
 import numpy.typing as npt
 
@@ -13,7 +11,7 @@ from heliogauge.results.thumbnails import read_thumbnails
 from heliogauge.validate import BoolArray, FloatArray
 from heliogauge.view.charts import ChartImage, ChartSeries, ChartView, Mark
 from heliogauge.view.contours import zero_lines
-from heliogauge.view.photos import Photo, PhotoLines, PhotoMarks, PhotoView
+from heliogauge.view.photos import Photo, PhotoLines, PhotoMarks, PhotoView, refused_marks
 from observer.files import NETWORK_FOLDER, OVERLAY, StoredOverlay, read_overlay
 from observer.report.results import TroughResults, numbers
 from observer.report.scene import mirror_lines
@@ -59,7 +57,7 @@ def photo_view(results: TroughResults) -> PhotoView | None:
             image = decode_thumbnail(data)
             if image is None:
                 continue
-            marks = (*_edge_marks(results, name), *targets.get(name, ()), *refused.get(name, ()))
+            marks = (*_edge_marks(results, name), *targets.get(name, ()), *([refused[name]] if name in refused else []))
             found.append(_with_marks(results, name, image, marks))
     if not found:
         return None
@@ -152,29 +150,13 @@ def _target_marks(results: TroughResults) -> dict[str, list[PhotoMarks]]:
     return found
 
 
-def _refused_targets(results: TroughResults) -> dict[str, list[PhotoMarks]]:
+def _refused_targets(results: TroughResults) -> dict[str, PhotoMarks]:
     """Return the targets that were refused, where their places are known."""
     path = results.base.folder / NETWORK_FOLDER / "rejected.csv"
     if not path.is_file():
         return {}
     table = read_table_csv(path, ("name", "reason", "image", "x_px", "y_px"))
-    places = np.stack([numbers(table, f"{axis}_px") for axis in "xy"], axis=1)
-    rows: dict[str, list[int]] = defaultdict(list)
-    for row, image in enumerate(table["image"]):
-        if image and np.isfinite(places[row]).all():
-            rows[image].append(row)
-    return {
-        image: [
-            PhotoMarks(
-                "targets not used",
-                places[own],
-                _REJECTED,
-                [f"{table['name'][row]}: {table['reason'][row]}" for row in own],
-                refused=True,
-            )
-        ]
-        for image, own in rows.items()
-    }
+    return refused_marks("targets not used", table, _REJECTED)
 
 
 def slices(results: TroughResults) -> Html:

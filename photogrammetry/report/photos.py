@@ -1,7 +1,5 @@
 """Photos in a network's report: what was found in each, how far off it is, what was refused and why."""
 
-from collections import defaultdict
-
 import numpy as np
 
 from heliogauge.images.thumbnails import decode_thumbnail
@@ -9,7 +7,7 @@ from heliogauge.reporting.look import LINE_X, LINE_Y
 from heliogauge.results.folder import read_table_csv
 from heliogauge.results.thumbnails import read_thumbnails
 from heliogauge.validate import FloatArray, IntArray
-from heliogauge.view.photos import Photo, PhotoMarks, PhotoView
+from heliogauge.view.photos import Photo, PhotoMarks, PhotoView, refused_marks
 from photogrammetry.report.network import NetworkResults
 
 #: Image points in a page, in all photos together, and at least in each: 30,000 take 0.6 MB.
@@ -23,14 +21,15 @@ def photo_view(results: NetworkResults) -> PhotoView | None:
     if not names:
         return None
     thumbnails = read_thumbnails(results.folder, names)
-    refused, loose = _refused_marks(results), _loose_marks(results)
+    refused = refused_marks("refused", results.tables["rejected"], LINE_Y)
+    loose = _loose_marks(results)
     own = _rows_of_photos(results)
     most = max(_LEAST_MARKS, _MOST_MARKS // len(names))
     photos = []
     for name in names:
         pose = results.poses.get(name)
         camera = results.cameras[pose.camera] if pose is not None else results.camera
-        marks = [*loose.get(name, ()), *refused.get(name, ())]
+        marks = [*loose.get(name, ()), *([refused[name]] if name in refused else [])]
         note = "not in the network"
         if pose is not None:
             rows = own[name]
@@ -72,27 +71,6 @@ def _used_marks(results: NetworkResults, rows: IntArray, most: int) -> tuple[Pho
     labels = [f"{used.targets[i]}: {size:.4f} px" for i, size in zip(rows, sizes, strict=True)]
     # Arrows point from the prediction to the measurement.
     return PhotoMarks("used", used.pixels_px[rows], LINE_X, labels, -used.residuals_px[rows]), thinning
-
-
-def _refused_marks(results: NetworkResults) -> dict[str, list[PhotoMarks]]:
-    table = results.tables["rejected"]
-    places = _places(table)
-    found: dict[str, list[int]] = defaultdict(list)
-    for row, image in enumerate(table.get("image", ())):
-        if image and np.isfinite(places[row]).all():
-            found[image].append(row)
-    return {
-        image: [
-            PhotoMarks(
-                "refused",
-                places[rows],
-                LINE_Y,
-                [f"{table['name'][row]}: {table['reason'][row]}" for row in rows],
-                refused=True,
-            )
-        ]
-        for image, rows in found.items()
-    }
 
 
 def _loose_marks(results: NetworkResults) -> dict[str, list[PhotoMarks]]:
