@@ -32,6 +32,7 @@ class SampleFlag(IntFlag):
     BEHIND_TUBE = 1 << 18
     NOT_COVERED = 1 << 19
     UNCERTAIN = 1 << 20
+    COARSE_CENTER = 1 << 21
 
 
 FLAG_TEXTS: dict[SampleFlag, str] = {
@@ -55,11 +56,12 @@ FLAG_TEXTS: dict[SampleFlag, str] = {
     SampleFlag.BEYOND_TUBE: "it reflects what is beyond the absorber's end or at a support",
     SampleFlag.BEHIND_TUBE: "the receiver hides it from all cameras that would see the tube there",
     SampleFlag.NOT_COVERED: "no camera was where it would show the tube's edge",
+    SampleFlag.COARSE_CENTER: "no blurred disc: its centre is that of its outline, with a larger sigma",
     SampleFlag.UNCERTAIN: "too uncertain: no edge of the reflection near enough",
 }
 
 #: Bits that leave a sample without a value.
-_USABLE = SampleFlag.SMOOTHED_GAP | SampleFlag.CLIPPED
+_USABLE = SampleFlag.SMOOTHED_GAP | SampleFlag.CLIPPED | SampleFlag.COARSE_CENTER
 REJECTED = SampleFlag(sum(flag for flag in SampleFlag if flag not in _USABLE))
 
 

@@ -122,6 +122,57 @@ def plan_command(
     )
 
 
+@app.command("targets")
+def targets_command(
+    photos: Annotated[
+        list[Path], typer.Argument(metavar="PHOTO...", help="Photos, or folders of them.", show_default=False)
+    ],
+    out: Annotated[Path, typer.Option("-o", "--out", metavar="DIR", help="Folder for the results.")] = Path(
+        "targets-read"
+    ),
+    dictionary: Annotated[
+        str,
+        typer.Option(
+            help="Ring codes aicon-N or metashape-N (N bits), a file with your own (CSV, TOML), or OpenCV's marker "
+            "dictionary DICT_..."
+        ),
+    ] = "aicon-12",
+    sense: Annotated[
+        Literal["clockwise", "counterclockwise"] | None,
+        typer.Option(help="Sense of the printed codes; default: the dictionary's."),
+    ] = None,
+    polarity: Annotated[
+        Literal["black-on-white", "white-on-black", "both"], typer.Option(help="Which is printed on which.")
+    ] = "both",
+    smallest_px: Annotated[float, typer.Option(min=3.0, help="Smallest diameter of a dot.")] = 6.0,
+    largest_px: Annotated[float, typer.Option(min=6.0, help="Largest diameter of a dot.")] = 300.0,
+    jobs: Jobs = None,
+    force: Force = False,
+    no_report: NoReport = False,
+    as_json: AsJson = False,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+) -> None:
+    """Read the targets of single photos, without a network: targets.csv, overlays with what was read and refused."""
+    from heliogauge.running.terminal import terminal_progress
+    from photogrammetry.keys.targets import TargetsSection
+    from photogrammetry.pipeline.single_photos import read_single_photos
+
+    section = TargetsSection(
+        dictionary=dictionary, sense=sense, polarity=polarity, smallest_px=smallest_px, largest_px=largest_px
+    )
+    progress = terminal_progress(quiet=quiet, verbose=verbose)
+    deliver(
+        out,
+        lambda: read_single_photos(photos, section, jobs=jobs, progress=progress),
+        progress,
+        force=force,
+        quiet=quiet,
+        report=not no_report,
+        as_json=as_json,
+    )
+
+
 @app.command("sheets")
 def sheets_command(
     out: Annotated[Path, typer.Option("-o", "--out", metavar="DIR", help="Folder to write.", show_default=False)],

@@ -31,6 +31,7 @@ INSTRUMENT = Instrument(
     reports={
         "photogrammetry": "photogrammetry.report:report.ipynb",
         "photogrammetry-plan": "photogrammetry.report:report_plan.ipynb",
+        "photogrammetry-targets": "photogrammetry.report:report_targets.ipynb",
     },
     synth="data_synth.preset_folders:photogrammetry",
     synth_command="data_synth.cli:photogrammetry",

@@ -68,17 +68,37 @@ class _Tile:
         return np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64)
 
 
-def draw_sheets(light: Float32Array, view: View, sheets: Sequence[Sheet], blur_sigma_px: float = 0.0) -> None:
+@dataclass(frozen=True, slots=True)
+class Focus:
+    """What a lens blurs, as a Gaussian.
+
+    blur_sigma_px: Blur of what is in focus [px].
+    distance_m: Depth that is in focus [m].
+    defocus_px_m: Standard deviation of the disc of confusion, per difference of 1 / depth; 0: all is in focus [px m].
+    """
+
+    blur_sigma_px: float = 0.0
+    distance_m: float = 1.0
+    defocus_px_m: float = 0.0
+
+    def sigma_px(self, depth_m: float) -> float:
+        """Return the blur of what lies at a depth [px]."""
+        return float(np.hypot(self.blur_sigma_px, self.defocus_px_m * (1 / depth_m - 1 / self.distance_m)))
+
+
+def draw_sheets(light: Float32Array, view: View, sheets: Sequence[Sheet], blur: float | Focus = 0.0) -> None:
     """Draw printed sheets over what is already in the image.
 
     light (height_px, width_px): Light on the pixels, changed in place; what it holds lies behind the sheets.
     view: Camera and pose.
     sheets: The sheets; nearer ones hide farther ones.
-    blur_sigma_px: Gaussian blur of the lens [px].
+    blur: Gaussian blur of the lens, one for all sheets or by their depth [px].
     """
+    focus = blur if isinstance(blur, Focus) else Focus(blur)
     depth = [view.cam_from_world.apply(sheet.world_from_sheet.translation_m)[2] for sheet in sheets]
     for index in np.argsort(depth)[::-1]:
         sheet = sheets[index]
+        blur_sigma_px = focus.sigma_px(float(depth[index])) if depth[index] > 0 else 0.0
         for tile in _tiles(view, sheet, blur_sigma_px):
             share, bright = _render(view, sheet, tile, blur_sigma_px)
             part = light[tile.top : tile.top + tile.height, tile.left : tile.left + tile.width]

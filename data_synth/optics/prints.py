@@ -44,11 +44,16 @@ class RingPrint:
 
     diameter_m: Diameter of the dot [m].
     mirrored: Printed the wrong way round.
+    hole_radii: Radius of a hole without ink in the middle of the dot, in radii of the dot.
+    cross_radii: Half length of a cross without ink in the middle of the dot, in radii of the dot; its bars are a fifth
+        of that wide, to either side.
     """
 
     code: RingCode
     diameter_m: float
     mirrored: bool = False
+    hole_radii: float = 0.0
+    cross_radii: float = 0.0
 
     @property
     def half_size_m(self) -> tuple[float, float]:
@@ -74,6 +79,10 @@ class RingPrint:
         radius = self.diameter_m / 2
         distance = np.hypot(x_m, y_m)
         share = disc_coverage(x_m, y_m, distance, radius, cell)
+        if self.hole_radii:
+            share -= disc_coverage(x_m, y_m, distance, self.hole_radii * radius, cell)
+        if self.cross_radii:
+            share *= 1 - _cross(x_m, y_m, self.cross_radii * radius, cell)
         inner, outer = self.code.radii.inner * radius, self.code.radii.outer * radius
         ring: BoolArray = (distance > inner - cell.reach_m) & (distance < outer + cell.reach_m)
         x, y, at = x_m[ring], y_m[ring], distance[ring]
@@ -94,6 +103,16 @@ class RingPrint:
         covered = cell.covered(past[near], -np.sin(angle[near]), -np.cos(angle[near]))
         share[near] = before[near] + (after[near] - before[near]) * covered
         return share
+
+
+def _cross(x_m: Float32Array, y_m: Float32Array, half_m: float, cell: Footprint) -> Float32Array:
+    """Return the share of each cell in an upright cross about the origin."""
+    long, narrow = (-half_m, half_m), (-half_m / 5, half_m / 5)
+    bars = [
+        strip_coverage(x_m, across, True, cell) * strip_coverage(y_m, up, False, cell)
+        for across, up in ((long, narrow), (narrow, long))
+    ]
+    return np.asarray(np.maximum(*bars), dtype=np.float32)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -16,7 +16,7 @@ from data_synth.targets.scene import Conditions, Cover, Glare, KnownLength, Targ
 from heliogauge.errors import InputError
 from heliogauge.geometry.rigid import RigidTransform, rotation_from_vector
 from heliogauge.validate import FloatArray
-from photogrammetry.targets import RingCode, ring_dictionary
+from photogrammetry.targets import RingCode, RingRadii, ring_dictionary
 
 SMALL_CAMERA = PinholeCamera(1600, 1200, 1510.0, 1508.0, 806.0, 593.0, -0.08, 0.06, 0.0, 2e-4, -3e-4)
 #: 24 megapixel, full frame, 24 mm.
@@ -33,11 +33,17 @@ class PrintChoice:
     dictionary: Name of the dictionary; the preset's if absent.
     light_on_dark: White ink on black paper.
     mirrored: Printed the wrong way round.
+    radii: Where the code rings lie; the dictionary's if absent.
+    hole_radii: Radius of a hole in the middle of each dot, in radii of the dot.
+    cross_radii: Half length of a cross without ink in the middle of each dot, in radii of the dot.
     """
 
     dictionary: str | None = None
     light_on_dark: bool = False
     mirrored: bool = False
+    radii: RingRadii | None = None
+    hole_radii: float = 0.0
+    cross_radii: float = 0.0
 
 
 def target_scene(preset: str, seed: int = 0, prints: PrintChoice | None = None) -> TargetScene:
@@ -87,9 +93,12 @@ def dome_views(
     return tuple(views)
 
 
-def _ring_sheet(code: RingCode, diameter_m: float, place: RigidTransform, prints: PrintChoice) -> Sheet:
+def ring_sheet(code: RingCode, diameter_m: float, place: RigidTransform, prints: PrintChoice) -> Sheet:
+    """Return the sheet of one ring code as it is printed."""
     ink, paper = (0.85, 0.05) if prints.light_on_dark else (0.05, 0.85)
-    return Sheet(code.name, RingPrint(code, diameter_m, prints.mirrored), place, ink, paper)
+    as_printed = code if prints.radii is None else replace(code, radii=prints.radii)
+    figure = RingPrint(as_printed, diameter_m, prints.mirrored, prints.hole_radii, prints.cross_radii)
+    return Sheet(code.name, figure, place, ink, paper)
 
 
 def _panel_places(
@@ -128,7 +137,7 @@ def _small(rng: np.random.Generator, prints: PrintChoice) -> TargetScene:
     places = _panel_places((8, 5), (1.6, 1.2), 1.5, rng)
     if len(codes) < len(places):
         raise InputError(f"dictionary {name} has {len(codes)} codes, {len(places)} targets need one each")
-    sheets = [_ring_sheet(code, 0.014, place, prints) for code, place in zip(codes, places, strict=False)]
+    sheets = [ring_sheet(code, 0.014, place, prints) for code, place in zip(codes, places, strict=False)]
     # Between four coded targets each, so that no paper hides another.
     dots = (i for i in range(32) if i % 8 in (1, 4, 6))
     for number, k in enumerate(dots):
@@ -145,7 +154,7 @@ def _panel(rng: np.random.Generator, prints: PrintChoice) -> TargetScene:
     places = _panel_places((20, 15), (8.0, 6.0), 2.5, rng)
     if len(codes) < len(places):
         raise InputError(f"dictionary {name} has {len(codes)} codes, {len(places)} targets need one each")
-    sheets = tuple(_ring_sheet(code, 0.02, place, prints) for code, place in zip(codes, places, strict=False))
+    sheets = tuple(ring_sheet(code, 0.02, place, prints) for code, place in zip(codes, places, strict=False))
     scene = TargetScene("8 m panel", sheets, dome_views(LARGE_CAMERA, 9.5, 40, (20.0, 38.0, 50.0), rng))
     return _with_bars(replace(scene, dictionary=name), ((124, 132), (164, 172), (90, 210)), rng)
 
@@ -169,7 +178,7 @@ def _single(rng: np.random.Generator, prints: PrintChoice) -> TargetScene:
         azimuth, tilt = rng.uniform(0, 2 * np.pi), np.radians(rng.uniform(0, 65))
         tilted = rotation_from_vector(np.array([np.cos(azimuth), np.sin(azimuth), 0.0]) * tilt)
         turn = rotation_from_vector(np.array([0.0, 0.0, rng.uniform(0, 2 * np.pi)]))
-        sheets.append(_ring_sheet(code, diameter, RigidTransform(facing @ tilted @ turn, place), prints))
+        sheets.append(ring_sheet(code, diameter, RigidTransform(facing @ tilted @ turn, place), prints))
     return TargetScene("one photo", tuple(sheets), (view,), dictionary=name)
 
 
@@ -224,7 +233,7 @@ def _natural(rng: np.random.Generator, prints: PrintChoice) -> TargetScene:
     for k, code in enumerate(ring_dictionary(name).codes[:6]):
         row, column = divmod(k, 3)
         place = np.array([(column - 1) * 0.5, (row - 0.5) * 0.5, rng.uniform(-0.02, 0.02)])
-        sheets.append(_ring_sheet(code, 0.028, RigidTransform(np.eye(3), place), prints))
+        sheets.append(ring_sheet(code, 0.028, RigidTransform(np.eye(3), place), prints))
     views = dome_views(SMALL_CAMERA.scaled(0.5), 2.3, 8, (24.0, 36.0), rng)
     return _with_bars(TargetScene("textured tiles", tuple(sheets), views, dictionary=name), ((12, 17), (14, 15)), rng)
 

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from data_synth.optics.photo import View, draw_sheets
+from data_synth.optics.photo import Focus, View, draw_sheets
 from data_synth.optics.prints import DotGridPrint, DotPrint, RingPrint
 from data_synth.optics.sensor import Sensor, UnsignedArray
 from data_synth.optics.sheets import Sheet
@@ -46,11 +46,40 @@ class Cover:
     light: float = 0.12
 
 
+@dataclass(frozen=True, slots=True)
+class Sharpening:
+    """What a camera's program adds to a photo: its difference from a blurred copy.
+
+    amount: Share of the difference that is added; 1 to 2 is usual, and gives halos of a tenth to a third of an edge.
+    sigma_px: Blur of the copy [px].
+    """
+
+    amount: float
+    sigma_px: float = 1.5
+
+
+@dataclass(frozen=True, slots=True)
+class ScreenPixels:
+    """The pixels of a display, as far as a photo resolves them: with the photo's own they beat, which is moire.
+
+    pitch_px: Distance of the display's pixels in the photo; near 1 or below, they are seen as their beat [px].
+    modulation: Amplitude of their brightness, as a share of the light.
+    turn_rad: Turn of their rows against the photo's [rad].
+    """
+
+    pitch_px: float
+    modulation: float
+    turn_rad: float = 0.03
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Conditions:
     """Light, lens and sensor of all photos.
 
     blur_sigma_px: Gaussian blur of the lens [px].
+    focus: What lies at other depths is blurred more; None: the same blur at all depths.
+    sharpening: What the camera's program adds; None: nothing.
+    screen: The targets are shown on a display; None: they are printed.
     ground: Brightness of what is behind the sheets.
     clutter: Contrast of a busy background, 0 for a plain one.
     vignetting: Loss of light in the corners.
@@ -67,6 +96,9 @@ class Conditions:
     gradient: tuple[float, float] = (0.1, -0.06)
     glares: tuple[Glare, ...] = ()
     covers: tuple[Cover, ...] = ()
+    focus: Focus | None = None
+    sharpening: Sharpening | None = None
+    screen: ScreenPixels | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -213,12 +245,16 @@ def render_photo(scene: TargetScene, view: View, rng: np.random.Generator) -> Un
     light = np.full((camera.height_px, camera.width_px), conditions.ground, dtype=np.float32)
     if conditions.clutter:
         _add_clutter(light, conditions.clutter, rng)
-    draw_sheets(light, view, scene.sheets, conditions.blur_sigma_px)
+    draw_sheets(light, view, scene.sheets, conditions.focus or conditions.blur_sigma_px)
+    if conditions.screen is not None:
+        _add_screen(light, conditions.screen)
     _shade(light, conditions)
     for cover in conditions.covers:
         _add_cover(light, cover)
     for glare in conditions.glares:
         _add_glare(light, glare)
+    if conditions.sharpening is not None:
+        _sharpen(light, conditions.sharpening)
     return conditions.sensor.expose(light, rng)
 
 
@@ -264,6 +300,19 @@ def _add_glare(light: Float32Array, glare: Glare) -> None:
     x = np.exp(-0.5 * ((np.arange(width) - glare.place[0] * width) / sigma) ** 2).astype(np.float32)
     y = np.exp(-0.5 * ((np.arange(height) - glare.place[1] * height) / sigma) ** 2).astype(np.float32)
     light += np.float32(glare.light) * y[:, None] * x[None, :]
+
+
+def _add_screen(light: Float32Array, screen: ScreenPixels) -> None:
+    """Multiply by the display's pixels at the middles of the photo's: what is finer than these is aliased."""
+    height, width = light.shape
+    x, y = np.arange(width, dtype=np.float32), np.arange(height, dtype=np.float32)[:, None]
+    wave = 2 * np.pi / screen.pitch_px
+    c, s = np.float32(wave * np.cos(screen.turn_rad)), np.float32(wave * np.sin(screen.turn_rad))
+    light *= 1 + np.float32(screen.modulation / 2) * (np.cos(c * x + s * y) + np.cos(c * y - s * x))
+
+
+def _sharpen(light: Float32Array, sharpening: Sharpening) -> None:
+    light += np.float32(sharpening.amount) * (light - cv2.GaussianBlur(light, (0, 0), sharpening.sigma_px))
 
 
 def _add_clutter(light: Float32Array, contrast: float, rng: np.random.Generator) -> None:

@@ -85,12 +85,15 @@ def write_failure(folder: Path, error: MetrologyError) -> Path | None:
     return folder / PAGE
 
 
-def grey_of(image: npt.NDArray[np.generic] | bytes) -> npt.NDArray[np.uint8]:
-    """Return an image or a JPEG file as grey values from black to white, not larger than is looked at."""
+def grey_of(image: npt.NDArray[np.generic] | bytes, most_px: int = _MOST_PIXELS) -> npt.NDArray[np.uint8]:
+    """Return an image or a JPEG file as grey values from black to white, not larger than is looked at.
+
+    most_px: Longer side of the largest picture; a JPEG file stays as it is [px].
+    """
     if isinstance(image, bytes):
         return np.asarray(cv2.imdecode(np.frombuffer(image, np.uint8), cv2.IMREAD_GRAYSCALE), dtype=np.uint8)
     values = np.asarray(image, dtype=np.float32)
-    share = min(_MOST_PIXELS / max(values.shape), 1.0)
+    share = min(most_px / max(values.shape), 1.0)
     if share < 1.0:
         values = np.asarray(cv2.resize(values, None, fx=share, fy=share, interpolation=cv2.INTER_AREA))
     known = values[np.isfinite(values)]

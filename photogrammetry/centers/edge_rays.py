@@ -34,7 +34,7 @@ class Outlines:
 
 
 def outlines_along_rays(
-    pyramid: Pyramid, centers_px: FloatArray, shapes_px2: FloatArray, middle_dn: FloatArray
+    pyramid: Pyramid, centers_px: FloatArray, shapes_px2: FloatArray, middle_dn: FloatArray, dark: BoolArray
 ) -> Outlines:
     """Find where rays leave spots, and fit an ellipse to each.
 
@@ -42,6 +42,7 @@ def outlines_along_rays(
     centers_px (n, 2): Starts: centres [px].
     shapes_px2 (n, 2, 2): Starts: shape matrices [px^2].
     middle_dn (n,): Level half way between inside and outside [DN].
+    dark (n,): Whether the spot is darker than its ground.
     Returns: One for each start, found or not.
     """
     centers, shapes = centers_px.copy(), shapes_px2.copy()
@@ -53,7 +54,7 @@ def outlines_along_rays(
         radii = np.linspace(low, high, samples)
         rays = (circle.T[:, :, None] * radii).reshape(2, -1)
         values = pyramid.around(centers, shapes, rays).reshape(-1, _RAYS, samples)
-        edges, seen = _first_crossing(values, middle_dn, radii)
+        edges, seen = _first_crossing(values, middle_dn, dark, radii)
         conic, ok = _fit(edges, seen, circle)
         off = np.abs(_distance(conic, edges, circle))
         known = np.where(seen, off, np.nan)
@@ -73,11 +74,16 @@ def outlines_along_rays(
     return Outlines(centers, shapes, rms, found)
 
 
-def _first_crossing(values: Float32Array, middle: FloatArray, radii: FloatArray) -> tuple[FloatArray, BoolArray]:
-    """Radius at which each ray first crosses the middle level on its way out, and whether it does."""
-    above = values - middle[:, None, None]
-    changes = (above[..., 1:] > 0) != (above[..., :-1] > 0)
-    seen = changes.any(axis=2)
+def _first_crossing(
+    values: Float32Array, middle: FloatArray, dark: BoolArray, radii: FloatArray
+) -> tuple[FloatArray, BoolArray]:
+    """Radius at which each ray first leaves the spot's side of the middle level, and whether it does.
+
+    It enters it before where the spot has a hole.
+    """
+    above = np.where(dark, 1.0, -1.0)[:, None, None] * (values - middle[:, None, None])
+    changes = np.asarray((above[..., 1:] > 0) & (above[..., :-1] <= 0))
+    seen = np.asarray(changes.any(axis=2))
     at = changes.argmax(axis=2)[..., None]
     before = np.take_along_axis(above, at, axis=2)[..., 0]
     after = np.take_along_axis(above, at + 1, axis=2)[..., 0]

@@ -36,7 +36,7 @@ class TargetCenter(ShortRepr):
     inside_dn: Level inside [DN].
     blur_px: Width of the edge as the standard deviation of a Gaussian, without the pixel's own width [px].
     residual_dn: Rms of what the model leaves, per degree of freedom [DN].
-    n_samples: Pixels used.
+    n_samples: Pixels used; 0 for the centre of an outline, which has neither blur nor residual.
     """
 
     ellipse: Ellipse
@@ -51,6 +51,11 @@ class TargetCenter(ShortRepr):
     def center_px(self) -> FloatArray:
         """The centre (x, y), shape (2,) [px]."""
         return self.ellipse.center_px
+
+    @property
+    def is_coarse(self) -> bool:
+        """Whether this is the centre of an outline, because no blurred disc fits the pixels."""
+        return self.n_samples == 0
 
     @property
     def sigma_px(self) -> float:

@@ -1,49 +1,79 @@
 """Read ring codes, and refuse what only happens to read like one.
 
 A dictionary by itself admits false codes: a third of all 12-bit words are in it. A ring is therefore read only if it is
-one: an even gap, a code ring whose inked sectors begin and end at the radii of the print, as black as the dot and as
-white as the gap, with all borders where sectors have them. All rings of a photo are sampled and judged at once.
+one: an even gap of the ground's colour, sectors that divide the circle evenly, two levels and nothing between but
+what blur makes of an edge, ground beyond, and radii like those of the other rings of the photo. Where a sheet has its
+rings is not assumed: it is what its rings agree on.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from functools import lru_cache
+from math import erf, sqrt
 from typing import NamedTuple
 
 import numpy as np
 
-from heliogauge.validate import BoolArray, Float32Array, FloatArray, IntArray
+from heliogauge.short_repr import ShortRepr
+from heliogauge.validate import BoolArray, FloatArray, IntArray
 from photogrammetry.centers.ellipse import Ellipse
 from photogrammetry.centers.pyramid import Pyramid
+from photogrammetry.detection.ring_profiles import ANGLES_PER_SECTOR, RingProfiles, sample_rings
 from photogrammetry.targets.coded_targets import RingDictionary
-from photogrammetry.targets.ring_codes import VENDOR_RADII, RingCode, RingRadii
+from photogrammetry.targets.ring_codes import (
+    FEWEST_BITS,
+    LEAST_INNER_RADIUS,
+    LEAST_RING_WIDTH,
+    MOST_BITS,
+    VENDOR_RADII,
+    RingCode,
+    RingRadii,
+)
 
-#: Samples for each sector, and in this share of a sector about its middle its level is taken.
-_ANGLES_PER_SECTOR, _MIDDLE = 12, 0.6
-#: Radius of the ring on which the dot's own level is taken, and distance of the samples along the radius [radii].
-_DOT_RADIUS, _RADIAL_STEP = 0.4, 0.1
-#: Parts of gap and ring in which the level is taken, and how far the quiet zone beyond the ring is looked at.
+#: Parts of gap and ring in which the level is taken, and how far the quiet zone beyond the ring is looked at [radii].
 _GAP_PART, _RING_PART, _BEYOND_RADII = (0.35, 0.65), (0.25, 0.75), (0.25, 0.5)
+#: Share of the circle that may be in glare or under a neighbour in gap and quiet zone.
+_SPOILT_SHARE = 0.2
+#: Blurs of the sectors' borders with which profiles are compared [sectors]. Wider ones fit anything.
+_BLURS = (0.04, 0.15, 0.3, 0.45, 0.6)
+#: Trials of the phase for each sample.
+_PHASES_PER_SAMPLE = 2
+#: Spread of the radii of one sheet's rings: relative, and that of an edge of ring or dot [px]. On 420 drawn rings of
+#: dots of 8 px and more, 98 % lie within 3 of these standard deviations.
+_OWN_SPREAD, _EDGE_PX = 0.02, 0.4
+#: Distance of a ring's radii from the sheet's, in standard deviations, from which it belongs to another.
+_MOST_SIGMAS = 4.0
+#: Blur of a dot's edge from which a narrow ring has no half height of its own: a gap of one radius is two sigmas then.
+_BLURRED_RADII = 0.33
+#: Rings of different codes that make a family of radii beside the photo's first.
+_MEMBERS = 3
+#: Radius of the dot from which a single ring may have radii that no other ring of the photo has [px].
+_ALONE_PX = 5.0
+#: Rings divide otherwise than the dictionary says if the rms misfit is at least so many times smaller then; and of
+#: several divisions the coarsest one counts whose misfit is within this factor of the least, because twice as many
+#: always fit.
+_CLEARLY_BETTER, _AS_GOOD = 2.0, 1.3
 
 
 @dataclass(frozen=True, slots=True)
 class RingLimits:
-    """How good a ring must be to be read.
+    """How good a ring must be to be read; all in shares of the contrast of ink and ground.
 
-    least_contrast: Darkest blank against lightest inked sector, as a share of the dot's contrast.
-    most_gap_unevenness: Rms of the gap's grey values about a plane, as a share of the dot's contrast.
-    most_border_error: Rms distance of the borders between sectors from an even division, in sectors.
-    most_radial_error: Distance of the ring's inner and outer border from where the print has them, in radii of the
-        dot.
-    most_misfit: Rms of ink away from all borders against the code read, as a share of the dot's contrast.
+    least_contrast, most_contrast: Contrast of the ring's sectors, as a share of the dot's.
+    most_misfit: Rms of the ring's ink round the circle against the code read, blurred as the dot's edge is.
+    most_gap, most_beyond: Rms of the ink in gap and quiet zone that neither a plane nor bleeding sectors explain,
+        on the best four fifths of the circle.
+    most_level: Mean ink in gap and quiet zone.
 
-    Measured on busy ground: docs/explanation/target_detection.md.
+    Measured on drawn prints and on photos without codes: docs/explanation/target_detection.md.
     """
 
-    least_contrast: float = 0.3
-    most_gap_unevenness: float = 0.12
-    most_border_error: float = 0.13
-    most_radial_error: float = 0.3
-    most_misfit: float = 0.25
+    least_contrast: float = 0.4
+    most_contrast: float = 1.35
+    most_misfit: float = 0.2
+    most_gap: float = 0.14
+    most_beyond: float = 0.18
+    most_level: float = 0.5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,182 +83,371 @@ class RingReading:
     code: The code if the target is seen as printed; None if the word is in no dictionary.
     mirrored: The code of the mirror image.
     sectors: Ink of the sectors, clockwise in the image.
-    contrast: Lightest inked against darkest blank sector, as a share of the dot's contrast.
-    gap_unevenness: Rms of the gap about a plane, as a share of the dot's contrast.
-    border_error: Rms distance of the borders between sectors from an even division [sectors].
-    radial_error: Larger distance of the ring's inner and outer border from where the print has them [radii].
-    misfit: Rms of ink away from all borders against the code, as a share of the dot's contrast.
+    inner, outer: Where the ring begins and ends, in radii of the dot; NaN where it is too blurred to be said.
+    contrast, misfit, gap, beyond: As in `RingLimits`.
     """
 
     code: RingCode | None
     mirrored: RingCode | None
     sectors: tuple[bool, ...]
+    inner: float
+    outer: float
     contrast: float
-    gap_unevenness: float
-    border_error: float
-    radial_error: float
     misfit: float
+    gap: float
+    beyond: float
 
-    def within(self, limits: RingLimits) -> bool:
-        """Return whether this is a ring.
-
-        limits: How good it must be.
-        Returns: All measures keep their limits.
-        """
-        return (
-            self.contrast >= limits.least_contrast
-            and self.gap_unevenness <= limits.most_gap_unevenness
-            and self.border_error <= limits.most_border_error
-            and self.radial_error <= limits.most_radial_error
-            and self.misfit <= limits.most_misfit
-        )
-
-
-def read_rings(
-    pyramid: Pyramid, dots: Sequence[Ellipse], dictionary: RingDictionary, limits: RingLimits | None = None
-) -> tuple[RingReading | None, ...]:
-    """Read the code rings round all dots of a photo.
-
-    dots: Outlines of the dots in the photo's pixels.
-    dictionary: The codes that may occur, and the radii of their rings.
-    limits: How good a ring must be.
-    Returns: One for each dot; None if there is no ring, or not all of it in the photo; a reading without a code if
-        there is a ring whose word no dictionary holds.
-    """
-    found: list[RingReading | None] = [None] * len(dots)
-    if not dots:
-        return ()
-    allowed = limits or RingLimits()
-    shapes, centers = np.array([dot.shape_px2 for dot in dots]), np.array([dot.center_px for dot in dots])
-    radii = _Radii.of(dictionary.radii)
-    half = (radii.all[-1]) * np.sqrt(np.diagonal(shapes, axis1=1, axis2=2))
-    inside = ((centers - half > 0) & (centers + half < np.array(pyramid.size_px) - 1)).all(axis=1)
-    at = np.flatnonzero(inside)
-    ink, unevenness = _ink(pyramid, shapes[at], centers[at], dictionary.n_bits * _ANGLES_PER_SECTOR, radii)
-    even = unevenness <= allowed.most_gap_unevenness
-    at, ink, unevenness = at[even], ink[even], unevenness[even]
-    profile = ink[:, radii.code].mean(axis=1)
-    phase, border_error, crossings = _find_borders(profile)
-    position = (np.arange(profile.shape[1]) / _ANGLES_PER_SECTOR - phase[:, None]) % dictionary.n_bits
-    sector = np.minimum(position.astype(np.intp), dictionary.n_bits - 1)
-    middle = np.abs(position - sector - 0.5) < 0.5 * _MIDDLE
-    levels = _sector_levels(profile, sector, middle, dictionary.n_bits)
-    bits = levels > 0.5
-    inked = np.take_along_axis(bits, sector, axis=1)
-    contrast = np.where(bits, levels, np.inf).min(axis=1) - np.where(bits, -np.inf, levels).max(axis=1, initial=0.0)
-    radial_error = _radial_error(ink, inked & middle, radii)
-    misfit = _misfit(ink, inked, middle, radii)
-    whole = bits.all(axis=1) & dictionary.has_full_ring
-    settled = (np.count_nonzero(bits != np.roll(bits, 1, axis=1), axis=1) == crossings) & ((crossings >= 2) | whole)
-    for k in np.flatnonzero(settled).tolist():
-        word = tuple(bits[k].tolist())
-        measures = (contrast[k], unevenness[k], border_error[k], radial_error[k], misfit[k])
-        reading = RingReading(None, None, word, *map(float, measures))
-        if reading.within(allowed):
-            known = dictionary.read(word)
-            found[at[k]] = replace(reading, code=known.code, mirrored=known.mirrored)
-    return tuple(found)
+    def cost(self, limits: RingLimits) -> float:
+        """Return how far this is from a perfect ring: the squares of its measures in units of their limits."""
+        shares = (self.misfit / limits.most_misfit, self.gap / limits.most_gap, self.beyond / limits.most_beyond)
+        return float(np.square(shares).sum())
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Radii:
-    """Radii at which rings are sampled, the first one in the dot, and which of them are where."""
+class RingReadings(ShortRepr):
+    """What was read round all dots of a photo.
 
-    print: RingRadii
-    all: FloatArray
-    gap: BoolArray
-    code: BoolArray
-    beyond: BoolArray
+    rings: One for each dot; None if there is no ring, or not all of it in the photo; a reading without a code if
+    there is
+        a ring whose word no dictionary holds.
+    refused: Why a ring that reads like a code is none, by the number of its dot.
+    radii: Where the photo's rings lie, those of most rings first; empty without rings.
+    fitting_bits: Number of sectors into which the rings divide, where it is clearly another than the dictionary's.
+    """
+
+    rings: tuple[RingReading | None, ...]
+    refused: dict[int, str]
+    radii: tuple[RingRadii, ...]
+    fitting_bits: int | None
+
+
+def read_rings(
+    pyramid: Pyramid,
+    dots: Sequence[Ellipse],
+    dictionary: RingDictionary,
+    limits: RingLimits | None = None,
+    radii: RingRadii | None = None,
+) -> RingReadings:
+    """Read the code rings round all dots of a photo.
+
+    dots: Outlines of the dots in the photo's pixels.
+    dictionary: The codes that may occur.
+    limits: How good a ring must be.
+    radii: Where the rings lie; found from the photo's own rings if absent.
+    """
+    if not dots:
+        return RingReadings((), {}, (), None)
+    allowed = limits or RingLimits()
+    shapes, centers = np.array([dot.shape_px2 for dot in dots]), np.array([dot.center_px for dot in dots])
+    sizes = np.sqrt(np.sqrt(np.maximum(np.linalg.det(shapes), 0.0)))
+    n_bits = dictionary.n_bits
+    profiles = sample_rings(pyramid, shapes, centers, n_bits * ANGLES_PER_SECTOR)
+    own = _Rings.measured(profiles, profiles.inner, profiles.outer, n_bits, dictionary.has_full_ring)
+    spread = np.hypot(_OWN_SPREAD, _EDGE_PX / (sizes * np.nan_to_num(profiles.inner, nan=VENDOR_RADII.inner)))
+    families = (radii,) if radii is not None else _families(profiles, own, sizes, spread, dictionary, allowed)
+    found: list[RingReading | None] = [None] * len(dots)
+    refused: dict[int, str] = {}
+    good = own.within(allowed)
+    near = np.zeros(len(dots), dtype=np.bool_)
+    for family in families:
+        off = _sigmas_off(profiles, family, spread)
+        # A ring that is too blurred to have radii of its own is read where the family has them.
+        again = _Rings.measured(
+            profiles,
+            np.full(len(dots), family.inner),
+            np.full(len(dots), family.outer),
+            n_bits,
+            dictionary.has_full_ring,
+        )
+        blurred = np.isnan(off) & (profiles.edge > _BLURRED_RADII)
+        fits = again.within(allowed) & ~near & ((off < _MOST_SIGMAS) | blurred)
+        for k in np.flatnonzero(fits).tolist():
+            found[k] = again.reading(k, dictionary, profiles)
+        own_fits = good & ~near & ~fits & (off < _MOST_SIGMAS)
+        for k in np.flatnonzero(own_fits).tolist():
+            found[k] = own.reading(k, dictionary, profiles)
+        near |= fits | own_fits
+    for k in np.flatnonzero(good & ~near).tolist():
+        reading = own.reading(k, dictionary, profiles)
+        if reading.code is not None:
+            place = f"its code ring lies at {reading.inner:.2f} to {reading.outer:.2f} radii of its dot"
+            usual = f"those of the photo at {families[0].inner:.2f} to {families[0].outer:.2f}" if families else ""
+            refused[k] = f"{place}, {usual or 'and no other ring of the photo confirms that'}"
+    _leave_inside_out(found, refused, shapes, centers, families, allowed)
+    bits = _fitting_bits(profiles, own, families, spread, n_bits, allowed)
+    return RingReadings(tuple(found), refused, tuple(families), bits)
+
+
+def _leave_inside_out(
+    found: list[RingReading | None],
+    refused: dict[int, str],
+    shapes: FloatArray,
+    centers: FloatArray,
+    families: Sequence[RingRadii],
+    limits: RingLimits,
+) -> None:
+    """Leave out what lies within the ring of a better target: pieces of ring and gap are spots, too.
+
+    Of two targets of which each lies in the other's ring the one with the cleaner ring stays; no two prints overlap.
+    """
+    rows = [k for k, one in enumerate(found) if one is not None] + list(refused)
+    costs = {k: one.cost(limits) if (one := found[k]) is not None else np.inf for k in rows}
+    inverse = np.linalg.inv(shapes[rows]) if rows else np.zeros((0, 2, 2))
+    usual = families[0].outer if families else VENDOR_RADII.outer
+    kept: list[int] = []
+    for place in sorted(range(len(rows)), key=lambda place: costs[rows[place]]):
+        k = rows[place]
+        for other in kept:
+            one = found[rows[other]]
+            radius = one.outer if one is not None and np.isfinite(one.outer) else usual
+            off = centers[k] - centers[rows[other]]
+            if off @ inverse[other] @ off < radius**2:
+                found[k] = None
+                refused.pop(k, None)
+                break
+        else:
+            kept.append(place)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Rings:
+    """Rings round n dots, read at given radii; misfit is infinite where there is none."""
+
+    bits: BoolArray
+    contrast: FloatArray
+    misfit: FloatArray
+    gap: FloatArray
+    beyond: FloatArray
+    level: FloatArray
 
     @classmethod
-    def of(cls, radii: RingRadii) -> "_Radii":
-        gap, width = radii.inner - 1, radii.outer - radii.inner
-        every = np.arange(1 + 0.3 * gap, radii.outer + _BEYOND_RADII[1] + 0.01, _RADIAL_STEP)
-        every = np.concatenate([[_DOT_RADIUS], every])
-        return cls(
-            radii,
-            every,
-            (every > 1 + _GAP_PART[0] * gap) & (every < 1 + _GAP_PART[1] * gap),
-            (every > radii.inner + _RING_PART[0] * width) & (every < radii.inner + _RING_PART[1] * width),
-            every > radii.outer + _BEYOND_RADII[0],
+    def measured(
+        cls, profiles: RingProfiles, inner: FloatArray, outer: FloatArray, n_bits: int, whole: bool
+    ) -> "_Rings":
+        count = len(inner)
+        found = cls(
+            np.zeros((count, n_bits), dtype=np.bool_),
+            np.zeros(count),
+            *(np.full(count, np.inf) for _ in range(4)),
+        )
+        rows = np.flatnonzero(np.isfinite(inner) & (outer < profiles.reach) & np.isfinite(profiles.step_dn))
+        if not rows.size:
+            return found
+        part, low, high = profiles.chosen(rows), inner[rows], outer[rows]
+        width = high - low
+        profile = part.band(low + _RING_PART[0] * width, low + _RING_PART[1] * width)
+        blur = part.edge / (0.5 * (low + high)) * (n_bits / (2 * np.pi))
+        sectors = _read_sectors(profile, blur, n_bits)
+        found.bits[rows], found.contrast[rows], found.misfit[rows] = sectors.bits, sectors.contrast, sectors.misfit
+        model = sectors.model
+        if whole:
+            even = (profile.min(axis=1) > 0.5) & (profile.std(axis=1) < 0.1)
+            full = rows[even]
+            found.bits[full], found.contrast[full] = True, profile.mean(axis=1)[even]
+            found.misfit[full] = np.abs(profile - 1).mean(axis=1)[even]
+            model[even] = 1.0
+        gap = part.band(1 + _GAP_PART[0] * (low - 1), 1 + _GAP_PART[1] * (low - 1))
+        beyond = part.band(high + _BEYOND_RADII[0], high + _BEYOND_RADII[1])
+        levels = []
+        for values, name in ((gap, "gap"), (beyond, "beyond")):
+            rms, level = _unexplained(values, model)
+            getattr(found, name)[rows] = rms
+            levels.append(level)
+        found.level[rows] = np.maximum(*levels)
+        return found
+
+    def within(self, limits: RingLimits) -> BoolArray:
+        """Return which are rings."""
+        return np.asarray(
+            (self.contrast >= limits.least_contrast)
+            & (self.contrast <= limits.most_contrast)
+            & (self.misfit <= limits.most_misfit)
+            & (self.gap <= limits.most_gap)
+            & (self.beyond <= limits.most_beyond)
+            & (self.level <= limits.most_level)
         )
 
+    def reading(self, k: int, dictionary: RingDictionary, profiles: RingProfiles) -> RingReading:
+        word = tuple(self.bits[k].tolist())
+        known = dictionary.read(word)
+        measures = (self.contrast[k], self.misfit[k], self.gap[k], self.beyond[k])
+        radii = (profiles.inner[k], profiles.outer[k])
+        return RingReading(known.code, known.mirrored, word, *map(float, (*radii, *measures)))
 
-def _ink(
-    pyramid: Pyramid, shapes: FloatArray, centers: FloatArray, n_angles: int, radii: _Radii
-) -> tuple[Float32Array, FloatArray]:
-    """Share of ink on rings round dots, shape (n, radii, angles), and how uneven their gaps are."""
+
+# --- sectors --------------------------------------------------------------------------------------------------------
+
+
+class _Sectors(NamedTuple):
+    """Sectors of m profiles: bits, contrast, rms misfit over the contrast, blurred ink of the bits (m, angles)."""
+
+    bits: BoolArray
+    contrast: FloatArray
+    misfit: FloatArray
+    model: FloatArray
+
+
+@lru_cache(maxsize=64)
+def _blurred_sectors(n_bits: int, blur: float) -> tuple[FloatArray, FloatArray]:
+    """Return the ink of each sector round the circle, blurred, shape (angles, n_bits), and its pseudo-inverse."""
+    angle = np.arange(n_bits * ANGLES_PER_SECTOR) / ANGLES_PER_SECTOR
+    off = (angle[:, None] - np.arange(n_bits) - 0.5 + n_bits / 2) % n_bits - n_bits / 2
+    cumulated = np.vectorize(lambda value: 0.5 * (1 + erf(value / (blur * sqrt(2)))))
+    columns = cumulated(off + 0.5) - cumulated(off - 0.5)
+    return columns, np.linalg.pinv(columns)
+
+
+def _read_sectors(profile: FloatArray, blur: FloatArray, n_bits: int) -> _Sectors:
+    """Find the sectors, in two levels, that reproduce profiles best, for every phase and the blurs near their own."""
+    count = len(profile)
+    best = _Sectors(
+        np.zeros((count, n_bits), dtype=np.bool_), np.zeros(count), np.full(count, np.inf), np.zeros_like(profile)
+    )
+    nearest = np.abs(blur[:, None] - np.array(_BLURS)).argmin(axis=1)
+    between = 0.5 * (profile + np.roll(profile, -1, axis=1))
+    for place, one in enumerate(_BLURS):
+        rows = np.flatnonzero((nearest == place) | (nearest + 1 == place))
+        if not rows.size:
+            continue
+        columns, inverse = _blurred_sectors(n_bits, one)
+        for shift in range(ANGLES_PER_SECTOR * _PHASES_PER_SAMPLE):
+            source = profile if shift % _PHASES_PER_SAMPLE == 0 else between
+            turned = np.roll(source[rows], -(shift // _PHASES_PER_SAMPLE), axis=1)
+            ink = turned @ inverse.T
+            # Two levels: the threshold lies in the widest gap between the sectors' inks.
+            order = np.sort(ink, axis=1)
+            gap_at = np.diff(order, axis=1).argmax(axis=1)[:, None]
+            threshold = 0.5 * (
+                np.take_along_axis(order, gap_at, axis=1) + np.take_along_axis(order, gap_at + 1, axis=1)
+            )
+            bits = ink > threshold
+            model = bits @ columns.T
+            middle, mean = model.mean(axis=1, keepdims=True), turned.mean(axis=1, keepdims=True)
+            square = np.maximum(((model - middle) ** 2).sum(axis=1), 1e-9)
+            contrast = ((turned - mean) * (model - middle)).sum(axis=1) / square
+            left = turned - mean - contrast[:, None] * (model - middle)
+            blank = mean[:, 0] - contrast * middle[:, 0]
+            misfit = np.sqrt(np.mean(left**2, axis=1)) / np.maximum(contrast, 1e-3)
+            # Blank sectors are as bright as the ground, inked ones not darker than the dot: else it is no print.
+            misfit = np.where((np.abs(blank) < 0.35) & (contrast < 1.6), misfit, np.inf)
+            better = misfit < best.misfit[rows]
+            own = rows[better]
+            best.bits[own], best.contrast[own], best.misfit[own] = bits[better], contrast[better], misfit[better]
+            best.model[own] = np.roll(model[better], shift // _PHASES_PER_SAMPLE, axis=1)
+    return best
+
+
+def _unexplained(values: FloatArray, model: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return what neither a plane nor bleeding sectors explain of values round circles, rms, and their mean level."""
+    count, n_angles = values.shape
     angles = np.arange(n_angles) * (2 * np.pi / n_angles)
-    circle = np.stack([np.cos(angles), np.sin(angles)])
-    unit = (circle[:, None, :] * radii.all[:, None]).reshape(2, -1)
-    values = pyramid.around(centers, shapes, unit).reshape(len(shapes), len(radii.all), n_angles)
-    gap = values[:, radii.gap].mean(axis=1, dtype=np.float64)
-    # The gap's level as a plane: its first harmonic round the dot. Levels of the ring follow the plane outwards.
-    plane = np.stack([np.ones(n_angles), *circle], axis=1)
-    solution = gap @ plane / (n_angles * np.array([1.0, 0.5, 0.5]))
-    step = values[:, 0].mean(axis=1, dtype=np.float64) - solution[:, 0]
-    step = np.where(np.abs(step) > 1e-3, step, np.nan)
-    unevenness = np.sqrt(np.mean((gap - solution @ plane.T) ** 2, axis=1)) / np.abs(step)
-    slope = (solution[:, 1:] @ circle)[:, None, :] * (radii.all / (0.5 + 0.5 * radii.print.inner))[:, None]
-    blank = (solution[:, :1, None] + slope).astype(np.float32)
-    return (values - blank) / step.astype(np.float32)[:, None, None], np.nan_to_num(unevenness, nan=np.inf)
+    common = np.stack([np.ones(n_angles), np.cos(angles), np.sin(angles)])
+    columns = np.concatenate([np.broadcast_to(common, (count, 3, n_angles)), model[:, None]], axis=1)
+    normal = columns @ np.swapaxes(columns, 1, 2) + 1e-6 * np.eye(4)
+    solution = np.linalg.solve(normal, columns @ values[:, :, None])
+    left = np.sort(np.abs(values - (np.swapaxes(solution, 1, 2) @ columns)[:, 0]), axis=1)
+    kept = left[:, : int((1 - _SPOILT_SHARE) * n_angles)]
+    return np.sqrt(np.mean(kept**2, axis=1)), np.abs(np.median(values, axis=1))
 
 
-class _Borders(NamedTuple):
-    """Where profiles cross one half: phase and rms departure from even sectors [sectors], number of crossings."""
-
-    phase: FloatArray
-    error: FloatArray
-    crossings: IntArray
+# --- radii of a sheet -----------------------------------------------------------------------------------------------
 
 
-def _find_borders(profile: Float32Array) -> _Borders:
-    above = profile - np.float32(0.5)
-    following = np.roll(above, -1, axis=1)
-    crosses = (above > 0) != (following > 0)
-    step = np.where(crosses, above - following, 1.0)
-    place = (np.arange(profile.shape[1]) + above / step) / _ANGLES_PER_SECTOR
-    turn = np.sum(np.exp(2j * np.pi * place) * crosses, axis=1)
-    phase = np.angle(turn) / (2 * np.pi)
-    off = ((place - phase[:, None] + 0.5) % 1.0 - 0.5) * crosses
-    count = np.count_nonzero(crosses, axis=1)
-    return _Borders(phase, np.sqrt(np.sum(off**2, axis=1) / np.maximum(count, 1)), count)
+def _sigmas_off(profiles: RingProfiles, family: RingRadii, spread: FloatArray) -> FloatArray:
+    """Return how far rings are from a family's radii, in standard deviations; NaN for those without radii."""
+    off = np.stack([np.log(profiles.inner / family.inner), np.log(profiles.outer / family.outer)])
+    return np.asarray(np.abs(off).max(axis=0) / spread)
 
 
-def _sector_levels(profile: Float32Array, sector: IntArray, middle: BoolArray, n_bits: int) -> FloatArray:
-    """Mean ink of the middle of each sector, shape (n, n_bits)."""
-    slot = (sector + n_bits * np.arange(len(profile))[:, None])[middle]
-    size = len(profile) * n_bits
-    sums = np.bincount(slot, profile[middle], size) / np.maximum(np.bincount(slot, minlength=size), 1)
-    return np.asarray(sums.reshape(len(profile), n_bits))
+def _families(
+    profiles: RingProfiles,
+    own: _Rings,
+    sizes_px: FloatArray,
+    spread: FloatArray,
+    dictionary: RingDictionary,
+    limits: RingLimits,
+) -> tuple[RingRadii, ...]:
+    """Find the radii on which rings agree: the densest place of their logarithms, then others with codes enough."""
+    left = own.within(limits) & np.isfinite(profiles.inner)
+    found: list[RingRadii] = []
+    while left.any():
+        family, members = _densest(profiles, left, spread)
+        words = {bytes(own.bits[k]) for k in members.tolist()}
+        if not found:
+            usual = _sigmas_off(profiles, dictionary.radii, spread)[members].min() < _MOST_SIGMAS
+            believed = usual or len(words) > 1 or bool(sizes_px[members].max() >= _ALONE_PX)
+        else:
+            codes = (dictionary.read(tuple(own.bits[k].tolist())).code for k in members.tolist())
+            believed = len({code.name for code in codes if code is not None}) >= _MEMBERS
+        if not believed:
+            break
+        found.append(family)
+        left[members] = False
+    return tuple(found)
 
 
-def _radial_error(ink: Float32Array, chosen: BoolArray, radii: _Radii) -> FloatArray:
-    """Distance of the rings' borders from where they belong, in radii; infinite without borders."""
-    count = np.maximum(np.count_nonzero(chosen, axis=1), 1)
-    profile = np.einsum("nra,na->nr", ink[:, 1:], chosen) / count[:, None] - 0.5
-    places, inside = radii.all[1:], profile > 0
-    last_place = len(places) - 1
-    first, last = inside.argmax(axis=1), last_place - inside[:, ::-1].argmax(axis=1)
-    one_ring = (first > 0) & (last < last_place) & (np.count_nonzero(inside, axis=1) == last - first + 1)
-    before, after = np.maximum(first - 1, 0), np.minimum(last + 1, last_place)
+def _densest(profiles: RingProfiles, among: BoolArray, spread: FloatArray) -> tuple[RingRadii, IntArray]:
+    """Return the radii about which most of some rings lie, and the numbers of these."""
+    rows = np.flatnonzero(among)
+    logs = np.log(np.stack([profiles.inner[rows], profiles.outer[rows]], axis=1))
+    variance = spread[rows] ** 2
+    square = ((logs[:, None] - logs[None]) ** 2).sum(axis=2) / (variance[:, None] + variance[None])
+    density = np.exp(-0.5 * square).sum(axis=1)
+    middle = logs[np.argmax(density)]
+    for _ in range(3):
+        near = np.abs(logs - middle).max(axis=1) < _MOST_SIGMAS * spread[rows]
+        if not near.any():
+            break
+        middle = np.average(logs[near], axis=0, weights=1 / variance[near])
+    near = np.abs(logs - middle).max(axis=1) < _MOST_SIGMAS * spread[rows]
+    near[np.argmax(density)] = True
+    inner, outer = np.exp(middle).tolist()
+    return RingRadii(max(inner, LEAST_INNER_RADIUS), max(outer, inner + LEAST_RING_WIDTH)), rows[near]
 
-    def border(within: IntArray, beyond: IntArray) -> FloatArray:
-        high, low = (np.take_along_axis(profile, at[:, None], axis=1)[:, 0] for at in (within, beyond))
-        share = high / np.where(high == low, 1.0, high - low)
-        return np.asarray(places[within] + share * (places[beyond] - places[within]))
 
-    begin, end = border(first, before), border(last, after)
-    error = np.maximum(np.abs(begin - radii.print.inner), np.abs(end - radii.print.outer))
-    return np.where(one_ring, error, np.inf)
-
-
-def _misfit(ink: Float32Array, inked: BoolArray, middle: BoolArray, radii: _Radii) -> FloatArray:
-    """Rms of ink against what the sectors say, away from all borders; the quiet zone beyond the ring is blank."""
-    count = np.maximum(np.count_nonzero(middle, axis=1), 1)
-    in_ring = np.mean((ink[:, radii.code] - inked[:, None, :]) ** 2, axis=1)
-    beyond = np.mean(np.minimum(np.abs(ink[:, radii.beyond]), 1.0) ** 2, axis=1)
-    return np.asarray(np.sqrt(0.5 * np.sum((in_ring + beyond) * middle, axis=1) / count))
+def _fitting_bits(
+    profiles: RingProfiles,
+    own: _Rings,
+    families: Sequence[RingRadii],
+    spread: FloatArray,
+    n_bits: int,
+    limits: RingLimits,
+) -> int | None:
+    """Return into how many sectors the photo's rings divide, where it is clearly another number than the given one."""
+    rings = (
+        np.isfinite(own.misfit)
+        & (own.gap <= limits.most_gap)
+        & (own.beyond <= limits.most_beyond)
+        & (own.level <= limits.most_level)
+        & (own.contrast >= limits.least_contrast)
+    )
+    if families:
+        rings &= _sigmas_off(profiles, families[0], spread) < _MOST_SIGMAS
+        rows = np.flatnonzero(rings)
+    elif rings.any():
+        rows = _densest(profiles, rings, spread)[1]
+    else:
+        return None
+    if rows.size < _MEMBERS or np.sqrt(np.mean(own.misfit[rows] ** 2)) < 0.5 * limits.most_misfit:
+        return None
+    part = profiles.chosen(rows)
+    width = part.outer - part.inner
+    profile = part.band(part.inner + _RING_PART[0] * width, part.inner + _RING_PART[1] * width)
+    closed = np.concatenate([profile, profile[:, :1]], axis=1)
+    misfits = {}
+    for bits in range(FEWEST_BITS, MOST_BITS + 1):
+        n_angles = bits * ANGLES_PER_SECTOR
+        place = np.arange(n_angles) * (profile.shape[1] / n_angles)
+        before = place.astype(np.intp)
+        share = place - before
+        resampled = closed[:, before] * (1 - share) + closed[:, before + 1] * share
+        blur = part.edge / (0.5 * (part.inner + part.outer)) * (bits / (2 * np.pi))
+        misfit = np.minimum(_read_sectors(resampled, blur, bits).misfit, 1.0)
+        misfits[bits] = float(np.sqrt(np.mean(misfit**2)))
+    least = min(misfits.values())
+    fitting = min(bits for bits, misfit in misfits.items() if misfit <= _AS_GOOD * least)
+    clear = misfits[n_bits] >= _CLEARLY_BETTER * misfits[fitting]
+    return fitting if fitting != n_bits and clear else None
 
 
 def ring_outline(dot: Ellipse, radii: RingRadii = VENDOR_RADII) -> Ellipse:

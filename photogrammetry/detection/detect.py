@@ -32,14 +32,17 @@ _FULL_SEARCH, _HALVED_SEARCH = (15, 2.0, 16.0), (31, 3.0, 22.0)
 _NEEDS_FULL_PX = 20.0
 #: Rows that are searched at a time: they stay in the processor's cache, which halves the time.
 _STRIPE_ROWS = 384
+#: Spots that are judged at a time: a display's pixels are tens of thousands.
+_SPOTS_AT_ONCE = 4096
 #: Threshold below (above) the local mean, as a share of the least contrast: a spot that fills two thirds of the box
 #: still lies a third of its contrast below the box's mean.
 _THRESHOLD_SHARE = 0.3
 #: Share of its ellipse that a spot must fill: a ring half open fills half of it.
 _LEAST_FILLED = 0.7
-#: Spots are judged on rings of this many points: two within, at these radii (some prints have a hole of 0.12 radii in
-#: the middle), and two in the gap, at these shares of its width.
-_RING_POINTS, _INNER_RADII, _OUTER_SHARES = 16, (0.25, 0.5), (0.5, 0.65)
+#: Spots are judged on rings of this many points: two within, at these radii (many prints have a hole or a mark in the
+#: middle), and two in the gap, for gaps that end at 1.8, 2 or 2.4 radii and more: a dot of a few pixels bleeds into a
+#: narrow gap, and its ring does.
+_RING_POINTS, _INNER_RADII, _OUTER_RADII = 16, (0.6, 0.75), ((1.35, 1.5), (1.5, 1.65), (1.65, 1.85))
 #: Share of ring points that must lie on their side of the middle level; the rest may be covered or in glare.
 _RIGHT_SIDE_SHARE = 0.8
 #: Mean deviation of the ring's grey values from their median, as a share of the contrast.
@@ -56,7 +59,6 @@ class SearchLimits(ShortRepr):
     least_contrast_dn: Difference of target and ground, in grey values of 255 [DN].
     most_tilt_rad: Tilt against the line of sight [rad].
     polarities: Dark targets on light ground, light ones on dark ground, or both; each costs a search of its own.
-    gap_radius: Where the next ink may begin, in radii of the dot: the inner radius of code rings.
     InputError: Sizes, contrast or tilt that no target has.
     """
 
@@ -65,7 +67,6 @@ class SearchLimits(ShortRepr):
     least_contrast_dn: float = 20.0
     most_tilt_rad: float = 1.2
     polarities: tuple[Polarity, ...] = (Polarity.BLACK_ON_WHITE, Polarity.WHITE_ON_BLACK)
-    gap_radius: float = 2.0
 
     def __post_init__(self) -> None:
         if not 3 <= self.smallest_px < self.largest_px:
@@ -77,8 +78,6 @@ class SearchLimits(ShortRepr):
             raise InputError(f"least_contrast_dn: between 0 and 255 is needed, not {self.least_contrast_dn}")
         if not 0 <= self.most_tilt_rad < 1.5:
             raise InputError(f"most_tilt_rad: 0 to 1.5 rad is needed, not {self.most_tilt_rad}")
-        if self.gap_radius < 1.4:
-            raise InputError(f"gap_radius: at least 1.4 radii of the dot are needed, not {self.gap_radius}")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -118,7 +117,10 @@ def find_in_pyramid(pyramid: Pyramid, asked: SearchLimits) -> tuple[Candidate, .
         needed = asked.smallest_px < _NEEDS_FULL_PX if level == 0 else 2**level * _HALVED_SEARCH[1] <= asked.largest_px
         if needed:
             parts += _spots_on_level(image, level, asked)
-    return _apart(_uniform(pyramid, _joined(parts), asked))
+    spots = _joined(parts)
+    every = np.arange(len(spots.shapes))
+    chunks = (every[first : first + _SPOTS_AT_ONCE] for first in range(0, len(every), _SPOTS_AT_ONCE))
+    return _apart([one for rows in chunks for one in _uniform(pyramid, spots.chosen(rows), asked)])
 
 
 # --- spots: vectorised over all of a scale --------------------------------------------------------------------------
@@ -132,7 +134,7 @@ class _Spots:
     centers: FloatArray
     dark: BoolArray
 
-    def chosen(self, which: BoolArray) -> "_Spots":
+    def chosen(self, which: BoolArray | IntArray) -> "_Spots":
         return _Spots(self.shapes[which], self.centers[which], self.dark[which])
 
 
@@ -254,7 +256,7 @@ def _uniform(pyramid: Pyramid, spots: _Spots, asked: SearchLimits) -> list[Candi
     """Keep the ellipses that are even inside, even in a ring around, differ from it, and have an elliptic edge."""
     kept, inside, outside = _judge(pyramid, spots, asked, uneven=2 * _MOST_UNEVEN)
     spots = spots.chosen(kept)
-    lines = outlines_along_rays(pyramid, spots.centers, spots.shapes, 0.5 * (inside + outside)[kept])
+    lines = outlines_along_rays(pyramid, spots.centers, spots.shapes, 0.5 * (inside + outside)[kept], spots.dark)
     spots = _Spots(lines.shapes_px2, lines.centers_px, spots.dark).chosen(lines.found)
     rms = lines.rms_px[lines.found]
     larger, smaller = _semi_axes(spots.shapes)
@@ -297,12 +299,17 @@ class _Levels(NamedTuple):
 
 def _judge(pyramid: Pyramid, spots: _Spots, asked: SearchLimits, *, uneven: float) -> _Levels:
     """Compare ellipses with a ring around each."""
-    radii = (*_INNER_RADII, *(1 + share * (asked.gap_radius - 1) for share in _OUTER_SHARES))
-    values = _on_rings(pyramid, spots, radii)
-    inner, outer = values[:, : 2 * _RING_POINTS], values[:, 2 * _RING_POINTS :]
+    values = _on_rings(pyramid, spots, (*_INNER_RADII, *(radius for pair in _OUTER_RADII for radius in pair)))
+    inner = values[:, : 2 * _RING_POINTS]
     inside = np.asarray(np.median(inner, axis=1), dtype=np.float64)
-    outside = np.asarray(np.median(outer, axis=1), dtype=np.float64)
-    contrast = np.where(spots.dark, outside - inside, inside - outside)
+    sign = np.where(spots.dark, 1.0, -1.0)
+    # The gap is where the ground is farthest from the dot.
+    pairs = values[:, 2 * _RING_POINTS :].reshape(len(inside), len(_OUTER_RADII), 2 * _RING_POINTS)
+    levels = np.median(pairs, axis=2)
+    best = (sign[:, None] * levels).argmax(axis=1)
+    outer = np.take_along_axis(pairs, best[:, None, None], axis=1)[:, 0]
+    outside = np.asarray(np.take_along_axis(levels, best[:, None], axis=1)[:, 0], dtype=np.float64)
+    contrast = sign * (outside - inside)
     middle = 0.5 * (inside + outside)[:, None]
     right_inside = np.mean((inner < middle) == spots.dark[:, None], axis=1)
     right_outside = np.mean((outer > middle) == spots.dark[:, None], axis=1)

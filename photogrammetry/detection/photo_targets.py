@@ -1,7 +1,7 @@
 """All circular targets of one photo: found, read, centred."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
@@ -9,19 +9,23 @@ import numpy.typing as npt
 from heliogauge.errors import EstimationError
 from heliogauge.flags import SampleFlag
 from heliogauge.short_repr import ShortRepr
-from heliogauge.validate import FlagArray, FloatArray
+from heliogauge.validate import FlagArray, FloatArray, freeze
 from photogrammetry.centers.ellipse import Ellipse, NamedEllipses
 from photogrammetry.centers.measured_centers import centers_near, measure_center, measure_centers
 from photogrammetry.centers.pyramid import make_pyramid
-from photogrammetry.centers.target_center import REACH, TargetCenter, UnmeasuredTargetError
-from photogrammetry.detection.decode import RingLimits, RingReading, read_rings, ring_outline
-from photogrammetry.detection.detect import SearchLimits, find_in_pyramid
+from photogrammetry.centers.target_center import REACH, TargetCenter
+from photogrammetry.detection.decode import RingLimits, RingReading, RingReadings, read_rings, ring_outline
+from photogrammetry.detection.detect import Candidate, SearchLimits, find_in_pyramid
 from photogrammetry.detection.detections import Detections
+from photogrammetry.detection.repeated_codes import implausible_repeats
 from photogrammetry.targets.coded_targets import RingDictionary
-from photogrammetry.targets.ring_codes import VENDOR_RADII
+from photogrammetry.targets.ring_codes import VENDOR_RADII, RingRadii
 
 #: Level of dot or ground, as a share of the largest number of the file, from which some of its pixels are cut off.
 _CLIPPED_SHARE = 0.99
+#: Least sigma of the centre of an outline: that of a dot of 6 px with a sharp edge, which the steps of its pixels
+#: move [px].
+_LEAST_COARSE_PX = 0.1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -33,6 +37,7 @@ class TargetSearch(ShortRepr):
     ring_limits: How good a code ring must be.
     with_uncoded: Also return dots without a code ring.
     most_misfit: Residual of a dot without code as a share of its contrast, above which it is none.
+    radii: Where the code rings lie; found from each photo's own rings if absent.
     """
 
     dictionary: RingDictionary | None = None
@@ -40,13 +45,14 @@ class TargetSearch(ShortRepr):
     ring_limits: RingLimits = field(default_factory=RingLimits)
     with_uncoded: bool = True
     most_misfit: float = 0.08
+    radii: RingRadii | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class UnusedTarget:
     """A target that is there but has no centre, or not one of its own.
 
-    name: Its code's name; empty for a dot that may belong to a code cut off.
+    name: The name of the code that it reads like; empty for a dot that may belong to a code cut off.
     center_px (2,): Where it is, to a pixel or so [px].
     flag: Why.
     reason: Why, with numbers.
@@ -71,7 +77,10 @@ class PhotoTargets:
     unknown_words: Sectors ("110100...") of good rings whose word is not in the dictionary.
     unknown_px (j, 2): Where they are [px].
     duplicated: Names that occur more than once; all of them are among the detections.
-    unused: Targets that are partly covered, cut by the border, too small.
+    unused: Targets that are partly covered, cut by the border, too small, or no codes by their rings.
+    radii: Where the photo's code rings lie, those of most rings first; empty without rings.
+    fitting_bits: Number of sectors into which the rings divide, where it is another than the dictionary's: none of them
+        is a detection then.
     """
 
     detections: Detections
@@ -83,6 +92,8 @@ class PhotoTargets:
     unknown_px: FloatArray
     duplicated: tuple[str, ...]
     unused: tuple[UnusedTarget, ...]
+    radii: tuple[RingRadii, ...] = ()
+    fitting_bits: int | None = None
 
 
 def measure_targets(image_dn: npt.NDArray[np.generic], photo: str, search: TargetSearch) -> PhotoTargets:
@@ -92,25 +103,30 @@ def measure_targets(image_dn: npt.NDArray[np.generic], photo: str, search: Targe
     Returns: Detections with covariances, and what was noticed. No target is no error.
     """
     pyramid = make_pyramid(image_dn)
-    dictionary = search.dictionary
-    limits = search.limits if dictionary is None else replace(search.limits, gap_radius=dictionary.radii.inner)
-    candidates = find_in_pyramid(pyramid, limits)
+    candidates = find_in_pyramid(pyramid, search.limits)
     dots = [candidate.ellipse for candidate in candidates]
-    readings = [None] * len(dots) if dictionary is None else read_rings(pyramid, dots, dictionary, search.ring_limits)
-    ringed = [(k, reading) for k, reading in enumerate(readings) if reading is not None]
+    rings = RingReadings((None,) * len(dots), {}, (), None)
+    if search.dictionary is not None:
+        rings = read_rings(pyramid, dots, search.dictionary, search.ring_limits, search.radii)
+    unused = [_no_code(dots[k], why) for k, why in rings.refused.items()]
+    ringed = [(k, reading) for k, reading in enumerate(rings.rings) if reading is not None]
+    taken = [dots[k] for k, _ in ringed]
+    if rings.fitting_bits is not None:
+        why = f"the photo's code rings divide into {rings.fitting_bits} sectors, the dictionary's into "
+        why += f"{0 if search.dictionary is None else search.dictionary.n_bits}"
+        unused += [_no_code(dots[k], why) for k, _ in ringed]
+        ringed = []
     coded: list[tuple[TargetCenter, RingReading]] = []
-    unused: list[UnusedTarget] = []
-    covered = [dots[k] for k, _ in ringed]
-    measured = measure_centers(image_dn, covered, _template_reach(search))
-    for (_, reading), dot, center in zip(ringed, covered, measured, strict=True):
-        if isinstance(center, TargetCenter):
-            coded.append((center, reading))
-        elif reading.code is not None:
-            unused.append(_describe_unused(reading.code.name, dot, center))
+    radii = rings.radii[0] if rings.radii else _usual_radii(search)
+    measured = measure_centers(image_dn, [dots[k] for k, _ in ringed], _template_reach(radii))
+    for (k, reading), center in zip(ringed, measured, strict=True):
+        # A code that was read is never lost to its centre.
+        coded.append((center if isinstance(center, TargetCenter) else _coarse_center(candidates[k]), reading))
+    coded = _without_implausible(coded, search.ring_limits, unused)
     uncoded: list[TargetCenter] = []
     if search.with_uncoded:
-        rest = [dot for dot, reading in zip(dots, readings, strict=True) if reading is None]
-        uncoded, cut = _measure_uncoded(image_dn, rest, covered, search)
+        rest = [dot for k, dot in enumerate(dots) if rings.rings[k] is None and k not in rings.refused]
+        uncoded, cut = _measure_uncoded(image_dn, rest, taken, radii, search)
         unused += cut
     named = [(center, reading) for center, reading in coded if reading.code is not None]
     names = [reading.code.name for _, reading in named if reading.code is not None]
@@ -129,6 +145,8 @@ def measure_targets(image_dn: npt.NDArray[np.generic], photo: str, search: Targe
         np.array([place for place, _ in unknown]).reshape(-1, 2),
         detections.duplicated,
         tuple(unused),
+        rings.radii,
+        rings.fitting_bits,
     )
 
 
@@ -143,7 +161,7 @@ def measure_at(
     images_dn (h, w): Grey values: uint8, uint16 or float32 [DN].
     Returns (n, 2, 2): Targets of each photo that are there, measured as after a search, and their ellipses [px^2].
     """
-    reach = _template_reach(search)
+    reach = _template_reach(_usual_radii(search))
     photo = np.repeat(np.arange(len(photos)), [len(one) for one in starts])
     places = np.concatenate([one.centers_px for one in starts] or [np.zeros((0, 2))])
     shapes = np.concatenate([one.shapes_px2 for one in starts] or [np.zeros((0, 2, 2))])
@@ -172,22 +190,63 @@ def measure_at(
     return found
 
 
-def _template_reach(search: TargetSearch) -> float:
+def _usual_radii(search: TargetSearch) -> RingRadii | None:
+    """Return where code rings lie as far as is known before a photo is seen; None where there are none."""
+    return None if search.dictionary is None else search.radii or search.dictionary.radii
+
+
+def _template_reach(radii: RingRadii | None) -> float:
     """Return how far from a dot's centre pixels may be used, in its radii: a code ring begins beyond."""
-    gap = 1.0 if search.dictionary is None else search.dictionary.radii.inner - 1
+    gap = 1.0 if radii is None else radii.inner - 1
     return min(REACH, 1 + (REACH - 1) * gap)
 
 
-def _describe_unused(name: str, dot: Ellipse, why: EstimationError) -> UnusedTarget:
-    flag = why.flag if isinstance(why, UnmeasuredTargetError) else SampleFlag.PARTLY_COVERED
-    return UnusedTarget(name, dot.center_px, flag, str(why))
+def _without_implausible(
+    coded: list[tuple[TargetCenter, RingReading]], limits: RingLimits, unused: list[UnusedTarget]
+) -> list[tuple[TargetCenter, RingReading]]:
+    """Leave out targets that only read like a code that is there as well, and name them."""
+    named = [one for one in coded if one[1].code is not None]
+    names = [reading.code.name for _, reading in named if reading.code is not None]
+    refused = implausible_repeats(
+        names, [center.ellipse for center, _ in named], [reading for _, reading in named], limits
+    )
+    for k, reason in refused.items():
+        unused.append(UnusedTarget(names[k], named[k][0].center_px, SampleFlag.OUTLIER, reason))
+    out = {id(named[k][0]) for k in refused}
+    return [one for one in coded if id(one[0]) not in out]
+
+
+def _no_code(dot: Ellipse, reason: str) -> UnusedTarget:
+    return UnusedTarget("", dot.center_px, SampleFlag.OUTLIER, reason)
+
+
+def _coarse_center(spot: Candidate) -> TargetCenter:
+    """Return the centre of a spot's outline, with a sigma from how far its edges lie from that.
+
+    The outline has five parameters from two dozen edges; what they have in common is not seen in their scatter, so it
+    is taken as large as that.
+    """
+    sigma = max(spot.edge_rms_px, _LEAST_COARSE_PX)
+    return TargetCenter(
+        spot.ellipse,
+        freeze(sigma**2 * np.eye(2)),
+        spot.inside_dn - spot.outside_dn,
+        spot.inside_dn,
+        float("nan"),
+        float("nan"),
+        0,
+    )
 
 
 def _measure_uncoded(
-    image_dn: npt.NDArray[np.generic], dots: Sequence[Ellipse], coded: Sequence[Ellipse], search: TargetSearch
+    image_dn: npt.NDArray[np.generic],
+    dots: Sequence[Ellipse],
+    coded: Sequence[Ellipse],
+    known_radii: RingRadii | None,
+    search: TargetSearch,
 ) -> tuple[list[TargetCenter], list[UnusedTarget]]:
     """Measure the dots without a code that lie in no coded target, and name those that may be a coded one cut off."""
-    radii = VENDOR_RADII if search.dictionary is None else search.dictionary.radii
+    radii = known_radii or VENDOR_RADII
     rings = [ring_outline(dot, radii) for dot in coded]
     middles = np.array([ring.center_px for ring in rings]).reshape(-1, 2)
     conics = np.array([np.linalg.inv(ring.shape_px2) for ring in rings]).reshape(-1, 2, 2)
@@ -202,7 +261,7 @@ def _measure_uncoded(
             cut.append(UnusedTarget("", dot.center_px, SampleFlag.CUT_BY_BORDER, why))
         else:
             free.append(dot)
-    found = measure_centers(image_dn, free, _template_reach(search))
+    found = measure_centers(image_dn, free, _template_reach(known_radii))
     return [one for one in found if isinstance(one, TargetCenter) and one.misfit < search.most_misfit], cut
 
 
@@ -218,13 +277,14 @@ def _detections(
     n = len(centers)
     inside = np.array([center.inside_dn for center in centers])
     contrast = np.array([center.contrast_dn for center in centers])
+    coarse = np.array([SampleFlag.COARSE_CENTER * center.is_coarse for center in centers], dtype=np.uint32)
     return Detections(
         photo,
         tuple(names),
         np.array([center.center_px for center in centers]).reshape(n, 2),
         np.array([center.covariance_px2 for center in centers]).reshape(n, 2, 2),
         np.array([center.ellipse.radius_px for center in centers]).reshape(n),
-        _flag_clipped(image_dn, inside, contrast),
+        _flag_clipped(image_dn, inside, contrast) | coarse,
     )
 
 

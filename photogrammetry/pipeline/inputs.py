@@ -47,12 +47,14 @@ def build_search(section: TargetsSection, folder: Path) -> TargetSearch:
     polarities = tuple(Polarity) if section.polarity == "both" else (Polarity(section.polarity),)
     limits = SearchLimits(section.smallest_px, section.largest_px, polarities=polarities)
     # Square markers are read by others; only dots are searched for beside them.
-    dictionary = None
+    dictionary, radii = None, None
     if section.dictionary is not None and not section.has_markers:
         sense = None if section.sense is None else Sense(section.sense)
         printed = CodePrint(sense, section.ring_inner_radius, section.ring_outer_radius)
         dictionary = load_dictionary(section.dictionary, folder, printed)
-    return TargetSearch(dictionary=dictionary, limits=limits, with_uncoded=section.searches_dots)
+        is_known = section.ring_inner_radius is not None or section.ring_outer_radius is not None
+        radii = dictionary.radii if is_known else None
+    return TargetSearch(dictionary=dictionary, limits=limits, with_uncoded=section.searches_dots, radii=radii)
 
 
 def build_constraints(model: PhotogrammetryModel) -> tuple[Constraint, ...]:

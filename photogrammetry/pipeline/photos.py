@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from heliogauge.doubts import Doubt, gather_doubts
+from heliogauge.doubts import Doubt, Severity, gather_doubts
 from heliogauge.errors import MOST_PICTURES, EstimationError, FailurePicture, InputError
 from heliogauge.flags import SampleFlag
 from heliogauge.images.photos import Image, read_image
@@ -26,10 +26,12 @@ from photogrammetry.keys.targets import TargetsSection
 from photogrammetry.matching.uncertain_rays import Dots
 from photogrammetry.networks.solve_uncoded import LooseDots
 from photogrammetry.start_values.network import ImagePlace, LeftOut
-from photogrammetry.targets.ring_codes import Sense
+from photogrammetry.targets.ring_codes import VENDOR_RADII, RingRadii, Sense
 
 #: Share of overexposed targets from which there is a doubt.
 _MANY_CLIPPED = 0.2
+#: Share by which rings lie elsewhere than stated from which it is said; ink that spreads moves them by less.
+_UNUSUAL_RADII = 0.05
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -97,6 +99,10 @@ class OnePhoto(ShortRepr):
     unread: "UnreadRings | None" = None
     thumbnail: bytes = b""
 
+    def with_thumbnail(self, thumbnail: bytes) -> "OnePhoto":
+        """Return the same with the photo as a small JPEG."""
+        return replace(self, thumbnail=thumbnail)
+
 
 @dataclass(frozen=True, slots=True)
 class UnreadRings:
@@ -105,11 +111,19 @@ class UnreadRings:
     mirrored: Rings whose mirror image is in it.
     unknown: Bits of the others, clockwise.
     other_sense: Sense in which the dictionary does not count.
+    radii: Where the rings lie, read or not; None without rings.
+    stated: Where the dictionary says that they lie.
+    fitting_bits: Number of sectors into which they divide, where it is not that of the dictionary.
+    bits: That of the dictionary.
     """
 
     mirrored: int
     unknown: tuple[str, ...]
     other_sense: str
+    radii: RingRadii | None = None
+    stated: RingRadii = VENDOR_RADII
+    fitting_bits: int | None = None
+    bits: int = 0
 
 
 def measure_each(
@@ -129,7 +143,7 @@ def measure_each(
 
     def one(file: Path) -> OnePhoto:
         image = read_image(file)
-        return replace(measure_photo(image, file.name, section, search), thumbnail=make_thumbnail(image))
+        return measure_photo(image, file.name, section, search).with_thumbnail(make_thumbnail(image))
 
     found: list[OnePhoto] = []
     with progress.stage("measure photos", len(files)) as stage, ThreadPoolExecutor(jobs) as pool:
@@ -166,15 +180,23 @@ def measure_photo(image: Image, name: str, section: TargetsSection, search: Targ
         _left_out(f"code ring in {name}", f"its bits, {word} clockwise, are not in the dictionary", name, place)
         for word, place in zip(rings.unknown_words, rings.unknown_px, strict=True)
     ]
-    # Dots at the border that may be codes cut off are no news; codes that were read and not measured are.
+    # Dots at the border that may be codes cut off are no news; rings that read like codes and are none are.
     refused += [
-        _left_out(f"target {bad.name} in {name}", bad.reason, name, bad.center_px) for bad in rings.unused if bad.name
+        _left_out(f"{'target ' + bad.name if bad.name else 'code ring'} in {name}", bad.reason, name, bad.center_px)
+        for bad in rings.unused
+        if bad.flag is not SampleFlag.CUT_BY_BORDER
     ]
     coded = rings.detections.chosen(np.arange(count))
     size = (int(image.shape[1]), int(image.shape[0]))
     counted = Sense.CLOCKWISE if search.dictionary is None else search.dictionary.sense
     other = Sense.COUNTERCLOCKWISE if counted is Sense.CLOCKWISE else Sense.CLOCKWISE
     unread = UnreadRings(len(rings.mirrored), rings.unknown_words, other)
+    if search.dictionary is not None:
+        radii = rings.radii[0] if rings.radii else None
+        bits = search.dictionary.n_bits
+        unread = replace(
+            unread, radii=radii, stated=search.dictionary.radii, fitting_bits=rings.fitting_bits, bits=bits
+        )
     return OnePhoto(coded, shapes[:count], size, tuple(refused), dots, shapes[count:], unread)
 
 
@@ -239,6 +261,36 @@ def _collect_dots(found: Sequence[OnePhoto]) -> LooseDots:
     return LooseDots(tuple(one.detections.photo for one in found), dots)
 
 
+def without_doubled(one: OnePhoto) -> OnePhoto:
+    """Refuse the targets that are more than once in a photo."""
+    twice = set(one.detections.duplicated)
+    if not twice:
+        return one
+    # A marker of which one corner is doubled is there twice.
+    markers = {name.split(".")[0] for name in twice}
+    twice |= {name for name in one.detections.names if name.split(".")[0] in markers}
+    photo = one.detections.photo
+    refused = [
+        _left_out(f"target {name} in {photo}", "is there more than once", photo, one.detections.pixels_px[places[0]])
+        for name, places in sorted(_places_of(one.detections, twice).items())
+    ]
+    keep = np.array([k for k, name in enumerate(one.detections.names) if name not in twice], dtype=np.intp)
+    return replace(
+        one,
+        detections=one.detections.chosen(keep),
+        ellipses_px2=one.ellipses_px2[keep],
+        refused=(*one.refused, *refused),
+    )
+
+
+def find_systematic_faults(found: Sequence[OnePhoto]) -> tuple[Doubt, ...]:
+    """Return what many rings that are not in the dictionary say of it, and targets on overexposed white."""
+    read = [one.detections for one in found]
+    clipped = sum(int(np.count_nonzero(one.flags & np.uint32(SampleFlag.CLIPPED))) for one in read)
+    count = sum(map(len, read))
+    return gather_doubts(_unread_codes(found, count), _clipped(clipped, count))
+
+
 def collect_photos(found: Sequence[OnePhoto]) -> MeasuredPhotos:
     """Put the targets of all photos together; those that are twice in a photo are not used there.
 
@@ -246,22 +298,15 @@ def collect_photos(found: Sequence[OnePhoto]) -> MeasuredPhotos:
     EstimationError: No photo shows a target.
     """
     photos, names, parts, shapes = [], [], [], []
-    refused = [bad for one in found for bad in one.refused]
+    refused: list[LeftOut] = []
     empty: list[str] = []
     doubled: Counter[str] = Counter()
-    for one in found:
-        twice = set(one.detections.duplicated)
-        # A marker of which one corner is doubled is there twice.
-        twice |= {name for name in one.detections.names if name.split(".")[0] in {t.split(".")[0] for t in twice}}
-        doubled.update({name.split(".")[0] for name in twice})
+    for seen in found:
+        one = without_doubled(seen)
+        refused += one.refused
+        doubled.update({name.split(".")[0] for name in set(seen.detections.names) - set(one.detections.names)})
         photo = one.detections.photo
-        refused += [
-            _left_out(
-                f"target {name} in {photo}", "is there more than once", photo, one.detections.pixels_px[places[0]]
-            )
-            for name, places in sorted(_places_of(one.detections, twice).items())
-        ]
-        keep = [k for k, name in enumerate(one.detections.names) if name not in twice and one.detections.usable[k]]
+        keep = np.flatnonzero(one.detections.usable).tolist()
         if not keep:
             empty.append(photo)
             refused.append(LeftOut(photo, "shows no target that can be used"))
@@ -348,6 +393,7 @@ def _unread_codes(found: Sequence[OnePhoto], read: int) -> Iterator[Doubt]:
     rings = [one.unread for one in found if one.unread is not None]
     mirrored, unknown = sum(one.mirrored for one in rings), [word for one in rings for word in one.unknown]
     total = mirrored + read + len(unknown)
+    yield from _unusual_rings(rings)
     if mirrored > read:
         yield Doubt(
             "codes_mirrored",
@@ -362,4 +408,31 @@ def _unread_codes(found: Sequence[OnePhoto], read: int) -> Iterator[Doubt]:
             f"{len(unknown)} code rings are not in the dictionary, bits clockwise {', '.join(unknown[:3])}...: is it "
             "another one, or one of your own ([targets] dictionary = a file)?",
             {"unknown_count": len(unknown), "rings_count": total},
+        )
+
+
+def _unusual_rings(rings: Sequence[UnreadRings]) -> Iterator[Doubt]:
+    """Yield that rings divide otherwise than the dictionary says, and that they lie elsewhere."""
+    divided = Counter(one.fitting_bits for one in rings if one.fitting_bits is not None)
+    if divided:
+        bits, count = divided.most_common(1)[0]
+        yield Doubt(
+            "codes_of_other_bits",
+            f"in {count} of {len(rings)} photos the code rings divide into {bits} sectors, the dictionary has codes of "
+            f"{rings[0].bits}: none of them was read. Name another dictionary, or a file with your own codes "
+            "([targets] dictionary)",
+            {"photos_count": count, "sectors_count": float(bits or 0), "dictionary_sectors_count": rings[0].bits},
+        )
+    found = np.array([(one.radii.inner, one.radii.outer) for one in rings if one.radii is not None]).reshape(-1, 2)
+    if not len(found):
+        return
+    inner, outer = np.median(found, axis=0).tolist()
+    stated = rings[0].stated
+    if max(abs(inner / stated.inner - 1), abs(outer / stated.outer - 1)) > _UNUSUAL_RADII:
+        yield Doubt(
+            "code_rings_at_other_radii",
+            f"the code rings lie at {inner:.2f} to {outer:.2f} radii of their dots, not at {stated.inner:g} to "
+            f"{stated.outer:g}; that was found from the photos and used",
+            {"ring_inner_radius_ratio": inner, "ring_outer_radius_ratio": outer, "photos_count": len(found)},
+            Severity.NOTE,
         )

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from photogrammetry.targets.mirrored_codes import refuse_mirrored_codes as refuse_mirrored_codes
     from photogrammetry.targets.ring_codes import Polarity as Polarity
     from photogrammetry.targets.ring_codes import RingCode as RingCode
+    from photogrammetry.targets.ring_codes import RingRadii as RingRadii
     from photogrammetry.targets.store_ring_codes import load_dictionary as load_dictionary
 
 __getattr__, __dir__, __all__ = lazy_face(__name__)

@@ -9,10 +9,12 @@ import numpy.typing as npt
 from heliogauge.errors import InputError
 from heliogauge.short_repr import ShortRepr
 
-#: Radii in units of the dot's radius, as all vendors print them: gap from the dot to here, code ring from here to the
-#: outer radius.
+#: Radii in units of the dot's radius, as the vendors draw them: gap from the dot to here, code ring from here to the
+#: outer radius. Sheets that people print have others: 2.25 to 3.48, 1.9 to 3.1, 2.6 to 4.4 are in use.
 CODE_INNER_RADIUS = 2.0
 CODE_OUTER_RADIUS = 3.0
+#: Limits within which rings are known from the dot and from what is beside them, in radii of the dot.
+LEAST_INNER_RADIUS, LARGEST_OUTER_RADIUS, LEAST_RING_WIDTH = 1.4, 6.0, 0.4
 
 FEWEST_BITS = 8
 MOST_BITS = 20
@@ -47,10 +49,12 @@ class RingRadii:
     outer: float = CODE_OUTER_RADIUS
 
     def __post_init__(self) -> None:
-        if not 1.4 <= self.inner <= self.outer - 0.4 <= 7.6:
+        width = self.outer - self.inner
+        if self.inner < LEAST_INNER_RADIUS or self.outer > LARGEST_OUTER_RADIUS or width < LEAST_RING_WIDTH - 1e-9:
             raise InputError(
-                "radii of the code ring, in radii of the dot: inner of at least 1.4 and outer of at least inner + 0.4, "
-                f"at most 8, are needed, not {self.inner:g} and {self.outer:g}"
+                f"radii of the code ring, in radii of the dot: inner of at least {LEAST_INNER_RADIUS:g}, outer of at "
+                f"least inner + {LEAST_RING_WIDTH:g}, at most {LARGEST_OUTER_RADIUS:g}, are needed, "
+                f"not {self.inner:g} and {self.outer:g}"
             )
 
     @property
@@ -59,7 +63,7 @@ class RingRadii:
         return self.outer + 1
 
 
-#: As all vendors print them.
+#: As the vendors draw them.
 VENDOR_RADII = RingRadii()
 
 
