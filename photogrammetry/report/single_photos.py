@@ -8,8 +8,8 @@ import numpy as np
 
 from heliogauge.images.thumbnails import decode_thumbnail
 from heliogauge.reporting import page
-from heliogauge.reporting.canvas import LINE_X, LINE_Y
 from heliogauge.reporting.html import Html, Shown
+from heliogauge.reporting.look import LINE_X, LINE_Y
 from heliogauge.reporting.verdict import verdict_of
 from heliogauge.results.folder import SUMMARY_FILE, Summary, read_summary, read_table_csv
 from heliogauge.results.thumbnails import read_thumbnails
