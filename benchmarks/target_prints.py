@@ -1,4 +1,4 @@
-"""Ring codes as people print and photograph them: all codes of each dictionary, read by default settings, and their centres.
+"""Ring codes as people print them: all codes of each dictionary, read by default settings, and their centres.
 
 Each code of each dictionary is drawn once (`--all-kinds`: once of each kind), in turn of the kinds below, dots of 8 to
 150 px, tilted by up to 45 deg. True centres are those of the ellipses that the dots' outlines make in the photo.
