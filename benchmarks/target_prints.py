@@ -1,7 +1,7 @@
 """Ring codes as people print them: all codes of each dictionary, read by default settings, and their centres.
 
-Each code of each dictionary is drawn once (`--all-kinds`: once of each kind), in turn of the kinds below, dots of 8 to
-150 px, tilted by up to 45 deg. True centres are those of the ellipses that the dots' outlines make in the photo.
+Each code of each dictionary is drawn once (`--all-kinds`: once of each kind), in turn of the kinds of prints, dots of 8
+to 150 px, tilted by up to 45 deg. True centres are those of the ellipses that the dots' outlines make in the photo.
 """
 
 import argparse
@@ -10,33 +10,10 @@ from dataclasses import dataclass, field
 import numpy as np
 from _measure import row, title
 
-from data_synth.targets import WallOfCodes, render_photo, wall_scenes
-from data_synth.targets.presets import PrintChoice
-from data_synth.targets.scene import Conditions, ScreenPixels, Sharpening
+from data_synth.targets import PRINT_KINDS, render_photo, wall_scenes
 from photogrammetry.detection import TargetSearch, measure_targets
-from photogrammetry.targets import RingRadii, ring_dictionary
+from photogrammetry.targets import ring_dictionary
 
-FAR, NEAR = RingRadii(2.25, 3.48), RingRadii(1.9, 3.1)
-KINDS = {
-    "radii 2/3, blur 0.5 px": (PrintChoice(), Conditions()),
-    "radii 2.25/3.48": (PrintChoice(radii=FAR), Conditions()),
-    "radii 1.9/3.1": (PrintChoice(radii=NEAR), Conditions()),
-    "holes of 0.3 radii": (PrintChoice(radii=FAR, hole_radii=0.3), Conditions()),
-    "holes of 0.45 radii": (PrintChoice(hole_radii=0.45), Conditions()),
-    "crosses in the dots": (PrintChoice(radii=NEAR, cross_radii=0.5), Conditions()),
-    "halo of sharpening": (PrintChoice(), Conditions(blur_sigma_px=0.8, sharpening=Sharpening(1.5, 1.5))),
-    "wide halo, holes": (
-        PrintChoice(radii=FAR, hole_radii=0.3),
-        Conditions(blur_sigma_px=1.0, sharpening=Sharpening(1.0, 3.0)),
-    ),
-    "blur 1 px": (PrintChoice(), Conditions(blur_sigma_px=1.0)),
-    "blur 2 px": (PrintChoice(), Conditions(blur_sigma_px=2.0)),
-    "moire of a display": (PrintChoice(), Conditions(blur_sigma_px=0.6, screen=ScreenPixels(1.13, 0.25))),
-    "display, light on dark": (
-        PrintChoice(radii=NEAR, light_on_dark=True),
-        Conditions(blur_sigma_px=0.6, screen=ScreenPixels(3.3, 0.3)),
-    ),
-}
 DICTIONARIES = ("aicon-12", "metashape-12", "aicon-14", "metashape-14")
 SIZES_PX = ((8, 15), (15, 30), (30, 60), (60, 150))
 
@@ -101,15 +78,14 @@ def main():
     arguments.add_argument("--all-kinds", action="store_true")
     arguments.add_argument("--seed", type=int, default=0)
     chosen = arguments.parse_args()
-    tallies = {kind: Tally() for kind in KINDS}
+    tallies = {kind: Tally() for kind in PRINT_KINDS}
     by_dictionary = {}
     for name in chosen.dictionary or DICTIONARIES:
         dictionary, rng = ring_dictionary(name), np.random.default_rng(chosen.seed)
         order = rng.permutation(len(dictionary))
         before = [(one.shown, one.read, one.false) for one in tallies.values()]
-        for place, (kind, (prints, conditions)) in enumerate(KINDS.items()):
-            own = order if chosen.all_kinds else order[place :: len(KINDS)]
-            wall = WallOfCodes(prints=prints, conditions=conditions)
+        for place, (kind, wall) in enumerate(PRINT_KINDS.items()):
+            own = order if chosen.all_kinds else order[place :: len(PRINT_KINDS)]
             for scene in wall_scenes([dictionary.codes[k] for k in own], wall, rng):
                 count(tallies[kind], scene, dictionary, rng)
         after = [(one.shown, one.read, one.false) for one in tallies.values()]

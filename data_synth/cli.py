@@ -121,10 +121,26 @@ def photogrammetry(
     ] = None,
     light_on_dark: Annotated[bool, typer.Option("--light-on-dark", help="Print white on black.")] = False,
     mirrored: Annotated[bool, typer.Option("--mirrored", help="Print the wrong way round.")] = False,
+    ring_radii: Annotated[
+        tuple[float, float] | None,
+        typer.Option(help="Inner and outer radius of the code rings, in radii of the dot; default: 2 3."),
+    ] = None,
+    hole: Annotated[float, typer.Option(min=0, max=0.9, help="Radius of a hole in each dot, in radii of the dot.")] = 0,
+    cross: Annotated[float, typer.Option(min=0, max=0.9, help="Half length of a cross in each dot, in its radii.")] = 0,
     noise_dn: NoiseDn = None,
     blur_px: BlurPx = None,
+    defocus_px_m: Annotated[
+        float, typer.Option(min=0, help="Shallow depth of field: blur per difference of 1/distance from the focus.")
+    ] = 0,
+    sharpening: Annotated[float, typer.Option(min=0, help="Share of the sharpening that gives halos; 1 to 2.")] = 0,
+    moire_pitch_px: Annotated[
+        float | None, typer.Option(min=0.3, help="The targets are on a display whose pixels have this distance.")
+    ] = None,
     bits: Annotated[int, typer.Option(min=8, max=16, help="Bit depth of the photos.")] = 8,
     jpeg_quality: JpegQuality = None,
+    colour: Annotated[
+        bool, typer.Option("--colour", help="Under warm light, JPEG in colour with halved resolution of the colours.")
+    ] = False,
     force: Replace = False,
     quiet: Quiet = False,
     verbose: Verbose = False,
@@ -133,11 +149,18 @@ def photogrammetry(
     from data_synth.targets.dataset import PhotoOptions, photogrammetry_content, write_target_dataset
     from data_synth.targets.presets import PrintChoice, target_scene
     from heliogauge.running.terminal import terminal_progress
+    from photogrammetry.targets import RingRadii
 
-    scene = target_scene(preset, seed, PrintChoice(dictionary, light_on_dark, mirrored)).scaled(scale)
+    radii = None if ring_radii is None else RingRadii(*ring_radii)
+    prints = PrintChoice(dictionary, light_on_dark, mirrored, radii, hole, cross)
+    scene = target_scene(preset, seed, prints).scaled(scale)
     scene = scene.with_sensor(bits=bits, read_noise_dn=noise_dn, blur_sigma_px=blur_px)
-    scene = replace(scene, views=scene.views[:photos])
-    options = PhotoOptions(seed, sigma_px if points_only else None, jpeg_quality, force)
+    scene = replace(scene, views=scene.views[:photos]).as_photographed(
+        sharpening=sharpening, moire_pitch_px=moire_pitch_px, defocus_px_m=defocus_px_m
+    )
+    options = PhotoOptions(
+        seed, sigma_px if points_only else None, (jpeg_quality or 92) if colour else jpeg_quality, force, colour
+    )
     progress = terminal_progress(quiet=quiet, verbose=verbose)
     write_target_dataset(folder, scene, photogrammetry_content(scene), options, progress)
     if not quiet:

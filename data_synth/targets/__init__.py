@@ -7,7 +7,7 @@ from heliogauge.faces import lazy_face
 if TYPE_CHECKING:
     from data_synth.targets.boards import board_scene as board_scene
     from data_synth.targets.boards import board_table as board_table
-    from data_synth.targets.code_wall import WallOfCodes as WallOfCodes
+    from data_synth.targets.code_wall import PRINT_KINDS as PRINT_KINDS
     from data_synth.targets.code_wall import wall_scenes as wall_scenes
     from data_synth.targets.dataset import PhotoOptions as PhotoOptions
     from data_synth.targets.dataset import camera_content as camera_content

@@ -5,15 +5,15 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from data_synth.optics.photo import View
+from data_synth.optics.photo import Focus, View
 from data_synth.optics.pinhole import PinholeCamera
 from data_synth.optics.sheets import Sheet
 from data_synth.targets.presets import PrintChoice, look_at, ring_sheet
-from data_synth.targets.scene import Conditions, TargetScene
+from data_synth.targets.scene import Conditions, ScreenPixels, Sharpening, TargetScene
 from heliogauge.errors import InputError
 from heliogauge.geometry.rigid import RigidTransform, rotation_from_vector
 from heliogauge.short_repr import ShortRepr
-from photogrammetry.targets import RingCode
+from photogrammetry.targets import RingCode, RingRadii
 
 _FOCAL_PX = 2500.0
 _DISTANCE_M = 4.0
@@ -98,3 +98,30 @@ def _scene(
         at = RigidTransform(facing @ tilted @ turn, place)
         sheets.append(ring_sheet(code, size * depth / _FOCAL_PX, at, wall.prints))
     return TargetScene(name, tuple(sheets), (view,), wall.conditions)
+
+
+_FAR, _NEAR = RingRadii(2.25, 3.48), RingRadii(1.9, 3.1)
+#: Prints and photos as they are met: radii of sheets in use, holes and marks, halos, blur, displays.
+PRINT_KINDS: dict[str, WallOfCodes] = {
+    "radii 2/3, blur 0.5 px": WallOfCodes(),
+    "radii 2.25/3.48": WallOfCodes(prints=PrintChoice(radii=_FAR)),
+    "radii 1.9/3.1": WallOfCodes(prints=PrintChoice(radii=_NEAR)),
+    "holes of 0.3 radii": WallOfCodes(prints=PrintChoice(radii=_FAR, hole_radii=0.3)),
+    "holes of 0.45 radii": WallOfCodes(prints=PrintChoice(hole_radii=0.45)),
+    "crosses in the dots": WallOfCodes(prints=PrintChoice(radii=_NEAR, cross_radii=0.5)),
+    "halo of sharpening": WallOfCodes(conditions=Conditions(blur_sigma_px=0.8, sharpening=Sharpening(1.5, 1.5))),
+    "wide halo, holes": WallOfCodes(
+        prints=PrintChoice(radii=_FAR, hole_radii=0.3),
+        conditions=Conditions(blur_sigma_px=1.0, sharpening=Sharpening(1.0, 3.0)),
+    ),
+    "blur 1 px": WallOfCodes(conditions=Conditions(blur_sigma_px=1.0)),
+    "blur 2 px": WallOfCodes(conditions=Conditions(blur_sigma_px=2.0)),
+    "moire of a display": WallOfCodes(conditions=Conditions(blur_sigma_px=0.6, screen=ScreenPixels(1.13, 0.25))),
+    "display, light on dark": WallOfCodes(
+        prints=PrintChoice(radii=_NEAR, light_on_dark=True),
+        conditions=Conditions(blur_sigma_px=0.6, screen=ScreenPixels(3.3, 0.3)),
+    ),
+    "shallow depth of field": WallOfCodes(
+        diameters_px=(12.0, 150.0), conditions=Conditions(focus=Focus(0.5, 4.0, 60.0)), depth_share=0.12
+    ),
+}

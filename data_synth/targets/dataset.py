@@ -28,6 +28,8 @@ from heliogauge.running.progress import Progress, SilentProgress
 
 TRUE_POINTS_FILE = "image_points_true.csv"
 IMAGE_POINTS_FILE = "image_points.csv"
+#: Blue, green and red of white paper under a lamp, as shares of the light.
+_WARM_LIGHT = (0.72, 0.9, 1.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,6 +40,7 @@ class PhotoOptions:
     points_sigma_px: Write image points with this noise instead of photos [px].
     jpeg_quality: Write JPEG files of this quality, 1 to 100, instead of PNG.
     force: Replace an earlier synthetic measurement.
+    in_colour: JPEG in colour under warm light, with half the resolution of the colours, as cameras write them.
     InputError: A quality JPEG does not have.
     """
 
@@ -45,6 +48,7 @@ class PhotoOptions:
     points_sigma_px: float | None = None
     jpeg_quality: int | None = None
     force: bool = False
+    in_colour: bool = False
 
     def __post_init__(self) -> None:
         if self.jpeg_quality is not None and not 1 <= self.jpeg_quality <= 100:
@@ -75,7 +79,7 @@ def write_target_dataset(
         if chosen.points_sigma_px is None:
             with progress.stage("take photos", len(names)) as stage:
                 for name, view, rng in zip(names, scene.views, photo_rngs, strict=True):
-                    _write_photo(working / name, render_photo(scene, view, rng), chosen.jpeg_quality)
+                    _write_photo(working / name, render_photo(scene, view, rng), chosen)
                     stage.advance()
             images: dict[str, Any] = {"images": {"photos": "photo_*" + suffix}}
         else:
@@ -195,11 +199,17 @@ def _measured_points(
     return {**_columns(truths, photo_names), **positions}
 
 
-def _write_photo(path: Path, image: UnsignedArray, jpeg_quality: int | None) -> None:
-    if jpeg_quality is None:
+def _write_photo(path: Path, image: UnsignedArray, options: PhotoOptions) -> None:
+    if options.jpeg_quality is None:
         write_image(path, image)
         return
     if image.dtype != np.uint8:
         raise InputError(f"{path.name}: JPEG holds 8 bit; leave jpeg_quality out for 16-bit photos")
-    _, encoded = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, jpeg_quality])
+    quality = [cv2.IMWRITE_JPEG_QUALITY, options.jpeg_quality]
+    if options.in_colour:
+        values = np.rint(image[:, :, None] * np.array(_WARM_LIGHT)).astype(np.uint8)
+        quality += [cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_420]
+    else:
+        values = image
+    _, encoded = cv2.imencode(".jpg", values, quality)
     path.write_bytes(encoded.tobytes())

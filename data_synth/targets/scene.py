@@ -167,6 +167,25 @@ class TargetScene:
         blur = old.blur_sigma_px if blur_sigma_px is None else blur_sigma_px
         return replace(self, conditions=replace(old, sensor=sensor, blur_sigma_px=blur))
 
+    def as_photographed(
+        self, *, sharpening: float = 0.0, moire_pitch_px: float | None = None, defocus_px_m: float = 0.0
+    ) -> "TargetScene":
+        """Return the scene as a camera's program sharpens it, on a display, or with a shallow depth of field.
+
+        sharpening: Share of the difference from a blurred copy that is added; 0: none.
+        moire_pitch_px: Distance of the pixels of the display that shows the targets; None: they are printed [px].
+        defocus_px_m: Blur per difference of 1 / depth from the scene's middle in the first photo [px m].
+        """
+        old = self.conditions
+        screen = None if moire_pitch_px is None else ScreenPixels(moire_pitch_px, 0.25)
+        sharpened = Sharpening(sharpening) if sharpening else None
+        focus = None
+        if defocus_px_m:
+            pose = self.views[0].cam_from_world
+            depths = [float(pose.apply(sheet.world_from_sheet.translation_m)[2]) for sheet in self.sheets]
+            focus = Focus(old.blur_sigma_px, float(np.median(depths)), defocus_px_m)
+        return replace(self, conditions=replace(old, sharpening=sharpened, screen=screen, focus=focus))
+
     def points_m(self) -> dict[str, FloatArray]:
         """Return all points that can be measured, by name, in the world [m].
 

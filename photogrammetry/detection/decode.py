@@ -43,8 +43,9 @@ _PHASES_PER_SAMPLE = 2
 _OWN_SPREAD, _EDGE_PX = 0.02, 0.4
 #: Distance of a ring's radii from the sheet's, in standard deviations, from which it belongs to another.
 _MOST_SIGMAS = 4.0
-#: Blur of a dot's edge from which a narrow ring has no half height of its own: a gap of one radius is two sigmas then.
-_BLURRED_RADII = 0.33
+#: Blur of a dot's edge from which a narrow ring has no half height of its own: a gap of one radius is four sigmas
+#: then, of which dot and ring fill two each.
+_BLURRED_RADII = 0.25
 #: Rings of different codes that make a family of radii beside the photo's first.
 _MEMBERS = 3
 #: Radius of the dot from which a single ring may have radii that no other ring of the photo has [px].
@@ -59,7 +60,7 @@ _CLEARLY_BETTER, _AS_GOOD = 2.0, 1.3
 class RingLimits:
     """How good a ring must be to be read; all in shares of the contrast of ink and ground.
 
-    least_contrast, most_contrast: Contrast of the ring's sectors, as a share of the dot's.
+    least_contrast: Contrast of the ring's sectors, as a share of the dot's.
     most_misfit: Rms of the ring's ink round the circle against the code read, blurred as the dot's edge is.
     most_gap, most_beyond: Rms of the ink in gap and quiet zone that neither a plane nor bleeding sectors explain,
         on the best four fifths of the circle.
@@ -69,7 +70,6 @@ class RingLimits:
     """
 
     least_contrast: float = 0.4
-    most_contrast: float = 1.35
     most_misfit: float = 0.2
     most_gap: float = 0.14
     most_beyond: float = 0.18
@@ -83,6 +83,7 @@ class RingReading:
     code: The code if the target is seen as printed; None if the word is in no dictionary.
     mirrored: The code of the mirror image.
     sectors: Ink of the sectors, clockwise in the image.
+    turn_rad: Where the first sector begins, clockwise from the x axis of the dot's frame [rad].
     inner, outer: Where the ring begins and ends, in radii of the dot; NaN where it is too blurred to be said.
     contrast, misfit, gap, beyond: As in `RingLimits`.
     """
@@ -90,6 +91,7 @@ class RingReading:
     code: RingCode | None
     mirrored: RingCode | None
     sectors: tuple[bool, ...]
+    turn_rad: float
     inner: float
     outer: float
     contrast: float
@@ -214,6 +216,7 @@ class _Rings:
     """Rings round n dots, read at given radii; misfit is infinite where there is none."""
 
     bits: BoolArray
+    turn_rad: FloatArray
     contrast: FloatArray
     misfit: FloatArray
     gap: FloatArray
@@ -228,6 +231,7 @@ class _Rings:
         found = cls(
             np.zeros((count, n_bits), dtype=np.bool_),
             np.zeros(count),
+            np.zeros(count),
             *(np.full(count, np.inf) for _ in range(4)),
         )
         rows = np.flatnonzero(np.isfinite(inner) & (outer < profiles.reach) & np.isfinite(profiles.step_dn))
@@ -239,6 +243,7 @@ class _Rings:
         blur = part.edge / (0.5 * (low + high)) * (n_bits / (2 * np.pi))
         sectors = _read_sectors(profile, blur, n_bits)
         found.bits[rows], found.contrast[rows], found.misfit[rows] = sectors.bits, sectors.contrast, sectors.misfit
+        found.turn_rad[rows] = sectors.turn_rad
         model = sectors.model
         if whole:
             even = (profile.min(axis=1) > 0.5) & (profile.std(axis=1) < 0.1)
@@ -260,7 +265,6 @@ class _Rings:
         """Return which are rings."""
         return np.asarray(
             (self.contrast >= limits.least_contrast)
-            & (self.contrast <= limits.most_contrast)
             & (self.misfit <= limits.most_misfit)
             & (self.gap <= limits.most_gap)
             & (self.beyond <= limits.most_beyond)
@@ -272,16 +276,17 @@ class _Rings:
         known = dictionary.read(word)
         measures = (self.contrast[k], self.misfit[k], self.gap[k], self.beyond[k])
         radii = (profiles.inner[k], profiles.outer[k])
-        return RingReading(known.code, known.mirrored, word, *map(float, (*radii, *measures)))
+        return RingReading(known.code, known.mirrored, word, *map(float, (self.turn_rad[k], *radii, *measures)))
 
 
 # --- sectors --------------------------------------------------------------------------------------------------------
 
 
 class _Sectors(NamedTuple):
-    """Sectors of m profiles: bits, contrast, rms misfit over the contrast, blurred ink of the bits (m, angles)."""
+    """Sectors of m profiles: bits, turn, contrast, rms misfit over that, blurred ink of the bits (m, angles)."""
 
     bits: BoolArray
+    turn_rad: FloatArray
     contrast: FloatArray
     misfit: FloatArray
     model: FloatArray
@@ -301,7 +306,11 @@ def _read_sectors(profile: FloatArray, blur: FloatArray, n_bits: int) -> _Sector
     """Find the sectors, in two levels, that reproduce profiles best, for every phase and the blurs near their own."""
     count = len(profile)
     best = _Sectors(
-        np.zeros((count, n_bits), dtype=np.bool_), np.zeros(count), np.full(count, np.inf), np.zeros_like(profile)
+        np.zeros((count, n_bits), dtype=np.bool_),
+        np.zeros(count),
+        np.zeros(count),
+        np.full(count, np.inf),
+        np.zeros_like(profile),
     )
     nearest = np.abs(blur[:, None] - np.array(_BLURS)).argmin(axis=1)
     between = 0.5 * (profile + np.roll(profile, -1, axis=1))
@@ -333,6 +342,7 @@ def _read_sectors(profile: FloatArray, blur: FloatArray, n_bits: int) -> _Sector
             better = misfit < best.misfit[rows]
             own = rows[better]
             best.bits[own], best.contrast[own], best.misfit[own] = bits[better], contrast[better], misfit[better]
+            best.turn_rad[own] = shift * (2 * np.pi / (_PHASES_PER_SAMPLE * profile.shape[1]))
             best.model[own] = np.roll(model[better], shift // _PHASES_PER_SAMPLE, axis=1)
     return best
 

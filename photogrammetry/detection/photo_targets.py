@@ -13,6 +13,7 @@ from heliogauge.validate import FlagArray, FloatArray, freeze
 from photogrammetry.centers.ellipse import Ellipse, NamedEllipses
 from photogrammetry.centers.measured_centers import centers_near, measure_center, measure_centers
 from photogrammetry.centers.pyramid import make_pyramid
+from photogrammetry.centers.ring_light import InkedRing, ring_disturbs, without_rings
 from photogrammetry.centers.target_center import REACH, TargetCenter
 from photogrammetry.detection.decode import RingLimits, RingReading, RingReadings, read_rings, ring_outline
 from photogrammetry.detection.detect import Candidate, SearchLimits, find_in_pyramid
@@ -23,6 +24,8 @@ from photogrammetry.targets.ring_codes import VENDOR_RADII, RingRadii
 
 #: Level of dot or ground, as a share of the largest number of the file, from which some of its pixels are cut off.
 _CLIPPED_SHARE = 0.99
+#: Passes in which the rings' light is taken away: the dot's blur and size are truer each time.
+_RING_PASSES = 3
 #: Least sigma of the centre of an outline: that of a dot of 6 px with a sharp edge, which the steps of its pixels
 #: move [px].
 _LEAST_COARSE_PX = 0.1
@@ -118,7 +121,7 @@ def measure_targets(image_dn: npt.NDArray[np.generic], photo: str, search: Targe
         ringed = []
     coded: list[tuple[TargetCenter, RingReading]] = []
     radii = rings.radii[0] if rings.radii else _usual_radii(search)
-    measured = measure_centers(image_dn, [dots[k] for k, _ in ringed], _template_reach(radii))
+    measured = _measure_coded(image_dn, [dots[k] for k, _ in ringed], [one for _, one in ringed], radii)
     for (k, reading), center in zip(ringed, measured, strict=True):
         # A code that was read is never lost to its centre.
         coded.append((center if isinstance(center, TargetCenter) else _coarse_center(candidates[k]), reading))
@@ -199,6 +202,34 @@ def _template_reach(radii: RingRadii | None) -> float:
     """Return how far from a dot's centre pixels may be used, in its radii: a code ring begins beyond."""
     gap = 1.0 if radii is None else radii.inner - 1
     return min(REACH, 1 + (REACH - 1) * gap)
+
+
+def _measure_coded(
+    image_dn: npt.NDArray[np.generic],
+    dots: Sequence[Ellipse],
+    readings: Sequence[RingReading],
+    radii: RingRadii | None,
+) -> list[TargetCenter | EstimationError]:
+    """Measure dots of which the code rings are known, those into whose gap the rings bleed without the rings' light."""
+    reach = _template_reach(radii)
+    found = list(measure_centers(image_dn, dots, reach))
+    usual = radii or VENDOR_RADII
+    rings = [InkedRing(usual.inner, usual.outer, one.sectors, one.turn_rad) for one in readings]
+    for _ in range(_RING_PASSES):
+        disturbed = [
+            (k, one)
+            for k, one in enumerate(found)
+            if isinstance(one, TargetCenter) and ring_disturbs(one, rings[k], reach)
+        ]
+        if not disturbed:
+            break
+        places, centers = [k for k, _ in disturbed], [one for _, one in disturbed]
+        clean = without_rings(image_dn, centers, [rings[k] for k in places])
+        again = measure_centers(clean, [one.ellipse for one in centers], reach)
+        for k, one in zip(places, again, strict=True):
+            if isinstance(one, TargetCenter):
+                found[k] = one
+    return found
 
 
 def _without_implausible(

@@ -7,7 +7,8 @@ import cv2
 import numpy as np
 import pytest
 
-from data_synth.targets import WallOfCodes, image_truth, render_photo, target_scene, wall_scenes
+from data_synth.targets import image_truth, render_photo, target_scene, wall_scenes
+from data_synth.targets.code_wall import WallOfCodes
 from data_synth.targets.presets import PrintChoice
 from data_synth.targets.scene import Conditions, ScreenPixels, Sharpening
 from heliogauge.images.photos import read_image
