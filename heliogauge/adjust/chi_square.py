@@ -1,7 +1,7 @@
 """Chi-square distribution and the test of a variance factor, in plain Python.
 
 Importing scipy.special takes 0.18 s of CPU: 13 % of the whole command on a small facet, which needs nothing else of it
-(benchmarks/small_facet.py, median of 9 pairs).
+(benchmarks/facet_command.py, median of 9 pairs).
 """
 
 import math

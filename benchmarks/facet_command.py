@@ -1,0 +1,93 @@
+"""CPU time and memory of the whole command on a facet, imports included, without the report.
+
+Run ``python benchmarks/facet_command.py`` for 203 x 154 px x 32 frames, ``... full`` for 1624 x 1232 px. The small one
+is the real facet where ../shared/data/opencsp is there, else a synthetic one of its size. User and system time of the
+child process, one thread. With the root of another checkout as argument, the same command of that version is run too.
+"""
+
+import os
+import resource
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import numpy as np
+from _measure import ONE_THREAD, OPENCSP, ROOT, import_real_facet, row, title
+
+from data_synth.fringes import preset_scene, write_dataset
+
+#: CPU [s] asked and the incumbent's, on the machine where both were run once.
+SMALL, FULL = ("<= 1.0", "1.3"), ("<= 0.35 x OpenCSP's", "")
+RUNS = 7
+
+
+def child_cpu_s(environment, *arguments):
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    subprocess.run(
+        [sys.executable, *arguments], check=True, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+    )
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+
+
+def peak_mib(environment, *arguments):
+    """Return the largest memory of a command, measured by a process between: that of all children is one number."""
+    program = (
+        "import resource, subprocess, sys; "
+        "subprocess.run(sys.argv[1:], check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL); "
+        "print(resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024)"
+    )
+    command = [sys.executable, "-c", program, sys.executable, *arguments]
+    return float(subprocess.run(command, check=True, env=environment, capture_output=True, text=True).stdout)
+
+
+def measure(commands):
+    """Return the CPU seconds of each command, run in turn so that other work on the machine meets all alike."""
+    for environment, command in commands:
+        child_cpu_s(environment, *command)  # compiles the modules, as installing does, and is not counted
+    return np.array([[child_cpu_s(environment, *command) for environment, command in commands] for _ in range(RUNS)]).T
+
+
+def surroundings(root, scratch):
+    environment = {
+        **os.environ,
+        **ONE_THREAD,
+        "PYTHONPATH": str(root),
+        "PYTHONPYCACHEPREFIX": f"{scratch}/bytecode",
+    }
+    environment.pop("PYTHONDONTWRITEBYTECODE", None)
+    return environment
+
+
+def main():
+    is_full = "full" in sys.argv[1:]
+    others = [Path(one).resolve() for one in sys.argv[1:] if one != "full"]
+    with tempfile.TemporaryDirectory() as scratch:
+        folder, out = Path(scratch) / "measurement", Path(scratch) / "result"
+        if is_full or not OPENCSP.is_dir():
+            write_dataset(folder, preset_scene("full" if is_full else "small"))
+            name = f"synthetic facet, {'1624 x 1232' if is_full else '203 x 154'} px x 32 frames"
+        else:
+            import_real_facet(folder, with_pose=False)
+            name = "real facet, pose from the outline, 203 x 154 px x 32 frames"
+        title(f"Whole process, {name}: CPU s, median of {RUNS}", ("measured", "asked", "incumbent", "spread", "MiB"))
+        here = surroundings(ROOT, scratch)
+        run = ("-m", "heliogauge", "deflectometry", "measure", str(folder), "-o", str(out), "--no-report", "--force")
+        libraries = "import numpy, cv2, h5py, pydantic, typer"
+        rows = {"heliogauge deflectometry measure MEAS -o OUT --no-report": (here, run, FULL if is_full else SMALL)}
+        rows |= {f"the same, {one}": (surroundings(one, scratch), run, ("", "")) for one in others}
+        if not is_full:
+            rows |= {
+                "heliogauge --version": (here, ("-m", "heliogauge", "--version"), ("< 0.5", "")),
+                "heliogauge --help": (here, ("-m", "heliogauge", "--help"), ("< 0.5", "")),
+            }
+        rows[f"beside it: {libraries}"] = (here, ("-c", libraries), ("", ""))
+        times = measure([(environment, command) for environment, command, _ in rows.values()])
+        for (what, (environment, command, asked)), seconds in zip(rows.items(), times, strict=True):
+            peak = f"{peak_mib(environment, *command):.0f}"
+            row(what, f"{np.median(seconds):.2f}", *asked, f"{seconds.min():.2f} to {seconds.max():.2f}", peak)
+
+
+if __name__ == "__main__":
+    main()
