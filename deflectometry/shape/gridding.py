@@ -245,29 +245,28 @@ def _interpolate(pixels: FloatArray, weight: FloatArray, planes: list[FloatArray
     block = _box_sum(weight, 4)
     apart = np.abs(np.subtract.outer(np.arange(4), np.arange(4)))
     shared = np.maximum(1.0 - apart / width, 0.0)
-    # One row for each pixel: a tap reads its five numbers from one place in memory.
-    pixel_rows = np.stack([weight.ravel(), *(plane.ravel() for plane in planes)], axis=1)
+    # A border of two pixels without weight: every tap reads within the image.
+    wide = columns + 4
+    padded = [np.pad(plane, 2).ravel() for plane in (weight, *planes)]
     total, residual, variance = np.zeros(len(pixels)), np.zeros((2, len(pixels))), np.zeros((2, len(pixels)))
     for start in range(0, len(pixels), _BLOCK):
         part = slice(start, start + _BLOCK)
-        left, top = np.floor(pixels[part]).astype(np.intp).T
+        left = np.clip(np.floor(pixels[part, 0]), -1, columns - 1).astype(np.intp)
+        top = np.clip(np.floor(pixels[part, 1]), -1, rows - 1).astype(np.intp)
         to_right, down = pixels[part, 0] - left, pixels[part, 1] - top
         inner = (left >= 1) & (left < columns - 2) & (top >= 1) & (top < rows - 2)
         # OpenCV anchors an even box one pixel past its middle: the 4 x 4 block from (-1, -1) ends at (+2, +2).
-        cubic = inner & (block.ravel()[np.where(inner, (top + 1) * columns + left + 1, 0)] > 15.5)
+        cubic = inner & (block.take(np.where(inner, (top + 1) * columns + left + 1, 0)) > 15.5)
         along_x, along_y = _tap_weights(to_right, cubic), _tap_weights(down, cubic)
-        noise_x, noise_y = shared @ along_x, shared @ along_y
-        sums = np.zeros((left.size, 5))
-        for tap_x in range(4):
-            at_column = np.clip(left + tap_x - 1, 0, columns - 1)
-            for tap_y in range(4):
-                read = pixel_rows.take(np.clip(top + tap_y - 1, 0, rows - 1) * columns + at_column, axis=0)
-                share = along_x[tap_x] * along_y[tap_y] * read[:, 0]
-                noise = noise_x[tap_x] * noise_y[tap_y] * share
-                sums[:, 0] += share
-                sums[:, 1:3] += share[:, None] * read[:, 1:3]
-                sums[:, 3:] += noise[:, None] * read[:, 3:]
-        total[part], residual[:, part], variance[:, part] = sums[:, 0], sums[:, 1:3].T, sums[:, 3:].T
+        noise_x, noise_y = along_x * (shared @ along_x), along_y * (shared @ along_y)
+        first = (top + 1) * wide + left + 1
+        for tap_x, tap_y in np.ndindex(4, 4):
+            at = first + (tap_y * wide + tap_x)
+            share, noise = along_x[tap_x] * along_y[tap_y], noise_x[tap_x] * noise_y[tap_y]
+            total[part] += share * padded[0].take(at)
+            for axis in (0, 1):
+                residual[axis, part] += share * padded[1 + axis].take(at)
+                variance[axis, part] += noise * padded[3 + axis].take(at)
     return _WeightedSums(total, residual, variance)
 
 
