@@ -1,7 +1,7 @@
 """Keys of a camera in measurement.toml."""
 
 from collections.abc import Sequence
-from fnmatch import fnmatchcase
+from pathlib import PurePosixPath
 from typing import Annotated, Any, Literal, Self
 
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
@@ -151,8 +151,8 @@ class NetworkCameraSection(Section):
         return () if self.is_known else SELF_CALIBRATED
 
     def took(self, photo: str) -> bool:
-        """Whether the patterns name a photo."""
-        return any(fnmatchcase(photo, pattern) for pattern in self.photos or ())
+        """Whether the patterns name a photo, by its name or its path in the folder, as ``[images] photos`` does."""
+        return any(PurePosixPath(photo).match(pattern) for pattern in self.photos or ())
 
 
 def _as_list(value: Any) -> Any:
@@ -182,6 +182,7 @@ CameraSections = Annotated[
 def camera_of_photos(cameras: Sequence[NetworkCameraSection], photos: Sequence[str]) -> tuple[int, ...]:
     """Say which camera took each photo.
 
+    photos: Names of the photos, or their paths in the measurement's folder.
     ValueError: A photo of no camera or of several; the message names it.
     """
     rest = next((place for place, one in enumerate(cameras) if one.photos is None), None)

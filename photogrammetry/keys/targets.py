@@ -45,10 +45,10 @@ class TargetsSection(Section):
         None, description="Sense of the printed codes; default: the dictionary's."
     )
     ring_inner_radius: Positive | None = Field(
-        None, description="Inner radius of the code ring, in radii of the dot; default: the dictionary's."
+        None, description="Inner radius of the code ring, in radii of the dot; default: found from the photos."
     )
     ring_outer_radius: Positive | None = Field(
-        None, description="Outer radius of the code ring, in radii of the dot; default: the dictionary's."
+        None, description="Outer radius of the code ring, in radii of the dot; default: found from the photos."
     )
     diameter_mm: Positive | None = Field(
         None, description="Diameter of all dots: helps targets seen twice, and is checked [mm]."

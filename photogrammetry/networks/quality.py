@@ -214,6 +214,8 @@ def check_network(solved: Solved) -> Iterator[Doubt]:
     bundle = solved.bundle
     for one in solved.network.photos_left_out:
         yield Doubt("photo_not_in_network", f"photo {one.name} is left out: {one.reason}")
+    for one in solved.weak:
+        yield Doubt("not_determined_left_out", f"{one.name}: {one.reason}; the network goes on without")
     for one in solved.unused:
         yield Doubt("known_value_not_used", f"{one.name}: {one.reason}")
     scaled = any(isinstance(one, Distance) for one in bundle.problem.constraints)

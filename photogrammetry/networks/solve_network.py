@@ -2,9 +2,11 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 
+from heliogauge.adjust.least_squares import Prior
 from heliogauge.adjust.solution import CovarianceScale
 from heliogauge.camera.model import Camera
 from heliogauge.errors import EstimationError, InputError
@@ -15,13 +17,28 @@ from photogrammetry.bundle.constraints import Constraint, ControlPoint, Distance
 from photogrammetry.bundle.datum import Datum, DatumKind
 from photogrammetry.bundle.eccentricity import eccentricities_px, estimate_discs
 from photogrammetry.bundle.problem import BundleProblem, CameraModel
-from photogrammetry.bundle.state import BundleState
+from photogrammetry.bundle.state import INTRINSIC_NAMES, BundleState, intrinsics_of
 from photogrammetry.bundle.statistics import Rejected, adjust_and_reject, examine_image_points
 from photogrammetry.image_points import ImagePoints
 from photogrammetry.start_values.network import LeftOut, Network, StartValues, build_network
 
 #: Known lengths that differ from the network by this share, and by ten sigma, are mistakes and no measurements.
 _GROSS_SHARE, _GROSS_SIGMAS = 0.2, 10.0
+#: Photos, targets and intrinsics that are left out one after the other, and the share of all photos or targets that may
+#: be concerned: where more are, the network as a whole is too weak.
+_MOST_WEAK, _FEW_SHARE = 12, 0.25
+#: Sigmas of intrinsics that the photos do not determine: what cameras and lenses have in any case.
+_WEAK_PRIORS = {
+    "aspect": 1e-3,
+    "center_x_px": 50.0,
+    "center_y_px": 50.0,
+    "skew": 1e-3,
+    "k1": 0.1,
+    "k2": 0.1,
+    "k3": 0.1,
+    "p1": 1e-3,
+    "p2": 1e-3,
+}
 #: Sigmas from residuals need this many to spare to be worth more than the stated ones.
 _LEAST_REDUNDANCY = 20
 
@@ -73,6 +90,29 @@ class NetworkCameras:
         """Return the camera of each photo."""
         return np.array([self.camera_of[name] for name in photos], dtype=np.intp)
 
+    def with_prior(self, camera: str, name: str, sigma: float) -> "NetworkCameras":
+        """Return the same with an intrinsic of one camera held near its start.
+
+        camera, name: Name of the camera and of the intrinsic.
+        sigma: Standard deviation, in the unit of the intrinsic.
+        """
+        models = []
+        for model, start in zip(self.models, self.cameras, strict=True):
+            if model.name == camera:
+                value = float(intrinsics_of(start)[INTRINSIC_NAMES.index(name)])
+                model = replace(model, priors=(*model.priors, Prior(name, value, sigma)))
+            models.append(model)
+        return NetworkCameras(self.cameras, tuple(models), self.camera_of)
+
+    def held_without(self, photos: Sequence[str]) -> "NetworkCameras":
+        """Return the same with nothing estimated of cameras that took none of some photos."""
+        used = {self.camera_of[name] for name in photos}
+        models = tuple(
+            one if place in used else replace(one, free=(), priors=(), prior_covariance=None, prior_values=None)
+            for place, one in enumerate(self.models)
+        )
+        return NetworkCameras(self.cameras, models, self.camera_of)
+
     def problem(self, table: ImagePoints) -> BundleProblem:
         """Return the free network of image points: nothing known, inner constraints."""
         return BundleProblem(table, self.models, self.index(table.photos))
@@ -102,6 +142,7 @@ class Solved:
     largest_eccentricity_px: Largest correction of a centre [px].
     image_sigma_factor: By what the stated sigmas of the image points were multiplied.
     unused: Constraints whose targets are not in the network.
+    weak: Photos, targets and intrinsics that are not determined: left out, or held near their start.
     """
 
     network: Network
@@ -110,6 +151,7 @@ class Solved:
     largest_eccentricity_px: float
     image_sigma_factor: float
     unused: tuple[LeftOut, ...]
+    weak: tuple[LeftOut, ...] = ()
 
 
 def solve_network(
@@ -182,15 +224,58 @@ def solve_from(
         table, state = alone.problem.observations, alone.state
         network = _without_innocent(network, table)
         table, state = _without_empty(table, state)
-    problem, unused = _problem(table, cameras, knowledge)
-    placed = _place(state, table, problem, knowledge)
-    _refuse_gross_lengths(problem, placed)
-    bundle = adjust(problem, placed, options=chosen).require()
+    bundle, unused, weak = _adjust_determined(table, state, cameras, knowledge, chosen)
     factor = 1.0
     if options.rescale:
         bundle, factor = _rescale(bundle)
     largest = float(np.linalg.norm(shift, axis=1).max(initial=0.0))
-    return Solved(network, bundle, rejected, largest, factor, unused)
+    return Solved(network, bundle, rejected, largest, factor, unused, weak)
+
+
+class _Adjusted(NamedTuple):
+    """An adjustment in which all is determined, known values that it does not use, and what was left out for that."""
+
+    bundle: BundleResult
+    unused: tuple[LeftOut, ...]
+    weak: tuple[LeftOut, ...]
+
+
+def _adjust_determined(
+    table: ImagePoints, state: BundleState, cameras: NetworkCameras, knowledge: Knowledge, options: BundleOptions
+) -> _Adjusted:
+    """Adjust with all that is known, without the few photos, targets and intrinsics that are not determined.
+
+    EstimationError: More than a few are not, or nothing that could be left out.
+    """
+    weak: list[LeftOut] = []
+    for _ in range(_MOST_WEAK):
+        problem, unused = _problem(table, cameras, knowledge)
+        placed = _place(state, table, problem, knowledge)
+        _refuse_gross_lengths(problem, placed)
+        bundle = adjust(problem, placed, options=options)
+        defect = bundle.defects[0] if bundle.defects else None
+        if defect is None:
+            break
+        loose = [name for name in defect.intrinsics if not name.startswith("focal_px")]
+        if not defect.photos and not defect.intrinsics and len(defect.targets) <= _FEW_SHARE * len(table.targets):
+            keep = ~np.isin(np.array(table.targets)[table.target_index], defect.targets)
+            weak += [LeftOut(name, "left out: its rays do not determine it") for name in defect.targets]
+        elif defect.photos and len(defect.photos) <= _FEW_SHARE * len(table.photos):
+            photo = defect.photos[0]
+            keep = np.array(table.photos)[table.photo_index] != photo
+            count = int(np.count_nonzero(~keep))
+            weak.append(LeftOut(photo, f"left out: its {count} image points do not determine its pose"))
+        elif loose and len(loose) == len(defect.intrinsics):
+            name, _, camera = loose[0].partition(" of ")
+            cameras = cameras.with_prior(camera, name, _WEAK_PRIORS[name])
+            held = f"the photos do not determine it: held near its start, sigma {_WEAK_PRIORS[name]:g}"
+            weak.append(LeftOut(loose[0], held))
+            continue
+        else:
+            break
+        table, state = _without_empty(table.subset(keep), state)
+        cameras = cameras.held_without(table.photos)
+    return _Adjusted(bundle.require(), unused, tuple(weak))
 
 
 def _with_suspicious(points: ImagePoints, network: Network) -> np.ndarray:

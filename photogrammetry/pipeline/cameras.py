@@ -41,14 +41,10 @@ def build_cameras(
         camera named by patterns that fit no photo.
     """
     sections = measurement.model.camera
-    try:
-        index = camera_of_photos(sections, photos)
-    except ValueError as error:
-        raise InputError(f"camera: {error}") from None
+    index = _cameras_of(measurement, photos)
     own = [[name for name, place in zip(photos, index, strict=True) if place == k] for k in range(len(sections))]
-    for section, names in zip(sections, own, strict=True):
-        if section.photos is not None and not names:
-            raise InputError(f"camera {section.name}: no photo fits photos = {', '.join(section.photos)}")
+    if not measurement.photo_files:
+        _refuse_without_photos(sections, index)
     used = [k for k, names in enumerate(own) if names]
     cameras = [
         _build_camera(measurement, sections[k], _common_size(sections[k], own[k], sizes_px), own[k]) for k in used
@@ -58,6 +54,29 @@ def build_cameras(
     return NetworkCameras(
         tuple(cameras), tuple(models), {name: place[k] for name, k in zip(photos, index, strict=True)}
     )
+
+
+def refuse_camera_mismatches(measurement: PhotogrammetryMeasurement) -> None:
+    """Check before anything is measured that each photo has one camera, and each camera's patterns fit a photo.
+
+    InputError: A photo of no camera or of several, or patterns that fit no photo; the message names it.
+    """
+    index = _cameras_of(measurement, [file.name for file in measurement.photo_files])
+    _refuse_without_photos(measurement.model.camera, index)
+
+
+def _cameras_of(measurement: PhotogrammetryMeasurement, photos: Sequence[str]) -> tuple[int, ...]:
+    places = {file.name: file.relative_to(measurement.folder).as_posix() for file in measurement.photo_files}
+    try:
+        return camera_of_photos(measurement.model.camera, [places.get(name, name) for name in photos])
+    except ValueError as error:
+        raise InputError(f"camera: {error}") from None
+
+
+def _refuse_without_photos(sections: Sequence[NetworkCameraSection], index: Sequence[int]) -> None:
+    for place, section in enumerate(sections):
+        if section.photos is not None and place not in index:
+            raise InputError(f"camera {section.name}: no photo fits photos = {', '.join(section.photos)}")
 
 
 def sizes_of_cameras(measurement: PhotogrammetryMeasurement, photos: Sequence[str]) -> Sizes:

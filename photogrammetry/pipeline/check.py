@@ -3,7 +3,7 @@
 from heliogauge.measurement.findings import Findings
 from heliogauge.running.progress import SilentProgress
 from photogrammetry.keys.load import PhotogrammetryMeasurement
-from photogrammetry.pipeline.cameras import build_cameras
+from photogrammetry.pipeline.cameras import build_cameras, refuse_camera_mismatches
 from photogrammetry.pipeline.inputs import (
     build_checks,
     build_constraints,
@@ -28,6 +28,7 @@ def find_faults(measurement: PhotogrammetryMeasurement, findings: Findings) -> N
     findings.refuse_copies()
     if measurement.photo_files:
         findings.few_photos(measurement.photo_files, _LEAST_PHOTOS, "a network")
+        findings.attempt(refuse_camera_mismatches, measurement)
         sizes = findings.sizes_px(measurement.photo_files)
         if sizes:
             findings.attempt(build_cameras, measurement, list(sizes), sizes)

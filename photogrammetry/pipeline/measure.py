@@ -21,7 +21,7 @@ from photogrammetry.networks.quality import check_lengths, check_network
 from photogrammetry.networks.solve_network import Knowledge, NetworkCameras, Solved, SolveOptions
 from photogrammetry.networks.solve_uncoded import add_dots
 from photogrammetry.networks.target_size import check_sizes
-from photogrammetry.pipeline.cameras import build_cameras, sensors_of, sizes_of_cameras
+from photogrammetry.pipeline.cameras import build_cameras, refuse_camera_mismatches, sensors_of, sizes_of_cameras
 from photogrammetry.pipeline.dots import measure_targets_of
 from photogrammetry.pipeline.inputs import (
     build_checks,
@@ -69,6 +69,8 @@ def run(
     model = measurement.model
     hashes: dict[str, str] = {}
     if measured is None:
+        if measurement.photo_files:
+            refuse_camera_mismatches(measurement)
         with progress.stage("hash inputs"):
             hashes = hash_files(measurement.input_files, measurement.folder)
         refuse_copies(measurement.photo_files, hashes, measurement.folder)

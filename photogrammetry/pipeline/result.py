@@ -116,7 +116,7 @@ class Result(InstrumentResult):
             for one in solved.rejected
         ]
         left = (*solved.network.suspicious, *solved.network.photos_left_out, *solved.network.targets_left_out)
-        return (*self.measured.refused, *left, *solved.unused, *outliers)
+        return (*self.measured.refused, *left, *solved.unused, *solved.weak, *outliers)
 
     def _places_of(self, targets: set[str]) -> dict[str, ImagePlace]:
         """Return where the image points of some targets are, by their labels."""

@@ -8,9 +8,14 @@ import pytest
 
 from heliogauge.camera.distortion import BrownDistortion, DistortionDirection
 from heliogauge.camera.model import Camera
+from heliogauge.errors import InputError
 from heliogauge.images.exif import focal_length_35mm
+from heliogauge.images.photos import write_image
 from heliogauge.results.tables import read_cameras_json, read_table_csv, write_camera_json
 from photogrammetry.image_points import ImagePoints
+from photogrammetry.keys.cameras import NetworkCameraSection
+from photogrammetry.keys.load import load_photogrammetry
+from photogrammetry.pipeline.measure import run
 from tests.photogrammetry.bundle_networks import network
 from tests.photogrammetry.network_jobs import (
     command,
@@ -213,3 +218,41 @@ def test_every_key_is_in_the_file_that_is_written(tmp_path):
     job = write_job(tmp_path / "in", points, camera=size(truth.cameras[0]), scale_bar=[bar(truth, 0, 1)])
     assert command(job, tmp_path / "out") == 0
     assert json.loads((tmp_path / "out" / "cameras.json").read_text())["cameras"].keys() == {"camera"}
+
+
+def test_a_photo_that_is_not_determined_is_left_out_and_named(tmp_path):
+    """One photo by a camera of its own, free, with six targets: twelve coordinates for six of pose, eight of camera."""
+    free = ["focal_px", "center_x_px", "center_y_px", "k1", "k2", "k3", "p1", "p2"]
+    truth, points = two_cameras(np.random.default_rng(5))
+    few = np.flatnonzero(points.photo_index == len(points.photos) - 1)[6:]
+    weak = points.subset(np.setdiff1d(np.arange(points.n), few))
+    cameras = [
+        {"name": "wide", "photos": ["a*"], **size(WIDE), "focal_px": 6100.0, "free": free},
+        {"name": "single", "photos": ["b7.jpg"], **size(SMALL), "focal_px": 2500.0, "free": free},
+        {"name": "small", **size(SMALL), "focal_px": 2500.0, "free": free},
+    ]
+    job = write_job(tmp_path / "in", weak, camera=cameras, scale_bar=[bar(truth, 0, 9), bar(truth, 3, 17)])
+    assert command(job, tmp_path / "out") == 0
+    doubts = {one["code"]: one["text"] for one in summary_of(tmp_path / "out")["doubts"]}
+    assert "b7.jpg" in doubts.get("not_determined_left_out", "") + doubts.get("photo_left_out", "")
+    sigmas = sigmas_of(tmp_path / "out")
+    assert len(sigmas) == 40
+    assert all(np.isfinite(one).all() for one in sigmas.values())
+
+
+@pytest.mark.parametrize("pattern", ["a*", "shots/a*.png", "*/a*"])
+def test_photos_of_a_camera_are_named_as_those_of_the_images(pattern):
+    section = NetworkCameraSection(name="wide", photos=(pattern,))
+    assert section.took("shots/a0.png")
+    assert not section.took("shots/b0.png")
+
+
+def test_patterns_that_fit_no_photo_are_found_before_measuring(tmp_path):
+    for name in ("a0.png", "b0.png"):
+        write_image(tmp_path / name, np.zeros((32, 32), dtype=np.uint8))
+    (tmp_path / "measurement.toml").write_text(
+        'kind = "photogrammetry"\nname = "x"\n[images]\nphotos = "*.png"\n[targets]\ndictionary = "aicon-12"\n'
+        '[[camera]]\nname = "wide"\nphotos = ["c*"]\n[[camera]]\nname = "rest"\n'
+    )
+    with pytest.raises(InputError, match=r"camera wide: no photo fits photos = c\*"):
+        run(load_photogrammetry(tmp_path))
