@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
+import numpy as np
 from pydantic import Discriminator, Field, Tag, model_validator
 
 from heliogauge.errors import InputError
@@ -186,6 +187,9 @@ class FacetSection(DesignKeys):
     reference_point_m: Vector2 | None = Field(
         None, description="Reference of its results; default: the outline's centroid [m]."
     )
+    mounts_m: Outline | None = Field(
+        None, description="Its mounts, x and y in the facet's frame; default: mirror.mounts_m [m]."
+    )
 
 
 class DistanceSection(Section):
@@ -206,6 +210,26 @@ class KnownPointSection(Section):
     point_m: Vector3 = Field(description="The point in the mirror's frame [m].")
     image_px: Vector2 = Field(description="Where it was measured in the image, x and y [px].")
     sigma_px: Positive = Field(0.5, description="Standard deviation of each image coordinate [px].")
+
+
+def _check_mounts(name: str, mounts_m: tuple[Vector2, ...], outline_m: Outline) -> None:
+    """Refuse mounts of a facet that are in other units, or that cannot turn it in both directions."""
+    if not mounts_m:
+        return
+    mounts, outline = np.array(mounts_m), np.array(outline_m)
+    middle = outline.mean(axis=0)
+    size = float(np.hypot(*(outline - middle).T).max())
+    for x, y in mounts[np.hypot(*(mounts - middle).T) > 2 * size].tolist():
+        raise ValueError(
+            f'mounts_m: [{x:g}, {y:g}] is far beside facet "{name}", whose corners are {size:g} m from its middle; '
+            "are the coordinates in metres, and in the facet's frame?"
+        )
+    # A line of mounts turns a facet about one axis; 1 % of its size across would ask for 100 times the move.
+    if float(np.linalg.svd(mounts - mounts.mean(axis=0), compute_uv=False)[1]) < 0.01 * size:
+        raise ValueError(
+            f'mounts_m: the mounts of facet "{name}" lie on a line, which turns it about one axis only; '
+            "give three that do not"
+        )
 
 
 class MirrorSection(DesignKeys):
@@ -232,6 +256,9 @@ class MirrorSection(DesignKeys):
     facet: tuple[FacetSection, ...] = Field(
         (), description="Facets of an ensemble, one table each, instead of outline_m."
     )
+    mounts_m: Outline | None = Field(
+        None, description="Mounts of every facet, x and y in the facet's frame; each gets a move in mounts.csv [m]."
+    )
     pose: PoseSection | None = Field(None, description="A pose measured otherwise; replaces the adjustment.")
     distance: DistanceSection | None = Field(None, description="Distance from mirror to screen, for the adjustment.")
     known_point: tuple[KnownPointSection, ...] = Field(
@@ -246,8 +273,15 @@ class MirrorSection(DesignKeys):
             raise ValueError(
                 "outline_m and [[mirror.facet]] are both given; an ensemble has outlines in its facets only"
             )
+        if self.mounts_m is not None and not self.facet:
+            raise ValueError(
+                "mounts_m belongs to the facets of an ensemble; a mirror of one facet is turned as a whole, so that it "
+                "has no canting"
+            )
         if (twice := repeated(facet.name for facet in self.facet)) is not None:
             raise ValueError(f'two facets are called "{twice}"; each needs its own name')
+        for facet in self.facet:
+            _check_mounts(facet.name, facet.mounts_m or self.mounts_m or (), facet.outline_m)
         has_outline = self.outline_m is not None or bool(self.facet)
         if not (has_outline or self.pose or self.distance or len(self.known_point) >= 3):
             raise ValueError(

@@ -10,6 +10,7 @@ from data_synth.optics.mirror import SyntheticFacet
 from data_synth.optics.wall import Wall
 from heliogauge.errors import InputError
 from heliogauge.geometry.rigid import RigidTransform
+from heliogauge.validate import FloatArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,7 +141,13 @@ def _mirror(scene: FringeScene, knowledge: Knowledge, rng: np.random.Generator) 
         }
         for facet in facets
     ]
-    return {**_design(facets[0]), **known, "facet": listed}
+    return {**_design(facets[0]), "mounts_m": _mounts(facets[0]), **known, "facet": listed}
+
+
+def _mounts(facet: SyntheticFacet) -> FloatArray:
+    """Return mounts at three quarters of the way from a facet's middle to its corners."""
+    middle = facet.outline_m.mean(axis=0)
+    return np.round(middle + 0.75 * (facet.outline_m - middle), 4)
 
 
 def _design(facet: SyntheticFacet) -> dict[str, Any]:

@@ -1,19 +1,21 @@
 """The numbers and words that stand for a measurement: what summary.json holds."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from math import isfinite
 
 import numpy as np
 
 from deflectometry.pipeline.evaluate import Evaluation
 from deflectometry.pose.find_pose import LocatedMirror
 from deflectometry.setup.camera_and_screen import Setup
+from deflectometry.shape.facet_canting import FacetCanting
 from heliogauge.flags import FLAG_TEXTS, count_flags
 from heliogauge.reporting.notation import number_text
 from heliogauge.results.folder import Summary, unit_of
 from heliogauge.slopes.grid import curl
 from heliogauge.slopes.map import SlopeMap
 from heliogauge.slopes.removal import Removal
-from heliogauge.slopes.statistics import SlopeStatistics, canting, common_rms, fit_quadratic, statistics_of_removals
+from heliogauge.slopes.statistics import Canting, SlopeStatistics, common_rms, fit_quadratic, statistics_of_removals
 from heliogauge.validate import FloatArray
 
 Numbers = dict[str, float | int | None]
@@ -52,16 +54,24 @@ def facet_numbers(slope_map: SlopeMap, as_measured: SlopeMap) -> Numbers:
     return numbers
 
 
-def numbers_of_facets(evaluation: Evaluation, maps: Mapping[str, SlopeMap]) -> dict[str, Numbers]:
-    """Collect the headline numbers of each facet, from its map after what was removed; empty for a single facet."""
-    if len(evaluation.located.facets) == 1:
-        return {}
-    return {name: canting_numbers(one) | facet_numbers(maps[name], one) for name, one in evaluation.maps.items()}
+def numbers_of_facets(
+    evaluation: Evaluation, maps: Mapping[str, SlopeMap], cantings: Sequence[FacetCanting]
+) -> dict[str, Numbers]:
+    """Collect the headline numbers of each measured facet of an ensemble; empty for a single facet.
+
+    maps: Map of each facet after what was removed.
+    cantings: Of all facets.
+    """
+    return {
+        one.facet.name: _numbers_of_canting(one.canting) | facet_numbers(maps[one.facet.name], evaluation.maps[one.facet.name])
+        for one in cantings
+        if one.facet.name in maps
+    }
 
 
-def canting_numbers(as_measured: SlopeMap) -> Numbers:
-    """Collect the canting of one facet of an ensemble, from its map before anything was removed."""
-    canted = canting(as_measured)
+def _numbers_of_canting(canted: Canting | None) -> Numbers:
+    if canted is None:
+        return dict.fromkeys(("canting_x_rad", "sigma_canting_x_rad", "canting_y_rad", "sigma_canting_y_rad"))
     sigma = np.sqrt(np.diag(canted.covariance_components_rad2))
     return {
         "canting_x_rad": float(canted.components_rad[0]),
@@ -69,6 +79,25 @@ def canting_numbers(as_measured: SlopeMap) -> Numbers:
         "canting_y_rad": float(canted.components_rad[1]),
         "sigma_canting_y_rad": float(sigma[1]),
     }
+
+
+def canting_numbers(cantings: Sequence[FacetCanting]) -> Numbers:
+    """Collect the largest canting and the largest move of a mount; empty where there is none."""
+    numbers: Numbers = {}
+    known = [one.canting for one in cantings if one.canting is not None]
+    if known:
+        largest = max(known, key=lambda one: one.angle_rad)
+        numbers |= {"canting_largest_rad": largest.angle_rad, "sigma_canting_largest_rad": largest.sigma_angle_rad}
+    moves = [
+        (abs(move), sigma)
+        for one in cantings
+        for move, sigma in zip(one.moves.move_m.tolist(), one.moves.sigma_m.tolist(), strict=True)
+        if isfinite(move)
+    ]
+    if moves:
+        move, sigma = max(moves)
+        numbers |= {"largest_move_mm": 1e3 * move, "sigma_largest_move_mm": 1e3 * sigma}
+    return numbers
 
 
 def _deviation_numbers(deviation: SlopeStatistics, view: str) -> Numbers:
@@ -163,6 +192,7 @@ def geometry(setup: Setup, evaluation: Evaluation) -> Mapping[str, object]:
         "camera_axis": mirror_from_cam.rotate([0.0, 0.0, 1.0]).tolist(),
         "screen": (mirror_from_cam @ setup.cam_from_screen).apply(border).tolist(),
         "mirror": np.concatenate(outlines).tolist(),
+        "outlines": [one.tolist() for one in outlines],
     }
 
 
@@ -181,7 +211,18 @@ def headline_text(summary: Summary) -> str:
         f"  as measured      SDx {number('sdx_rad')}   SDy {number('sdy_rad')}",
         f"  best-fit focus   SDx {number('sdx_best_focus_rad')}   SDy {number('sdy_best_focus_rad')}",
         f"  focal length     x {number('focal_length_x_m')}   y {number('focal_length_y_m')}",
+        *_canting_lines(summary),
         f"  removed          {summary.texts['removed']}",
         f"  measured share   {100 * float(summary.numbers['measured_share'] or 0):.1f} % of the mirror",
     ]
     return "\n".join(lines)
+
+
+def _canting_lines(summary: Summary) -> list[str]:
+    """Return the line about canting and moves of an ensemble."""
+    said = [
+        f"{words} {number_text(float(value), summary.numbers[f'sigma_{key}'], unit_of(key)[1])}"
+        for key, words in (("canting_largest_rad", "largest"), ("largest_move_mm", "largest move of a mount"))
+        if (value := summary.numbers.get(key)) is not None
+    ]
+    return [f"  canting          {'   '.join(said)}"] if said else []

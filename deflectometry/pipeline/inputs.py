@@ -26,6 +26,7 @@ from heliogauge.measurement.designs import build_design
 from heliogauge.measurement.load import MEASUREMENT_FILE
 from heliogauge.measurement.models import Section
 from heliogauge.results.tables import read_camera_json, read_number_columns
+from heliogauge.validate import FloatArray
 
 #: A full turn; no rotation needs more.
 TURN_RAD = 2 * np.pi
@@ -157,6 +158,12 @@ def _facet(
 ) -> Facet:
     reference = np.full(2, np.nan) if reference_point_m is None else np.asarray(reference_point_m)
     return Facet(name, np.asarray(outline_m), design, place or RigidTransform.identity(), reference)
+
+
+def build_mounts(section: MirrorSection) -> dict[str, FloatArray]:
+    """Return the places (n, 2) of the mounts of each facet that has some, in its frame [m]."""
+    mounts = {one.name: one.mounts_m or section.mounts_m for one in section.facet}
+    return {name: np.array(places) for name, places in mounts.items() if places}
 
 
 def build_knowledge(section: MirrorSection, setup: Setup) -> Knowledge:

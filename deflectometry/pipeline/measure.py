@@ -6,9 +6,10 @@ from deflectometry.frames.image_file_checks import check_compression, check_size
 from deflectometry.keys import DeflectometryMeasurement
 from deflectometry.pipeline.choices import Options, build_choices
 from deflectometry.pipeline.evaluate import evaluate_frames
-from deflectometry.pipeline.headline import facet_numbers, numbers_of_facets, pose_numbers
+from deflectometry.pipeline.headline import canting_numbers, facet_numbers, numbers_of_facets, pose_numbers
 from deflectometry.pipeline.images import image_files, mend_frames, observe, pictures_of_frames
 from deflectometry.pipeline.inputs import (
+    build_mounts,
     build_pattern,
     build_setup,
     check_missing_sigmas,
@@ -19,6 +20,7 @@ from deflectometry.pipeline.plausibility import implausible, refuse_impossible
 from deflectometry.pipeline.result import Result
 from deflectometry.setup.screen_table import check_beyond_table
 from deflectometry.shape.assemble import assemble_maps
+from deflectometry.shape.facet_canting import canting_of_facets, doubt_of_canting
 from heliogauge.doubts import gather_doubts
 from heliogauge.errors import showing
 from heliogauge.images.photos import read_frames
@@ -74,8 +76,11 @@ def run(
     maps = {name: remove(one, choices.removal) for name, one in evaluation.maps.items()}
     assembled = assemble_maps(facets, maps, align, choices.removal)
     with progress.stage("statistics"):
+        mounts_m = build_mounts(measurement.model.mirror)
+        cantings = canting_of_facets(facets, evaluation.maps, mounts_m) if len(facets) > 1 else ()
         numbers = facet_numbers(assembled, as_measured) | pose_numbers(evaluation.located, evaluation)
-        numbers_by_facet = numbers_of_facets(evaluation, maps)
+        numbers |= canting_numbers(cantings)
+        numbers_by_facet = numbers_of_facets(evaluation, maps, cantings)
     doubts = gather_doubts(
         check_screen(measurement, setup.screen),
         frames.doubts,
@@ -84,6 +89,7 @@ def run(
         check_missing_sigmas(measurement, setup),
         evaluation.doubts,
         check_beyond_table(setup.screen, *evaluation.screen_map.points_seen()),
+        doubt_of_canting(cantings),
         implausible(numbers, numbers_by_facet, evaluation),
     )
     with progress.stage("hash inputs"):
@@ -97,6 +103,7 @@ def run(
         as_measured,
         numbers,
         numbers_by_facet,
+        cantings,
         name=measurement.model.name,
         doubts=doubts,
         durations_s=dict(progress.durations_s),

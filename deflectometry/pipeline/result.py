@@ -12,6 +12,7 @@ from deflectometry.pipeline.headline import Numbers, flag_words, geometry, headl
 from deflectometry.pose.adjust_pose import MirrorPose
 from deflectometry.setup.camera_and_screen import Setup
 from deflectometry.setup.patterns import FringePattern
+from deflectometry.shape.facet_canting import CANTING_FILE, CANTING_SIGN, MOUNTS_FILE, FacetCanting
 from heliogauge.geometry.rigid import skew
 from heliogauge.results.folder import (
     PhotoPose,
@@ -49,6 +50,8 @@ class Result(InstrumentResult):
         Headline numbers of the mirror.
     facets : dict of str to dict
         Headline numbers of each facet; empty for a single one.
+    cantings : tuple of FacetCanting
+        Canting of each facet of an ensemble with the moves of its mounts; empty for a single facet.
     name : str
         Name of the mirror.
     doubts : tuple of Doubt
@@ -68,6 +71,7 @@ class Result(InstrumentResult):
     assembled_as_measured: SlopeMap
     numbers: Numbers
     facets: dict[str, Numbers]
+    cantings: tuple[FacetCanting, ...]
 
     def summarise(self) -> Summary:
         """Collect the headline numbers with their sigmas, doubts and provenance."""
@@ -82,6 +86,8 @@ class Result(InstrumentResult):
             "pixels": flag_words(self.evaluation),
             "sigma": "1 standard deviation; slopes are those of the normal, a beam turns by twice as much",
         }
+        if self.cantings:
+            texts["canting"] = CANTING_SIGN
         return self._summary(self.numbers, texts, facets=self.facets, geometry_m=geometry(self.setup, self.evaluation))
 
     def write_files(self, folder: Path) -> None:
@@ -96,6 +102,10 @@ class Result(InstrumentResult):
         write_cameras_json(folder / "cameras.json", {"camera": self.setup.camera}, _facet_poses(evaluation))
         if evaluation.located.evidence is not None:
             write_table_csv(folder / "outline.csv", _outline_columns(evaluation.located.evidence))
+        if self.cantings:
+            write_table_csv(folder / CANTING_FILE, _canting_columns(self.cantings))
+        if any(len(one.mounts_m) for one in self.cantings):
+            write_table_csv(folder / MOUNTS_FILE, _mount_columns(self.cantings))
 
     def headline(self) -> str:
         """Return the most important numbers in a few lines for the terminal."""
@@ -113,6 +123,43 @@ def _facet_poses(evaluation: Evaluation) -> dict[str, PhotoPose]:
         pose = cam_from_mirror @ facet.ensemble_from_facet
         poses[facet.name] = PhotoPose("camera", pose, carry @ located.pose.covariance @ carry.T, residual)
     return poses
+
+
+def _canting_columns(cantings: tuple[FacetCanting, ...]) -> dict[str, Any]:
+    places = [one.facet.ensemble_from_facet.apply([*one.facet.reference_point_m, 0.0]) for one in cantings]
+    components, sigma = np.full((2, len(cantings)), np.nan), np.full((2, len(cantings)), np.nan)
+    for number, one in enumerate(cantings):
+        if one.canting is not None:
+            components[:, number] = one.canting.components_rad
+            sigma[:, number] = np.sqrt(np.diag(one.canting.covariance_components_rad2))
+    rise = np.array([one.rise_rad for one in cantings])
+    return {
+        "facet": [one.facet.name for one in cantings],
+        "canting_x_rad": components[0],
+        "canting_y_rad": components[1],
+        "sigma_canting_x_rad": sigma[0],
+        "sigma_canting_y_rad": sigma[1],
+        "measured_share": [one.measured_share for one in cantings],
+        "x_m": [place[0] for place in places],
+        "y_m": [place[1] for place in places],
+        "rise_x_rad": rise[:, 0],
+        "rise_y_rad": rise[:, 1],
+    }
+
+
+def _mount_columns(cantings: tuple[FacetCanting, ...]) -> dict[str, Any]:
+    x, y = np.concatenate([one.mounts_m for one in cantings]).T
+    places = np.concatenate([one.mounts_in_ensemble_m for one in cantings])
+    return {
+        "facet": [one.facet.name for one in cantings for _ in one.mounts_m],
+        "mount": [number for one in cantings for number in range(1, 1 + len(one.mounts_m))],
+        "x_m": x,
+        "y_m": y,
+        "move_mm": 1e3 * np.concatenate([one.moves.move_m for one in cantings]),
+        "sigma_move_mm": 1e3 * np.concatenate([one.moves.sigma_m for one in cantings]),
+        "ensemble_x_m": places[:, 0],
+        "ensemble_y_m": places[:, 1],
+    }
 
 
 def _outline_columns(evidence: MirrorPose) -> dict[str, FloatArray]:

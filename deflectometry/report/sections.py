@@ -4,6 +4,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from deflectometry.report.canting import canting_section
 from deflectometry.report.light import light
 from deflectometry.report.maps import (
     distribution_chart,
@@ -36,6 +37,7 @@ from heliogauge.view.maps import MapView
 from heliogauge.view.tables import TableColumn, TableView
 
 __all__ = [
+    "canting_section",
     "charts",
     "doubts_box",
     "duration_table",

@@ -1,9 +1,9 @@
 """Maps to look into: values with sigma and flag under the pointer, sections, colours, tilt and focus removed live."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -13,7 +13,7 @@ from heliogauge.files.extras import of_extra
 from heliogauge.flags import FLAG_TEXTS, REJECTED, SampleFlag
 from heliogauge.instruments import near_match
 from heliogauge.reporting.html import Html
-from heliogauge.reporting.look import FAINT, extent_of, nice_ceiling, robust_limit, thinned
+from heliogauge.reporting.look import FAINT, INK, extent_of, nice_ceiling, robust_limit, thinned
 from heliogauge.reporting.notation import number_text
 from heliogauge.slopes.map import SlopeMap
 from heliogauge.slopes.removal import Patterns, Removal, fit_removals, measured_nodes
@@ -95,6 +95,31 @@ class Removals:
     parts: tuple[RemovedPart, ...]
 
 
+class MapMark(NamedTuple):
+    """A place on a map with what is to be known there.
+
+    place: x and y in the unit of the axes.
+    text: A few signs that stand beside its dot where there is room.
+    words: What is said when the pointer is at it.
+    """
+
+    place: tuple[float, float]
+    text: str
+    words: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MapRegions:
+    """Parts of a map that have names, such as facets.
+
+    index (ny, nx): Number of the part that each node belongs to, from 0; 255: none.
+    names: At most 255.
+    """
+
+    index: npt.NDArray[np.uint8]
+    names: Sequence[str]
+
+
 @dataclass(frozen=True, eq=False)
 class MapView:
     """Quantities on one grid, x to the right, in equal proportions: a mirror from the front, or the image of a camera.
@@ -110,6 +135,9 @@ class MapView:
     axis_names: What columns and rows are.
     y_down: y grows downwards, as in images; otherwise upwards.
     lines: Vertices of thin lines over the map, such as edges of panels, shape (n, 2) each, in `axis_unit`.
+    arrows (n, 2, 2): Foot and tip of arrows over the map, in `axis_unit`.
+    marks: Dots with words over the map.
+    regions: Names of its parts, said with the value under the pointer; None: it has none.
     stills: Still pictures that stand for it in notebook and print; empty: drawn here.
     InputError: Sizes do not fit, or two layers have one key.
     """
@@ -126,11 +154,15 @@ class MapView:
     axis_names: tuple[str, str] = ("x", "y")
     y_down: bool = False
     lines: Sequence[FloatArray] = ()
+    arrows: FloatArray = field(default_factory=lambda: np.zeros((0, 2, 2)))
+    marks: Sequence[MapMark] = ()
+    regions: MapRegions | None = None
     stills: Sequence[Html] = ()
 
     def __post_init__(self) -> None:
         shape = (self.y_m.size, self.x_m.size)
         arrays: dict[str, npt.NDArray[Any]] = {"flags": self.flags, "aperture": self.aperture}
+        arrays |= {} if self.regions is None else {"regions": self.regions.index}
         arrays |= {layer.key: layer.values for layer in self.layers}
         arrays |= {f"sigma of {layer.key}": layer.sigma for layer in self.layers if layer.sigma is not None}
         for name, array in arrays.items():
@@ -168,6 +200,10 @@ class MapView:
         figure = map_figure(self, layer.values, style)
         for line in self.lines:
             figure.axes[0].plot(*np.asarray(line).T, color=FAINT, linewidth=0.5, zorder=5)
+        for foot, tip in self.arrows:
+            figure.axes[0].annotate("", tip, foot, arrowprops={"arrowstyle": "->", "color": INK}, zorder=6)
+        for one in self.marks:
+            figure.axes[0].plot(*one.place, ".", color=INK, markersize=3, zorder=6)
         return figure
 
     def _still(self, layer: MapLayer) -> Html:
@@ -193,6 +229,8 @@ class MapView:
             diverging=layer.diverging,
             y_down=self.y_down,
             lines=self.lines,
+            arrows=self.arrows,
+            marks=[(*one.place, one.text) for one in self.marks],
         )
         return picture.still()
 
@@ -250,6 +288,11 @@ class MapView:
             "reasons": words_of_codes,
             "aperture": store.codes(thinned(self.aperture, most)),
             "lines": [np.asarray(line).tolist() for line in self.lines],
+            "arrows": self.arrows.tolist(),
+            "marks": [one._asdict() for one in self.marks],
+            "regions": None
+            if self.regions is None
+            else {"index": store.codes(thinned(self.regions.index, most)), "names": list(self.regions.names)},
             "arrays": [one["array"] for one in kept.values()],
         }
 

@@ -1,7 +1,7 @@
 """Still pictures of grids: maps on a mirror or an image, why nodes have no value, correlations."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
@@ -17,6 +17,8 @@ from heliogauge.view.stills import WIDTH_PX, LegendEntry, Sheet, color_table, fi
 _FLAG_COLORS = ("#d94f30", "#f0a23c", "#7b5ea7", "#2f8f83", "#b2336e", "#4d7ebf", "#8a6d3b", "#5b8c2a", "#111111")
 _MEASURED = "#e9f1ea"
 _SIDE = ", seen from the front"
+#: Words this far above each other do not touch [px].
+_LINE_PX = 10.0
 #: Narrower maps stand beside each other under one title, which says it.
 _LEAST_SAID_PX = 180.0
 
@@ -36,6 +38,8 @@ class MapPicture:
     y_down: y grows downwards.
     lines: Vertices of thin lines over the map, shape (n, 2) each.
     axis_names: What columns and rows are.
+    arrows (n, 2, 2): Foot and tip of arrows over the map.
+    marks: x, y and a few signs beside a dot.
     """
 
     title: str
@@ -51,6 +55,8 @@ class MapPicture:
     y_down: bool
     lines: Sequence[FloatArray] = ()
     axis_names: tuple[str, str] = ("x", "y")
+    arrows: FloatArray = field(default_factory=lambda: np.zeros((0, 2, 2)))
+    marks: Sequence[tuple[float, float, str]] = ()
 
     def still(self, *, tallest_px: float = 480.0) -> Html:
         """Draw the map in its own proportions."""
@@ -69,12 +75,33 @@ class MapPicture:
         _paint(sheet, color_table(diverging=self.diverging)[index], missing, self.aperture)
         for line in self.lines:
             sheet.line(line[:, 0], line[:, 1], FAINT, width=0.7)
+        if len(self.arrows):
+            (x, y), (dx, dy) = self.arrows[:, 0].T, (self.arrows[:, 1] - self.arrows[:, 0]).T
+            sheet.arrows(x, y, dx, dy, INK, width=1.8)
+        self._draw_marks(sheet)
         is_mirror = self.axis_unit == "m" and sheet.box[2] - sheet.box[0] > _LEAST_SAID_PX
         x_label, y_label = (f"{name} [{self.axis_unit}]" for name in self.axis_names)
         sheet.axes(x_label + (_SIDE if is_mirror else ""), y_label, grid=False)
         if bar:
             sheet.color_bar(self.low, self.high, self.unit, diverging=self.diverging)
         return sheet
+
+
+    def _draw_marks(self, sheet: Sheet) -> None:
+        """Draw dots with their words, each on the side where its neighbours are farthest."""
+        if not self.marks:
+            return
+        places = np.array([mark[:2] for mark in self.marks], dtype=np.float64)
+        sheet.dots(places[:, 0], places[:, 1], [INK], size_px=3.5)
+        x, y = sheet.place_x(places[:, 0]), sheet.place_y(places[:, 1])
+        for number, (_, _, text) in enumerate(self.marks):
+            beside = np.abs(y - y[number]) < _LINE_PX
+            # Words share the room to the next dot with that one's; they need not share the edge.
+            right = np.min((x - x[number])[beside & (x > x[number] + 1)], initial=2 * (sheet.box[2] - x[number]))
+            left = np.min((x[number] - x)[beside & (x < x[number] - 1)], initial=2 * (x[number] - sheet.box[0]))
+            to_left = left > right
+            look = {"text_anchor": "end" if to_left else "start", "font_size": 9}
+            sheet.write(float(x[number]) + (-4 if to_left else 4), float(y[number]) + 3, text, **look)
 
 
 def flag_still(slope_map: SlopeMap, lines: Sequence[FloatArray] = (), *, planned: bool = False) -> Html:

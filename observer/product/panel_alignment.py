@@ -17,6 +17,7 @@ import numpy as np
 
 from heliogauge.errors import InputError
 from heliogauge.slopes.map import SlopeMap
+from heliogauge.slopes.mounts import LEAST_SHARE, moves_of_mounts
 from heliogauge.validate import FloatArray, IntArray
 from observer.photo_edges.reflection_edges import design_misfit
 from observer.trough.absorber_path import AbsorberPath
@@ -24,8 +25,6 @@ from observer.trough.collector import Collector
 
 #: Places across a panel between which an edge is looked for.
 _PLACES = 257
-#: A panel of which less is measured gets no prescription: its mean would be that of a part.
-LEAST_SHARE = 0.5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -161,7 +160,12 @@ def mount_moves(tilts: PanelTilts, mounts_m: FloatArray, collector: Collector) -
             f"{2 * half[1]:g} m; are the coordinates in metres?"
         )
     lever = _arc_m(x, collector.focal_length_m) - _arc_m(tilts.centre_x_m, collector.focal_length_m)[panel]
-    return MountMoves(panel.astype(np.intp), tilts.tilt_rad[panel] * lever, tilts.sigma_rad[panel] * np.abs(lever))
+    nothing = np.zeros_like(lever)
+    levers, turns = np.stack([lever, nothing], axis=1), np.stack([-tilts.tilt_rad[panel], nothing], axis=1)
+    covariance = np.zeros((lever.size, 2, 2))
+    covariance[:, 0, 0] = tilts.sigma_rad[panel] ** 2
+    moves = moves_of_mounts(levers, turns, covariance)
+    return MountMoves(panel.astype(np.intp), moves.move_m, moves.sigma_m)
 
 
 def _arc_m(x_m: FloatArray, focal_length_m: float) -> FloatArray:

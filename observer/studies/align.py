@@ -17,6 +17,7 @@ from heliogauge.results.frame import InstrumentResult
 from heliogauge.results.slope_map_file import read_slope_map
 from heliogauge.results.tables import read_cameras_json, read_table_csv
 from heliogauge.slopes.map import SlopeMap
+from heliogauge.slopes.mounts import LEAST_SHARE
 from heliogauge.validate import FloatArray
 from heliogauge.view.stills import Sheet
 from observer.files import (
@@ -31,7 +32,7 @@ from observer.files import (
     read_overlay,
     write_collector,
 )
-from observer.product.panel_alignment import LEAST_SHARE, PanelTilts, image_edges, mount_moves, panel_tilts
+from observer.product.panel_alignment import PanelTilts, image_edges, mount_moves, panel_tilts
 from observer.report.figures_alignment import moves_sheet, theory_sheet
 from observer.trough.absorber_path import AbsorberPath
 from observer.trough.collector import Collector

@@ -209,7 +209,8 @@
         interval: even ? interval : null, nameGap: narrow ? 38 : 50, splitLine: { show: false }, axisLine: { show: false },
         axisLabel: { color: color.ink, formatter: heliogauge.tick, showMinLabel: even, showMaxLabel: even } }));
       const custom = (axis, renderItem) => ({ type: "custom", xAxisIndex: axis, yAxisIndex: axis, data: [[0, 0]], silent: true, clip: true, renderItem });
-      option.series = [custom(0, () => this.picture()), custom(0, (_, api) => this.outlines(api)), ...(bar ? [custom(1, (_, api) => this.colorBar(api))] : [])];
+      option.series = [custom(0, () => this.picture()), custom(0, (_, api) => this.outlines(api)), custom(0, (_, api) => this.overlays(api)),
+        ...(bar ? [custom(1, (_, api) => this.colorBar(api))] : [])];
       this.figure.chart.setOption(option, { replaceMerge: ["series"] });
       this.over();
       this.summarise();
@@ -220,6 +221,49 @@
       const style = { stroke: heliogauge.colors().faint, lineWidth: 1, fill: "none" };
       return { type: "group", children: this.spec.lines.map((line) => ({ type: "polyline", silent: true, style,
         shape: { points: line.map((vertex) => api.coord(vertex)) } })) };
+    }
+
+    // Arrows and dots with words, where these have room.
+    overlays(api) {
+      const children = [];
+      const stroke = { stroke: "#111111", lineWidth: 2, fill: "none" };
+      const { box } = this.figure;
+      const halo = { stroke: "#ffffff", lineWidth: 4, fill: "none", opacity: 0.7 };
+      for (const [foot, tip] of this.spec.arrows) {
+        const [[x0, y0], [x1, y1]] = [api.coord(foot), api.coord(tip)];
+        const length = Math.hypot(x1 - x0, y1 - y0);
+        if (length < 1) continue;
+        const head = Math.min(0.35 * length, 9);
+        const [along, up] = [(x1 - x0) / length * head, (y1 - y0) / length * head];
+        const wings = [[x1 - along + 0.5 * up, y1 - up - 0.5 * along], [x1, y1], [x1 - along - 0.5 * up, y1 - up + 0.5 * along]];
+        for (const style of [halo, stroke]) {
+          children.push({ type: "line", silent: true, style, shape: { x1: x0, y1: y0, x2: x1, y2: y1 } },
+            { type: "polyline", silent: true, style, shape: { points: wings } });
+        }
+      }
+      const places = this.spec.marks.map((one) => api.coord(one.place));
+      places.forEach(([x, y], index) => {
+        children.push({ type: "circle", silent: true, shape: { cx: x, cy: y, r: 2.5 }, style: { fill: "#111111", stroke: "#ffffff", lineWidth: 1 } });
+        // Room to the nearest dot of the same line, on the side where there is more of it; words need not share the edge.
+        const gap = (side, end) => Math.min(...places.filter((other) => Math.abs(other[1] - y) < 12 && side * (other[0] - x) > 1)
+          .map((other) => side * (other[0] - x)), Math.max(2 * side * (end - x), 0));
+        const [right, left] = [gap(1, box.left + box.width), gap(-1, box.left)];
+        const { text } = this.spec.marks[index];
+        if (Math.max(right, left) < 2 * 6.2 * text.length) return;
+        children.push({ type: "text", silent: true, style: { text, x: x + (left > right ? -5 : 5), y, align: left > right ? "right" : "left",
+          verticalAlign: "middle", font: "11px system-ui, sans-serif", fill: "#111111", stroke: "#ffffff", lineWidth: 2.5 } });
+      });
+      return { type: "group", children };
+    }
+
+    // The words of the dot that the pointer is at.
+    wordsAt(left, top) {
+      const near = this.spec.marks.map((one) => {
+        const [x, y] = this.figure.toPixel(...one.place);
+        return Math.hypot(x - left, y - top);
+      });
+      const nearest = near.indexOf(Math.min(...near));
+      return nearest >= 0 && near[nearest] < 14 ? this.spec.marks[nearest].words : "";
     }
 
     colorBar(api) {
@@ -352,11 +396,14 @@
       const place = `${this.names[0]} ${number(this.spec.x[column])} ${this.unit}, ${this.names[1]} ${number(this.spec.y[row])} ${this.unit}`;
       const what = Number.isFinite(value) ? heliogauge.withSigma(value, sigma, layer.unit) : "no value";
       const why = this.data.aperture[node] ? reason.words.join(", ") : "outside the mirror";
+      const part = this.data.partAt(node);
+      const mark = this.wordsAt(...(tip || this.figure.toPixel(this.spec.x[column], this.spec.y[row])));
+      const more = [part, mark].filter(Boolean);
       this.readout.replaceChildren(
-        heliogauge.element("span", {}, place), heliogauge.element("strong", {}, `${layer.name}: ${what}`),
-        heliogauge.element("span", {}, why || "no flag"),
+        heliogauge.element("span", {}, place), ...more.map((words) => heliogauge.element("strong", {}, words)),
+        heliogauge.element("strong", {}, `${layer.name}: ${what}`), heliogauge.element("span", {}, why || "no flag"),
       );
-      if (tip) this.figure.showTip(...tip, what, ...(why ? [why] : []), place);
+      if (tip) this.figure.showTip(...tip, ...more, what, ...(why ? [why] : []), place);
       this.over();
     }
 

@@ -40,10 +40,16 @@
     }
 
     async begin() {
-      const { flags, aperture } = this.spec;
-      [this.codes, this.aperture] = await Promise.all([heliogauge.codes(flags), heliogauge.codes(aperture)]);
+      const { flags, aperture, regions } = this.spec;
+      [this.codes, this.aperture, this.parts] = await Promise.all([heliogauge.codes(flags), heliogauge.codes(aperture),
+        regions ? heliogauge.codes(regions.index) : null]);
       this.flags = this.countFlags();
       return this;
+    }
+
+    // Name of the part of the map that a node belongs to; empty where there is none.
+    partAt(node) {
+      return this.parts ? this.spec.regions.names[this.parts[node]] || "" : "";
     }
 
     array(place) {
