@@ -63,7 +63,8 @@ def numbers_of_facets(
     cantings: Of all facets.
     """
     return {
-        one.facet.name: _numbers_of_canting(one.canting) | facet_numbers(maps[one.facet.name], evaluation.maps[one.facet.name])
+        one.facet.name: _numbers_of_canting(one.canting)
+        | facet_numbers(maps[one.facet.name], evaluation.maps[one.facet.name])
         for one in cantings
         if one.facet.name in maps
     }

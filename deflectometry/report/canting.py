@@ -60,8 +60,10 @@ def canting_view(results: Results, columns: Columns, mounts: Columns) -> MapView
 
     turns = [_numbers(columns, name) for name in _COMPONENTS]
     sigmas = [_numbers(columns, f"sigma_{name}") for name in _COMPONENTS]
+    # Half as much again keeps numbers and arrows readable on the strongest colours.
+    limit = nice_ceiling(1.5 * _MRAD * max(float(np.nanmax(np.abs(turn), initial=0.0)) for turn in turns))
     layers = [
-        MapLayer(f"canting_{axis}", f"Canting in {axis}", "mrad", spread(turn), _MRAD, spread(sigma))
+        MapLayer(f"canting_{axis}", f"Canting in {axis}", "mrad", spread(turn), _MRAD, spread(sigma), limit=limit)
         for axis, turn, sigma in zip("xy", turns, sigmas, strict=True)
     ]
     layers.append(MapLayer("canting", "Canting, magnitude", "mrad", spread(np.hypot(*turns)), _MRAD, diverging=False))

@@ -13,14 +13,13 @@ from heliogauge.slopes.normal_angles import tangents
 from heliogauge.slopes.statistics import Canting, canting
 from heliogauge.validate import FloatArray
 
-
 #: Tables of a result.
 CANTING_FILE, MOUNTS_FILE = "canting.csv", "mounts.csv"
 #: What the signs mean, for summary and report.
 CANTING_SIGN = (
     "canting is the angle of a facet's mean normal from its design's, in the facet's frame, with the sign of slopes: "
-    "positive where the facet rises too much towards +x or +y; moves of mounts are along the normal, positive out of the "
-    "mirror, and turn a facet about the middle of its mounts (only differences between the mounts of one facet matter)"
+    "positive where the facet rises too much towards +x or +y; moves of mounts are along the normal, positive out of "
+    "the mirror, and turn a facet about the middle of its mounts (only differences between the mounts of one matter)"
 )
 
 

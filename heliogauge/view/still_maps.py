@@ -77,6 +77,8 @@ class MapPicture:
             sheet.line(line[:, 0], line[:, 1], FAINT, width=0.7)
         if len(self.arrows):
             (x, y), (dx, dy) = self.arrows[:, 0].T, (self.arrows[:, 1] - self.arrows[:, 0]).T
+            # A light edge keeps them apart from dark colours.
+            sheet.arrows(x, y, dx, dy, "#ffffff", width=3.6)
             sheet.arrows(x, y, dx, dy, INK, width=1.8)
         self._draw_marks(sheet)
         is_mirror = self.axis_unit == "m" and sheet.box[2] - sheet.box[0] > _LEAST_SAID_PX
@@ -85,7 +87,6 @@ class MapPicture:
         if bar:
             sheet.color_bar(self.low, self.high, self.unit, diverging=self.diverging)
         return sheet
-
 
     def _draw_marks(self, sheet: Sheet) -> None:
         """Draw dots with their words, each on the side where its neighbours are farthest."""
@@ -100,7 +101,8 @@ class MapPicture:
             right = np.min((x - x[number])[beside & (x > x[number] + 1)], initial=2 * (sheet.box[2] - x[number]))
             left = np.min((x[number] - x)[beside & (x < x[number] - 1)], initial=2 * (x[number] - sheet.box[0]))
             to_left = left > right
-            look = {"text_anchor": "end" if to_left else "start", "font_size": 9}
+            edge = {"stroke": "#ffffff", "stroke_width": 2.4, "paint_order": "stroke"}
+            look = {"text_anchor": "end" if to_left else "start", "font_size": 9, **edge}
             sheet.write(float(x[number]) + (-4 if to_left else 4), float(y[number]) + 3, text, **look)
 
 

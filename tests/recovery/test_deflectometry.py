@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from data_synth.fringes.knowledge import Knowledge
-from data_synth.fringes.presets import preset_scene
+from data_synth.fringes.presets import FULL_CAMERA, ensemble_scene, preset_scene
 from data_synth.optics.surface_errors import SurfaceErrors
 from deflectometry import Options, load_deflectometry, run
 from deflectometry.pipeline import Align, build_setup
+from heliogauge.results.folder import read_table_csv
 from heliogauge.slopes.removal import Removal
 from heliogauge.slopes.statistics import canting, statistics
 from tests.recovery.agreement import agreement, measure
@@ -115,6 +116,32 @@ def test_ensemble_of_24_keeps_the_canting_of_each_facet(tmp_path):
     difference = np.array(measured) - np.array(true)
     assert np.std(difference, axis=0) == pytest.approx([0, 0], abs=2e-6)
     assert np.ptp(np.array(true), axis=0).min() > 5e-4
+
+
+@pytest.mark.slow
+def test_moves_of_the_mounts_take_the_drawn_canting_out(tmp_path):
+    """Facets of the drawn ensemble after their mounts were moved: all point as one, within the sigma of the moves."""
+    scene = ensemble_scene(columns=3, rows=2, camera=FULL_CAMERA.scaled(0.25))
+    result = measure(scene, tmp_path / "m", seed=1)
+    result.write_files(tmp_path)
+    mounts = read_table_csv(tmp_path / "mounts.csv", ("facet", "mount", "x_m", "y_m", "move_mm", "sigma_move_mm"))
+    x, y, move, sigma = (np.array(mounts[name], dtype=float) for name in ("x_m", "y_m", "move_mm", "sigma_move_mm"))
+    before, left = [], []
+    for facet in scene.facets:
+        own = np.array(mounts["facet"]) == facet.name
+        slope_map = result.evaluation.maps[facet.name]
+        nodes = [axis[slope_map.valid] for axis in np.meshgrid(slope_map.x_m, slope_map.y_m)]
+        true = [one.mean() for one in facet.surface(*nodes)[1:]]
+        design = [one[slope_map.valid].mean() for one in (slope_map.design_slope_x, slope_map.design_slope_y)]
+        # The moved mounts lie on a plane; its slopes add to those of the facet.
+        columns = np.stack([x[own], y[own], np.ones(own.sum())], axis=1)
+        plane = np.linalg.lstsq(columns, 1e-3 * move[own], rcond=None)[0]
+        before.append(np.subtract(true, design))
+        left.append(before[-1] + plane[:2])
+    spread = np.array(left) - np.mean(left, axis=0)
+    levers = np.abs(np.stack([x, y])).max()
+    assert np.ptp(np.array(before), axis=0).min() > 3e-4
+    assert np.abs(spread).max() < 3 * 1e-3 * sigma.max() / levers < 3e-5
 
 
 @pytest.mark.slow
