@@ -147,7 +147,7 @@ def _mirror(scene: FringeScene, knowledge: Knowledge, rng: np.random.Generator) 
 def _mounts(facet: SyntheticFacet) -> FloatArray:
     """Return mounts at three quarters of the way from a facet's middle to its corners."""
     middle = facet.outline_m.mean(axis=0)
-    return np.round(middle + 0.75 * (facet.outline_m - middle), 4)
+    return np.asarray(np.round(middle + 0.75 * (facet.outline_m - middle), 4))
 
 
 def _design(facet: SyntheticFacet) -> dict[str, Any]:

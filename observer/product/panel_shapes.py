@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from heliogauge.slopes.map import SlopeMap
+from heliogauge.slopes.mounts import LEAST_SHARE
 from heliogauge.validate import FloatArray
-from observer.product.panel_alignment import LEAST_SHARE
 from observer.trough.collector import Collector
 
 

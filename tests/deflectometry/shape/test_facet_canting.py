@@ -34,7 +34,7 @@ def test_a_facet_that_rises_by_1_mrad_goes_back_by_0_15_mm_there(axis: int, move
 
 @pytest.mark.parametrize("turn_rad", [0.0, 0.4, np.pi / 2])
 def test_moves_take_a_rigid_turn_of_a_strong_facet_back(turn_rad: float) -> None:
-    """The facet is turned as a body, its slopes are those of the turned quadric: mounts must go back where they were."""
+    """The facet is turned as a body, its slopes are those of the turned quadric: mounts go back where they were."""
     facet = facet_of_optic("strong", (0.5, -0.2), turn_rad)
     body = RigidTransform.from_rotation_vector([0.7e-3, -1.1e-3, 0.0], [0.0, 0.0, 0.0])
     ideal = exact_map(facet, 0.02)
