@@ -1,5 +1,6 @@
 """Evidence for and against a bundle adjustment: redundancy, outliers, significance, what is not determined."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from statistics import NormalDist
 
@@ -253,14 +254,24 @@ def examine_intrinsics(result: BundleResult) -> tuple[IntrinsicTest, ...]:
     result: An adjusted network.
     Returns: In the order of cameras and `INTRINSIC_NAMES`.
     """
-    covariance = result.covariance.intrinsics
-    sigmas = np.sqrt(np.diag(covariance))
-    correlation = covariance / sigmas[:, None] / sigmas
-    np.fill_diagonal(correlation, 0.0)
     labels, values = [], []
     for model, camera in zip(result.problem.cameras, result.state.cameras, strict=True):
         labels += [(model.name, name) for name in model.free]
         values += intrinsics_of(camera)[model.columns].tolist()
+    return examine_values(labels, values, result.covariance.intrinsics)
+
+
+def examine_values(
+    labels: Sequence[tuple[str, str]], values: Sequence[float], covariance: FloatArray
+) -> tuple[IntrinsicTest, ...]:
+    """Test intrinsics with their covariance against zero and against each other.
+
+    labels length k: Camera and name of each intrinsic.
+    covariance (k, k): Their joint covariance.
+    """
+    sigmas = np.sqrt(np.diag(covariance))
+    correlation = covariance / sigmas[:, None] / sigmas
+    np.fill_diagonal(correlation, 0.0)
     tests = []
     for place, (camera_name, name) in enumerate(labels):
         ratio = abs(values[place]) / sigmas[place]

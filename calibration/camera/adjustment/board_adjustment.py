@@ -4,6 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from calibration.camera.adjustment.mixed_adjustment import MixedAdjustment, adjust_mixed
 from calibration.camera.boards import Chessboard, CircleGrid, renumbering
 from calibration.camera.corners.detection import BoardPoints
 from calibration.camera.files.result import rms_length
@@ -13,12 +14,10 @@ from heliogauge.errors import EstimationError
 from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.validate import BoolArray, FloatArray
 from photogrammetry import ImagePoints
-from photogrammetry.bundle import BundleProblem, BundleResult, CameraModel, adjust, constraints, statistics
+from photogrammetry.bundle import BundleProblem, BundleResult, BundleState, CameraModel, adjust, constraints, statistics
 
-#: A board is taken to be as drawn to 2 % of its pitch in its plane and 10 % across it, until its departure is seen.
+#: To see outliers, a board is taken to be as drawn to 2 % of its pitch in its plane and 10 % across it.
 _FIRST_PRIOR = np.array([0.02, 0.02, 0.1])
-#: Then to twice the departure that was found (smooth departures are not independent), never better than this.
-_PRIOR_FACTOR, _LEAST_PRIOR = 2.0, 2e-4
 #: Points farther off than this many sigmas of what is usual here are left out; 1 in 10^7 good ones is.
 _REJECTED_SIGMAS = 6.0
 #: A photo this many times worse than the middle one, and by pixels, shows something else than the board.
@@ -30,20 +29,28 @@ _STEPS = (("focal_px",), ("focal_px", "center_x_px", "center_y_px", "k1", "k2"))
 class Adjusted:
     """The last adjustment.
 
-    bundle: What was estimated.
+    mixed: What was estimated.
     kept (m,): Image points of the network that were used.
-    factor: Residuals over what the stated sigmas let expect; the covariance contains it.
-    prior_sigma_m (3,): How far points may be from the drawing; 0: held, infinite: nothing is known [m].
     rms_as_drawn_px: Residuals with the board as drawn; NaN where there is no drawing [px].
+    refined: Whether the board's shape was estimated.
     rejected: Image points left out.
     """
 
-    bundle: BundleResult
+    mixed: MixedAdjustment
     kept: BoolArray
-    factor: float
-    prior_sigma_m: FloatArray
     rms_as_drawn_px: float
+    refined: bool
     rejected: tuple[str, ...] = ()
+
+    @property
+    def state(self) -> BundleState:
+        """Camera, poses and points."""
+        return self.mixed.state
+
+    @property
+    def factor(self) -> float:
+        """Noise of the image points over what their fits let expect, RMS over the photos."""
+        return float(np.sqrt((self.mixed.sizes.components.noise**2).mean()))
 
 
 def adjust_as_drawn(network: BoardNetwork, left_out: dict[str, str]) -> tuple[BoardNetwork, float]:
@@ -120,40 +127,25 @@ def posed(free: tuple[str, ...], table: ImagePoints, drawn_m: FloatArray, sigma_
 
 
 def adjust_with_shape(network: BoardNetwork, rms_as_drawn_px: float, *, refine_board: bool) -> Adjusted:
-    """Adjust three times: see outliers, then the size of residuals and of the board's departure, then for good.
+    """See outliers with every point free, then adjust with random effects.
 
     network: Photos with start values.
     refine_board: Estimate the board's shape; otherwise it is held as drawn.
     EstimationError: The photos do not determine the camera.
     """
     table, drawn = network.observations(), network.board.points_m[network.seen]
-    pitch = network.board.pitch_m
-    prior = _FIRST_PRIOR * pitch if refine_board else np.zeros(3)
+    prior = _FIRST_PRIOR * network.board.pitch_m if refine_board else np.zeros(3)
     if not network.places_known:
         prior = np.full(3, np.inf)
     bundle = adjust(posed(network.free, table, drawn, prior), network.start())
+    if bundle.defects:
+        bundle.require("calibration")
     tests = statistics.examine_image_points(bundle)
     usual = float(np.median(tests.length_squared)) / (2 * np.log(2.0))
     kept = np.asarray(tests.length_squared <= _REJECTED_SIGMAS**2 * usual)
     rejected = tuple(
         f"{table.label(int(row))}: {np.hypot(*bundle.residuals_px[row]):.3f} px" for row in np.nonzero(~kept)[0]
     )
-    factor = 1.0
-    for _ in range(2):
-        used = kept if bundle.problem.observations.n == kept.size else np.ones(np.count_nonzero(kept), np.bool_)
-        factor *= _variance_share(bundle, used)
-        if refine_board and network.places_known:
-            departure = bundle.state.points_m - drawn
-            seen = np.sqrt((departure**2).mean(axis=0))
-            in_plane = float(np.hypot(seen[0], seen[1])) * np.sqrt(0.5)
-            prior = np.maximum(_PRIOR_FACTOR * np.array([in_plane, in_plane, seen[2]]), _LEAST_PRIOR * pitch)
-        scaled = replace(table, covariance_px2=table.covariance_px2 * factor).subset(kept)
-        bundle = adjust(posed(network.free, scaled, drawn, prior), bundle.state)
-    bundle.require("calibration")
-    return Adjusted(bundle, kept, float(np.sqrt(factor)), prior, rms_as_drawn_px, rejected)
-
-
-def _variance_share(bundle: BundleResult, kept: BoolArray) -> float:
-    """Squared residuals of image points over their own redundancy (the drawing's knowledge left aside)."""
-    redundancy = np.einsum("mii->m", statistics.examine_image_points(bundle).redundancy)[kept].sum()
-    return float((bundle.whitened_residuals[kept] ** 2).sum() / max(redundancy, 1.0))
+    start = bundle.state if bundle.converged else network.start()
+    mixed = adjust_mixed(network, table.subset(kept), start, refine_board=refine_board)
+    return Adjusted(mixed, kept, rms_as_drawn_px, refine_board, rejected)

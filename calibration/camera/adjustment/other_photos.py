@@ -4,7 +4,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calibration.camera.adjustment.board_adjustment import Adjusted, posed, turned
+from calibration.camera.adjustment.board_adjustment import Adjusted, turned
+from calibration.camera.adjustment.mixed_adjustment import MixedAdjustment, Sizes, adjust_mixed
 from calibration.camera.boards import Board, Chessboard, CircleGrid
 from calibration.camera.corners.detection import BoardPoints
 from calibration.camera.files.result import rms_length
@@ -42,25 +43,48 @@ class PhotoFit:
 
 def known_from_all(network: BoardNetwork, adjusted: Adjusted) -> Known:
     """Return what all photos of the network gave."""
-    state = adjusted.bundle.state
-    return Known(state.cameras[0], network.seen, state.points_m)
+    return _known(network, adjusted.mixed)
 
 
-def known_from_others(network: BoardNetwork, adjusted: Adjusted, photo: int) -> Known:
-    """Adjust again without one photo.
+def adjust_others(network: BoardNetwork, adjusted: Adjusted, photo: int) -> MixedAdjustment:
+    """Adjust again without one photo, with sizes of random effects as all photos gave them.
 
     photo: The one to leave out.
     """
-    table, state = adjusted.bundle.problem.observations, adjusted.bundle.state
-    others = table.subset(table.photo_index != photo).compacted()
+    mixed = adjusted.mixed
+    others = mixed.table.subset(mixed.table.photo_index != photo).compacted()
+    rest = network.without(photo)
+    kept = [i for i in range(len(network.points)) if i != photo]
     place = {name: i for i, name in enumerate(network.names)}
-    rows = np.array([place[name] for name in others.targets], dtype=np.intp)
-    drawn = network.board.points_m[network.seen][rows]
-    poses = [state.cam_from_world(i) for i in range(len(network.points)) if i != photo]
-    problem = posed(network.free, others, drawn, adjusted.prior_sigma_m)
-    start = state.points_m[rows] if np.isinf(adjusted.prior_sigma_m).any() else drawn
-    bundle = adjust(problem, BundleState.from_poses(state.cameras, poses, start))
-    return Known(bundle.state.cameras[0], network.seen[rows], bundle.state.points_m)
+    rows = np.array([place[name] for name in rest.names], dtype=np.intp)
+    state = replace(
+        mixed.state,
+        rotations=mixed.state.rotations[kept],
+        translations_m=mixed.state.translations_m[kept],
+        points_m=mixed.state.points_m[rows],
+    )
+    found = mixed.sizes.components
+    sizes = replace(found, noise=found.noise[kept])
+    table = _with_targets_of(others, rest)
+    return adjust_mixed(
+        rest, table, state, refine_board=adjusted.refined, sizes=Sizes(mixed.sizes.names, sizes), settled=True
+    )
+
+
+def _with_targets_of(table: ImagePoints, network: BoardNetwork) -> ImagePoints:
+    """Return a table whose targets are all those of a network, in its order."""
+    place = {name: i for i, name in enumerate(network.names)}
+    index = np.array([place[name] for name in table.targets], dtype=np.intp)
+    return replace(table, targets=network.names, target_index=index[table.target_index])
+
+
+def known_from_others(others: MixedAdjustment) -> Known:
+    """Return what the other photos gave."""
+    return _known(others.network, others)
+
+
+def _known(network: BoardNetwork, mixed: MixedAdjustment) -> Known:
+    return Known(mixed.state.cameras[0], network.seen, mixed.state.points_m)
 
 
 def fit_pose(known: Known, points: BoardPoints, pose: RigidTransform | None = None) -> PhotoFit:

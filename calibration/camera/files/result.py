@@ -30,6 +30,8 @@ class PhotoResult:
     residuals_px (n, 2): Predicted minus measured; NaN for rejected points [px].
     kept_apart_px: RMS of the residuals of all its points when camera and board come from the other photos and only
         its pose is fitted; NaN where that was not asked [px].
+    kept_apart_expected_px: What the covariance of camera and board from the others, the photo's own errors and noise
+        let expect of it [px].
     """
 
     name: str
@@ -39,6 +41,7 @@ class PhotoResult:
     pixels_px: FloatArray
     residuals_px: FloatArray
     kept_apart_px: float = float("nan")
+    kept_apart_expected_px: float = float("nan")
 
     @property
     def used(self) -> BoolArray:

@@ -11,8 +11,8 @@ from heliogauge.errors import InputError
 from heliogauge.geometry.rigid import RigidTransform, nearest_rotation
 from heliogauge.validate import FloatArray
 
-#: Combinations of intrinsics that move rays this much less than the most uncertain one are left out of the test: there
-#: the test would see that rays are not quite linear in the intrinsics.
+#: Combinations of intrinsics that move rays this much less than the most uncertain one are left out of the test: they
+#: mean nothing for a line of sight.
 _LEAST_SHARE = 1e-3
 
 
@@ -87,9 +87,10 @@ def compare(camera: Camera, other: Camera) -> Comparison:
     InputError: Images of different sizes.
 
     A rotation common to all rays only renames the camera's pose, so the first question is what is left without it.
-    The test projects that remainder d (both components at all nodes) on the movements W that both covariances allow,
-    ``W W^T`` being the covariance of d: ``chi^2 = |z|^2`` with the shortest z that solves ``W z = d`` best. The
-    calibrations are taken as independent; two runs on the same photos are not, and differ less than the test expects.
+    The test takes the rays as linear in the intrinsics midway between both, d being what their difference moves there
+    (both components at all nodes, without the rotation) and W what both covariances allow, ``W W^T`` being the covariance
+    of d: ``chi^2 = |z|^2`` with the shortest z that solves ``W z = d`` best. Beyond the board, where a lens is
+    extrapolated, the rays themselves are far from linear, and would contradict intrinsics that agree. The calibrations are taken as independent; two runs on the same photos are not, and differ less than the test expects.
     """
     sizes = [(one.width_px, one.height_px) for one in (camera, other)]
     if sizes[0] != sizes[1]:
@@ -102,13 +103,19 @@ def compare(camera: Camera, other: Camera) -> Comparison:
     own, d_own = _rays_and_moves(camera, flat)
     others, d_others = _rays_and_moves(other, flat)
     moves = np.concatenate([d_own, d_others], axis=2)
+    between = camera.with_parameters(0.5 * (camera.parameters + other.parameters))
+    d_between = between.cast_rays_with_jacobians(flat)[2]
     good = np.isfinite(own).all(axis=1) & np.isfinite(others).all(axis=1) & np.isfinite(moves).all(axis=(1, 2))
+    good &= np.isfinite(d_between).all(axis=(1, 2))
     rotation = nearest_rotation(others[good].T @ own[good])
     turned = own @ rotation.T
     free = np.full_like(moves, np.nan)
     free[good] = without_rotation(own[good], moves[good])[0]
-    remainder = (turned - others)[good] @ rotation
-    chi_square, freedom = _test(own[good], remainder, free[good])
+    directions = np.column_stack(
+        [covariance_root(camera.covariance), covariance_root(other.covariance), camera.parameters - other.parameters]
+    )
+    linear = without_rotation(others[good], d_between[good] @ directions)[0]
+    chi_square, freedom = _test(others[good], linear[:, :, -1], linear[:, :, :-1])
     return Comparison(
         x,
         y,

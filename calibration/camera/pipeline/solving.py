@@ -6,6 +6,7 @@ import numpy as np
 
 from calibration.camera.adjustment.board_adjustment import Adjusted, adjust_as_drawn, adjust_with_shape, counted_alike
 from calibration.camera.adjustment.other_photos import (
+    adjust_others,
     fit_any_turn,
     fit_pose,
     known_from_all,
@@ -28,12 +29,17 @@ _MIRROR_GAIN = 3.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Solved:
-    """An adjusted network, how its photos were counted, and how others predict each photo."""
+    """An adjusted network, how its photos were counted, and how others predict each photo.
+
+    apart_px, apart_expected_px (p,): RMS of a photo's residuals when the others predict it, and what their covariance
+        lets expect; NaN where that was not asked [px].
+    """
 
     network: BoardNetwork
     adjusted: Adjusted
     orientations: Orientations | None
     apart_px: FloatArray
+    apart_expected_px: FloatArray
 
 
 def solve_network(
@@ -56,14 +62,16 @@ def solve_network(
         for _ in range(2 if isinstance(network.board, CircleGrid | TargetField) else 1):
             network = with_true_centers(network, raw, state)
             adjusted = adjust_with_shape(network, drawn_rms, refine_board=refine_board)
-            state = adjusted.bundle.state
-    apart = np.full(len(network.points), np.nan)
+            state = adjusted.state
+    apart, expected = np.full((2, len(network.points)), np.nan)
     if leave_one_out and len(network.points) > LEAST_PHOTOS:
         mirrored = []
         with progress.stage("keep photos apart", len(network.points)) as stage:
             for photo, points in enumerate(network.points):
-                known = known_from_others(network, adjusted, photo)
-                apart[photo] = fit_pose(known, points, adjusted.bundle.state.cam_from_world(photo)).rms_px
+                others = adjust_others(network, adjusted, photo)
+                known = known_from_others(others)
+                fit = fit_pose(known, points, adjusted.state.cam_from_world(photo))
+                apart[photo], expected[photo] = fit.rms_px, others.expected_rms_px(points, fit.cam_from_board)
                 if _MIRROR_GAIN * mirrored_rms_px(known, network.board, points) < apart[photo]:
                     mirrored.append(photo)
                 stage.advance()
@@ -75,7 +83,7 @@ def solve_network(
             return solve_network(
                 network.without(worst), left_out, progress, refine_board=refine_board, leave_one_out=leave_one_out
             )
-    return Solved(network, adjusted, orientations, apart)
+    return Solved(network, adjusted, orientations, apart, expected)
 
 
 def check_held_out(solved: Solved, held: tuple[BoardPoints, ...], left_out: dict[str, str]) -> tuple[HeldOutPhoto, ...]:
@@ -89,7 +97,7 @@ def check_held_out(solved: Solved, held: tuple[BoardPoints, ...], left_out: dict
             alone = replace(network, points=(found.points,))
             pose = found.cam_from_board
             state = replace(
-                solved.adjusted.bundle.state, rotations=pose.rotation[None], translations_m=pose.translation_m[None]
+                solved.adjusted.state, rotations=pose.rotation[None], translations_m=pose.translation_m[None]
             )
             points = with_true_centers(alone, (found.points,), state).points[0]
             found = fit_pose(known, points, pose)

@@ -1,0 +1,227 @@
+"""Variance components of a linear mixed model of photos of a board: which share of misfit comes from where."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from heliogauge.errors import EstimationError
+from heliogauge.validate import FloatArray, IntArray
+
+#: Redundancy below this share of a group's members says nothing about the group; steps are limited by it.
+_LEAST_REDUNDANCY = 1e-3
+#: Largest change of a variance in one iteration; the fixed point is reached from a thousandth in three.
+_LARGEST_STEP = 20.0
+#: Standard deviations are known to a few per cent at best: changes by one per cent end the iteration.
+_SETTLED, _MOST_ITERATIONS = 0.01, 30
+#: A flat prior keeps this much weight, so that an undetermined direction shows as an immense variance.
+_FLAT = 1e-18
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PhotoRows:
+    """Whitened rows of one photo.
+
+    columns (a,): Which of the common unknowns it touches.
+    jacobian (n, 2, a): Derivatives by these.
+    targets (n,): Point of the board in each row.
+    d_point (n, 2, 3): Derivatives by that point.
+    misfit (n, 2): Measured less predicted at the state of the linearisation.
+    """
+
+    columns: IntArray
+    jacobian: FloatArray
+    targets: IntArray
+    d_point: FloatArray
+    misfit: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Components:
+    """Standard deviations of the groups of a mixed model.
+
+    effects (g,): Of each group of random effects among the common unknowns, in the units of its columns.
+    point (3,): Of each point's own departure; held where `MixedModel` was told so.
+    noise (p,): Of each photo's rows, in units of their stated sigma.
+    """
+
+    effects: FloatArray
+    point: FloatArray
+    noise: FloatArray
+
+
+class MixedModel:
+    """A linear mixed model whose points are eliminated one by one.
+
+    photos: The rows of each photo.
+    group (k,): Group of random effects of each common unknown, -1 for one without a prior.
+    prior_point (m, 3): Expected value of each point's step.
+    points_estimated: Whether the variance of the points' own departures is estimated; otherwise it is held.
+
+    The rows of photo i are ``y = A x + B e + v`` with common unknowns x (some of them random effects), steps e of the
+    points around their expectation, and noise v. Variances follow from ``s^2 = q / (n - tr(C) / s^2)`` for each group
+    with its sum of squares q, number n and posterior covariance C, iterated: the fixed point is a maximum of the
+    restricted likelihood (Harville 1977, J. Am. Stat. Assoc. 72, eq. 5.1 to 5.4; in geodesy Foerstner's estimate).
+    """
+
+    def __init__(
+        self, photos: Sequence[PhotoRows], group: IntArray, prior_point: FloatArray, *, points_estimated: bool
+    ) -> None:
+        self._group, self._prior_point, self._points_estimated = group, prior_point, points_estimated
+        self._parts = [_Part.of(one) for one in photos]
+
+    def settle(self, start: Components) -> "Posterior":
+        """Estimate the variances, beginning with the ones given, and return the unknowns under them."""
+        now = start
+        for _ in range(_MOST_ITERATIONS):
+            posterior = self.solve(now)
+            new = posterior.updated()
+            changes = [
+                np.abs(np.log(after / before)).max(initial=0.0)
+                for after, before in ((new.effects, now.effects), (new.point, now.point), (new.noise, now.noise))
+            ]
+            now = new
+            if max(changes) < _SETTLED:
+                break
+        return self.solve(now)
+
+    def solve(self, components: Components) -> "Posterior":
+        """Return the unknowns and their covariance under given variances."""
+        size, count = self._group.size, len(self._prior_point)
+        weight = 1 / components.point**2
+        normal, right = np.zeros((size, size)), np.zeros(size)
+        crossed = np.zeros((count, 3, size))
+        own, own_right = np.tile(np.diag(weight), (count, 1, 1)), self._prior_point * weight
+        for part, noise in zip(self._parts, components.noise, strict=True):
+            share = 1 / noise**2
+            columns = part.columns
+            normal[np.ix_(columns, columns)] += share * part.normal
+            right[columns] += share * part.right
+            crossed[part.targets[:, None, None], np.arange(3)[None, :, None], columns] += share * part.crossed
+            own[part.targets] += share * part.own
+            own_right[part.targets] += share * part.own_right
+        precision = np.where(self._group >= 0, 1 / components.effects[self._group] ** 2, _FLAT)
+        inverse = np.linalg.inv(own)
+        eliminated = inverse @ crossed
+        normal -= crossed.reshape(-1, size).T @ eliminated.reshape(-1, size)
+        normal[np.diag_indices(size)] += precision
+        right = right - np.einsum("jak,ja->k", eliminated, own_right)
+        scale = 1 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
+        try:
+            root = np.linalg.inv(np.linalg.cholesky(normal * scale[:, None] * scale))
+        except np.linalg.LinAlgError as error:
+            raise EstimationError("calibration: the photos do not determine camera and poses") from error
+        covariance = (root.T @ root) * scale[:, None] * scale
+        values = covariance @ right
+        steps = np.einsum("jab,jb->ja", inverse, own_right - np.einsum("jak,k->ja", crossed, values))
+        return Posterior(self, components, values, covariance, steps, inverse, eliminated)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Part:
+    """Products of one photo's rows."""
+
+    columns: IntArray
+    targets: IntArray
+    normal: FloatArray
+    right: FloatArray
+    square: float
+    crossed: FloatArray
+    own: FloatArray
+    own_right: FloatArray
+
+    @classmethod
+    def of(cls, rows: PhotoRows) -> "_Part":
+        flat = rows.jacobian.reshape(-1, rows.columns.size)
+        return cls(
+            rows.columns,
+            rows.targets,
+            flat.T @ flat,
+            flat.T @ rows.misfit.ravel(),
+            float((rows.misfit**2).sum()),
+            np.swapaxes(rows.d_point, 1, 2) @ rows.jacobian,
+            np.swapaxes(rows.d_point, 1, 2) @ rows.d_point,
+            np.einsum("nia,ni->na", rows.d_point, rows.misfit),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Posterior:
+    """Unknowns of a mixed model under given variances.
+
+    components: These variances.
+    values (k,): Common unknowns.
+    covariance (k, k): Their covariance.
+    steps (m, 3): Steps of the points.
+    """
+
+    model: MixedModel
+    components: Components
+    values: FloatArray
+    covariance: FloatArray
+    steps: FloatArray
+    _inverse: FloatArray
+    _eliminated: FloatArray
+
+    @cached_property
+    def _with_points(self) -> FloatArray:
+        """Covariance of points and common unknowns with the sign reversed, shape (m, 3, k)."""
+        return self._eliminated @ self.covariance
+
+    def joint_of_steps(self, through: FloatArray) -> FloatArray:
+        """Return the joint covariance of points that also move with common unknowns, shape (3 m, 3 m).
+
+        through (m, 3, k): Derivative of each point's place by the common unknowns.
+        """
+        size = self.covariance.shape[0]
+        moved = (through - self._eliminated).reshape(-1, size)
+        joint = np.asarray(moved @ self.covariance @ moved.T)
+        for j, block in enumerate(self._inverse):
+            joint[3 * j : 3 * j + 3, 3 * j : 3 * j + 3] += block
+        return joint
+
+    def crossed_with_steps(self, through: FloatArray) -> FloatArray:
+        """Return the covariance of such points with the common unknowns, shape (3 m, k)."""
+        return np.asarray((through - self._eliminated).reshape(-1, self.covariance.shape[0]) @ self.covariance)
+
+    def updated(self) -> Components:
+        """Return the variances that these unknowns speak for."""
+        group, now = self.model._group, self.components
+        diagonal = np.diag(self.covariance)
+        effects = now.effects.copy()
+        for k in range(effects.size):
+            own = group == k
+            effects[k] *= _factor(float((self.values[own] ** 2).sum()), float(diagonal[own].sum()), effects[k], own.sum())
+        block = self._inverse + np.einsum("jak,jbk->jab", self._with_points, self._eliminated)
+        point = now.point.copy()
+        if self.model._points_estimated:
+            departures, spread = self.steps - self.model._prior_point, np.einsum("jaa->ja", block)
+            for axes in ([0, 1], [2]):
+                square, variance = float((departures[:, axes] ** 2).sum()), float(spread[:, axes].sum())
+                point[axes] *= _factor(square, variance, point[axes[0]], len(axes) * len(departures))
+        noise = np.array(
+            [
+                one * _factor(*self._misfit(part, block), one, 2 * part.targets.size)
+                for part, one in zip(self.model._parts, now.noise, strict=True)
+            ]
+        )
+        return Components(effects, point, noise)
+
+    def _misfit(self, part: _Part, block: FloatArray) -> tuple[float, float]:
+        """Return a photo's sum of squared residuals, and what the unknowns' covariance adds to it."""
+        values, steps = self.values[part.columns], self.steps[part.targets]
+        square = part.square - 2 * values @ part.right + values @ part.normal @ values
+        square += -2 * (steps * part.own_right).sum() + np.einsum("na,nab,nb->", steps, part.own, steps)
+        square += 2 * np.einsum("na,nak,k->", steps, part.crossed, values)
+        variance = (self.covariance[np.ix_(part.columns, part.columns)] * part.normal).sum()
+        variance += (block[part.targets] * part.own).sum()
+        variance -= 2 * (self._with_points[part.targets][:, :, part.columns] * part.crossed).sum()
+        return float(max(square, 0.0)), float(variance)
+
+
+def _factor(square: float, variance: float, sigma: float, count: int) -> float:
+    """Return by what a standard deviation changes."""
+    redundancy = max(count - variance / sigma**2, _LEAST_REDUNDANCY * max(count, 1))
+    wanted = square / redundancy / sigma**2
+    return float(np.sqrt(np.clip(wanted, 1 / _LARGEST_STEP, _LARGEST_STEP)))
