@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from calibration.camera.boards import Chessboard as Chessboard
     from calibration.camera.corners.detection import BoardPoints as BoardPoints
     from calibration.camera.corners.detection import find_chessboard as find_chessboard
+    from calibration.camera.judgement.comparison import compare as compare
     from calibration.camera.pipeline.measure import Options as Options
     from calibration.camera.pipeline.measure import run as run
 

@@ -230,7 +230,9 @@ def adjust_mixed(
     NotConvergedError: Nothing settles.
     """
     groups = _group_names(network, refine_board)
-    components = _start_components(groups, network, refine_board, len(table.photos)) if sizes is None else sizes.components
+    components = (
+        _start_components(groups, network, refine_board, len(table.photos)) if sizes is None else sizes.components
+    )
     state, columns = start, _columns(network.free)
     for _ in range(_MOST_STEPS):
         linear = _linearised(network, table, state, groups, refine_board=refine_board)
@@ -252,9 +254,7 @@ def _group_names(network: BoardNetwork, refine_board: bool) -> tuple[str, ...]:
     return (*board, *_PHOTO_DEGREES, *(name for name, (needed, _) in _CAMERA_EFFECTS.items() if needed in network.free))
 
 
-def _start_components(
-    groups: tuple[str, ...], network: BoardNetwork, refine_board: bool, n_photos: int
-) -> Components:
+def _start_components(groups: tuple[str, ...], network: BoardNetwork, refine_board: bool, n_photos: int) -> Components:
     point = np.array(_POINT) if network.places_known or not refine_board else np.full(3, _UNKNOWN)
     return Components(np.array([_EFFECTS[name] for name in groups]), point, np.full(n_photos, _NOISE))
 
@@ -344,9 +344,7 @@ def _linearised(
         chosen = np.nonzero(table.photo_index == photo)[0]
         first = shared + photo * own_group.size
         columns = np.concatenate([np.arange(shared), np.arange(first, first + own_group.size)])
-        rows.append(
-            PhotoRows(columns, jacobian[chosen], table.target_index[chosen], d_point[chosen], misfit[chosen])
-        )
+        rows.append(PhotoRows(columns, jacobian[chosen], table.target_index[chosen], d_point[chosen], misfit[chosen]))
         pose_columns.append(np.arange(first, first + 6))
     kind = np.concatenate([np.full(n_lens, -1), group, np.tile(own_group, len(table.photos))]).astype(np.intp)
     estimated = network.places_known and refine_board

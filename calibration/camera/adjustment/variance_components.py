@@ -192,7 +192,9 @@ class Posterior:
         effects = now.effects.copy()
         for k in range(effects.size):
             own = group == k
-            effects[k] *= _factor(float((self.values[own] ** 2).sum()), float(diagonal[own].sum()), effects[k], own.sum())
+            effects[k] *= _factor(
+                float((self.values[own] ** 2).sum()), float(diagonal[own].sum()), effects[k], own.sum()
+            )
         block = self._inverse + np.einsum("jak,jbk->jab", self._with_points, self._eliminated)
         point = now.point.copy()
         if self.model._points_estimated:

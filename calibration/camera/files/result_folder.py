@@ -160,6 +160,7 @@ def _write_photos(result: Result, folder: Path) -> None:
         "rejected": [int(np.count_nonzero(~photo.used)) for photo in result.photos],
         "rms_px": [photo.rms_px for photo in result.photos],
         "kept_apart_px": [photo.kept_apart_px for photo in result.photos],
+        "kept_apart_expected_px": [photo.kept_apart_expected_px for photo in result.photos],
         "tilt_deg": angles[:, 0].tolist(),
         "roll_deg": angles[:, 1].tolist(),
         "distance_m": [float(np.linalg.norm(photo.cam_from_board.translation_m)) for photo in result.photos],
@@ -167,7 +168,7 @@ def _write_photos(result: Result, folder: Path) -> None:
     for check in result.held_out:
         tilt, roll = np.degrees(tilt_and_roll(check.cam_from_board)).tolist()
         distance = float(np.linalg.norm(check.cam_from_board.translation_m))
-        row = (check.name, "held out", check.count, 0, check.rms_px, check.rms_px, tilt, roll, distance)
+        row = (check.name, "held out", check.count, 0, check.rms_px, check.rms_px, np.nan, tilt, roll, distance)
         for key, value in zip(used, row, strict=True):
             used[key].append(value)
     write_table_csv(folder / "photos.csv", used)
@@ -185,8 +186,10 @@ def open_calibration(folder: str | Path = ".") -> Result:
     camera_name, camera = next(iter(cameras.items()))
     drawn_rms = summary.numbers.get("residual_rms_board_as_drawn_px")
     shape = _read_shape(folder, summary.texts, has_drawing=drawn_rms is not None)
-    photo_table = read_table_csv(folder / "photos.csv", ("image", "use", "points", "rms_px", "kept_apart_px"))
-    apart = dict(zip(photo_table["image"], _floats(photo_table["kept_apart_px"]), strict=True))
+    needed = ("image", "use", "points", "rms_px", "kept_apart_px", "kept_apart_expected_px")
+    photo_table = read_table_csv(folder / "photos.csv", needed)
+    both = zip(*(_floats(photo_table[key]) for key in needed[4:]), strict=True)
+    apart: dict[str, tuple[float, float]] = dict(zip(photo_table["image"], both, strict=True))
     photos = _read_photos(folder, shape, poses, apart)
     numbers = summary.numbers
     pixels = np.concatenate([photo.pixels_px[photo.used] for photo in photos])
@@ -243,7 +246,7 @@ def _read_shape(folder: Path, texts: Mapping[str, str], *, has_drawing: bool) ->
 
 
 def _read_photos(
-    folder: Path, shape: BoardShape, poses: dict[str, PhotoPose], apart: dict[str, float]
+    folder: Path, shape: BoardShape, poses: dict[str, PhotoPose], apart: dict[str, tuple[float, float]]
 ) -> tuple[PhotoResult, ...]:
     columns = read_table_csv(folder / "image_points.csv", _IMAGE_COLUMNS)
     images = np.array(columns["image"])
@@ -261,7 +264,7 @@ def _read_photos(
                 index[own],
                 np.stack([x[own], y[own]], axis=1),
                 np.stack([dx[own], dy[own]], axis=1),
-                apart.get(name, float("nan")),
+                *apart.get(name, (float("nan"), float("nan"))),
             )
         )
     return tuple(photos)

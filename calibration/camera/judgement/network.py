@@ -25,6 +25,9 @@ _LEAST_COVERED_SHARE = 0.7
 _LEAST_RADIUS_SHARE = 0.8
 #: Photos in which the board's points are this near, as a share of the image's diagonal, are from one place.
 _SAME_PLACE_SHARE = 0.005
+#: Where one uncertain direction makes a photo's misfit, three of its sigmas happen by chance to 1 photo in 400; a photo whose
+#: prediction is this many times worse than the middle one has a weight in the result that nothing else has.
+_CONTRADICTS, _ALONE = 3.0, 5.0
 #: More of the board at the sensor's limit moves edges: light spills over.
 _SATURATED_SHARE = 0.05
 
@@ -147,6 +150,35 @@ def check_photos(photos: Sequence[BoardPoints], camera: Camera) -> Iterator[Doub
             f"{len(bright)} photos are saturated on the board: {listed}; where light spills over, edges are shifted: "
             "expose less",
             {"photos_count": len(bright), "largest_saturated_share": max(one.saturated_share for one in bright)},
+        )
+
+
+def check_predictions(names: Sequence[str], apart_px: FloatArray, expected_px: FloatArray) -> Iterator[Doubt]:
+    """Yield photos that all others contradict, and photos on which the calibration rests alone.
+
+    Shapes: apart_px (p,), expected_px (p,): RMS of a photo's residuals when the others predict it, and the same from the
+    covariance of what they found.
+    """
+    far = np.nonzero(apart_px > _CONTRADICTS * expected_px)[0]
+    if far.size:
+        listed = ", ".join(
+            f"{names[i]} ({apart_px[i]:.3f} px where {expected_px[i]:.3f} are expected)" for i in far[:5]
+        )
+        yield Doubt(
+            "photos_contradict",
+            f"{far.size} photos contradict all others: {listed}; the board bent, the lens moved or the photo is blurred "
+            "there: leave them out, or look why",
+            {"photos_count": int(far.size), "largest_ratio": float((apart_px / expected_px)[far].max())},
+        )
+    usual = float(np.nanmedian(apart_px)) if np.isfinite(apart_px).any() else float("nan")
+    alone = [i for i in np.nonzero(apart_px > _ALONE * usual)[0].tolist() if i not in far]
+    if alone:
+        listed = ", ".join(f"{names[i]} ({apart_px[i]:.3f} px, expected {expected_px[i]:.3f})" for i in alone[:5])
+        yield Doubt(
+            "photos_stand_alone",
+            f"{len(alone)} photos show the camera as no other does: {listed}, where the others predict each other to "
+            f"{usual:.3f} px; what only they see is not checked by anything: take another photo like each of them",
+            {"photos_count": len(alone), "largest_apart_px": float(apart_px[alone].max()), "usual_apart_px": usual},
         )
 
 

@@ -44,7 +44,9 @@ def assemble_result(name: str, camera_name: str, solved: Solved) -> Result:
         network.board,
         network.seen,
         state.points_m,
-        sigma_of_shape(state.points_m, mixed.covariance_points_m2) if adjusted.refined else np.zeros((network.seen.size, 3)),
+        sigma_of_shape(state.points_m, mixed.covariance_points_m2)
+        if adjusted.refined
+        else np.zeros((network.seen.size, 3)),
         mixed.table.n_rays,
         mixed.prior_sigma_m,
         mixed.datum,

@@ -6,7 +6,7 @@ from pathlib import Path
 from calibration.camera.boards import UnknownField
 from calibration.camera.files.result import Result
 from calibration.camera.judgement.comparison import compare
-from calibration.camera.judgement.network import check_network, check_orientations, check_photos
+from calibration.camera.judgement.network import check_network, check_orientations, check_photos, check_predictions
 from calibration.camera.keys import CameraCalibrationMeasurement
 from calibration.camera.pipeline.assembly import assemble_result
 from calibration.camera.pipeline.inputs import described_board, known_codes
@@ -103,6 +103,7 @@ def run(
             left_out_doubts(left_out.values()),
             check_network([photo.cam_from_board for photo in result.photos], result.coverage),
             check_photos(solved.network.points, result.camera),
+            check_predictions([photo.name for photo in result.photos], solved.apart_px, solved.apart_expected_px),
             check_orientations(solved.network, solved.orientations),
         )
         comparison = None if other is None else compare(result.camera, other)

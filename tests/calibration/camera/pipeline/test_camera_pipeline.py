@@ -241,9 +241,13 @@ def test_six_real_photos(shared_data: Path, tmp_path: Path) -> None:
     result = run(load_camera_calibration(tmp_path))
     assert [len(photo.index) for photo in result.photos] == [414] * 6
     assert result.quality.rejected == ()
-    # Asked: 0.036 and 0.09; found when written: 0.0092 and 0.049.
+    # Asked: 0.036 and 0.09; found when written: 0.0093 and 0.077.
     assert result.quality.rms_px < 0.012
-    assert result.kept_apart_px < 0.06
+    assert result.kept_apart_px < 0.09
+    # Each photo lies where the others expect it, also the one from another direction, 15 times farther off than the rest.
+    ratios = np.array([photo.kept_apart_px / photo.kept_apart_expected_px for photo in result.photos])
+    assert ((ratios > 0.5) & (ratios < 2)).all()
+    assert "photos_stand_alone" in [one.code for one in result.doubts]
     assert 0.15 < result.quality.rms_as_drawn_px < 0.20
     assert "network_without_roll" in [one.code for one in result.doubts]
 
