@@ -1,8 +1,8 @@
 """Is a camera's sigma true? Calibrations from disjoint halves of one board's photos, compared with their covariances.
 
-Run with ``OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 python benchmarks/camera_halves.py [SPLITS [BOARD]]``. Real boards of
-``../shared/data`` (OpenCV's chessboard held in the hand, six photos of 18 x 23 corners without roll) and drawn ones: bent,
-sheared, stretched, printed in steps. Of each board as many ways to halve its photos as asked, all there are if fewer.
+Run with ``OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 python benchmarks/camera_halves.py [SPLITS [BOARD]]``. Real boards
+of ``../shared/data`` (OpenCV's chessboard held in the hand, six photos of 18 x 23 corners without roll) and drawn ones,
+bent and sheared. Of each board as many ways to halve its photos as asked, all there are if fewer.
 Chi-square per degree of freedom is that of ``heliogauge camera compare``: asked between 0.5 and 2.
 """
 

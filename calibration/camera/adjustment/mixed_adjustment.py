@@ -1,8 +1,8 @@
 """Camera, poses and board with what is common to a photo and to a board as random effects of estimated size.
 
 Corners of one photo are off together: the board bends as it is held, the camera's focus and lens mount settle, the
-operator follows blur and shading. A departure of the board from its drawing is smooth. Taken as independent from point to
-point both make sigmas too small (12 to 25 times in variance between halves of real calibrations).
+operator follows blur and shading. A departure of the board from its drawing is smooth. Taken as independent from point
+to point both make variances too small: halves of real calibrations differed by 12 to 25 times what they stated.
 """
 
 from dataclasses import dataclass, replace
@@ -140,9 +140,9 @@ class MixedAdjustment:
         for k, block in enumerate(photo.noise_px2 * noise):
             covariance[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] = block
         effects = self.sizes.components.effects
-        for k, columns in photo.effects:
+        for name, columns in photo.effects:
             part = columns.reshape(count, -1)
-            covariance += effects[self.sizes.names.index(k)] ** 2 * part @ part.T
+            covariance += effects[self.sizes.names.index(name)] ** 2 * part @ part.T
         joint = self.posterior.joint_of_steps(self.linear.through)
         rows = (3 * place[:, None] + np.arange(3)).ravel()
         spread = np.zeros((count, rows.size))
@@ -278,7 +278,7 @@ def smooth_terms(places_m: FloatArray, degrees: tuple[int, ...], decay: float) -
 class _PhotoColumns(NamedTuple):
     """Derivatives of image points [px], and what their noise is.
 
-    d_intrinsics (n, 2, k), d_pose (n, 2, 6), d_point (n, 2, 3): By free intrinsics, steps of the pose, and points in units.
+    d_intrinsics (n, 2, k), d_pose (n, 2, 6), d_point (n, 2, 3): By free intrinsics, the pose's steps, points in units.
     effects: Name and columns (n, 2, e) of each group of a photo's random effects.
     noise_px2 (n, 2, 2): Covariance of the points [px^2].
     """

@@ -102,7 +102,7 @@ class MixedModel:
             own[part.targets] += share * part.own
             own_right[part.targets] += share * part.own_right
         precision = np.where(self._group >= 0, 1 / components.effects[self._group] ** 2, _FLAT)
-        inverse = np.linalg.inv(own)
+        inverse = np.asarray(np.linalg.inv(own), dtype=np.float64)
         eliminated = inverse @ crossed
         normal -= crossed.reshape(-1, size).T @ eliminated.reshape(-1, size)
         normal[np.diag_indices(size)] += precision
@@ -224,6 +224,6 @@ class Posterior:
 
 def _factor(square: float, variance: float, sigma: float, count: int) -> float:
     """Return by what a standard deviation changes."""
-    redundancy = max(count - variance / sigma**2, _LEAST_REDUNDANCY * max(count, 1))
-    wanted = square / redundancy / sigma**2
-    return float(np.sqrt(np.clip(wanted, 1 / _LARGEST_STEP, _LARGEST_STEP)))
+    redundancy = max(float(count - variance / sigma**2), _LEAST_REDUNDANCY * max(count, 1))
+    wanted = float(square / redundancy / sigma**2)
+    return float(np.sqrt(min(max(wanted, 1 / _LARGEST_STEP), _LARGEST_STEP)))

@@ -87,9 +87,7 @@ def _departure(result: Result) -> float:
 def texts(result: Result) -> dict[str, str]:
     """Return what must be known beside the numbers: board, datum, units, meaning of sigma."""
     board = result.shape.board
-    held = (
-        "held as drawn" if not result.shape.prior_sigma_m.any() else "estimated, smooth departures and each point's own"
-    )
+    held = "estimated, smooth departures and each point's own" if result.shape.prior_sigma_m.any() else "held as drawn"
     unit = "metres" if board.is_metric else "squares (pitches) of the board: lengths in cameras.json and points.csv too"
     return {
         "board": f"{board.describe()}; its shape is {held}",
@@ -98,8 +96,8 @@ def texts(result: Result) -> dict[str, str]:
         "residual": "root mean square length of predicted minus measured image points",
         "kept_apart": "camera and board from the other photos, only the pose of the photo fitted, none of its points "
         "rejected",
-        "sigma": "1 standard deviation; errors common to a photo, focal length and centre that settle anew with each, and "
-        "the board's smooth departure are random effects whose sizes the photos themselves give",
+        "sigma": "1 standard deviation; errors common to a photo, focal length and centre that settle anew with each, "
+        "and the board's smooth departure are random effects whose sizes the photos themselves give",
         "sigma_of_points": "points.csv: of the board's shape, position, rotation and scale of the whole taken out",
         "aspect": "focal_y_px / focal_x_px - 1",
     }
@@ -112,7 +110,9 @@ def _datum_text(result: Result) -> str:
     if not shape.prior_sigma_m.any():
         return "the board as drawn"
     x, _, z = shape.prior_sigma_m / shape.board.pitch_m
-    return f"the board as drawn, its points as a whole; they depart by {x:.2g} pitches in its plane and {z:.2g} across (1 sigma)"
+    return (
+        f"the board's points as a whole; they are as drawn to {x:.2g} pitches in its plane and {z:.2g} across (1 sigma)"
+    )
 
 
 def headline_text(result: Result) -> str:

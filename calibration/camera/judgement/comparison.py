@@ -88,9 +88,10 @@ def compare(camera: Camera, other: Camera) -> Comparison:
 
     A rotation common to all rays only renames the camera's pose, so the first question is what is left without it.
     The test takes the rays as linear in the intrinsics midway between both, d being what their difference moves there
-    (both components at all nodes, without the rotation) and W what both covariances allow, ``W W^T`` being the covariance
-    of d: ``chi^2 = |z|^2`` with the shortest z that solves ``W z = d`` best. Beyond the board, where a lens is
-    extrapolated, the rays themselves are far from linear, and would contradict intrinsics that agree. The calibrations are taken as independent; two runs on the same photos are not, and differ less than the test expects.
+    (both components at all nodes, without the rotation) and W what both covariances allow, ``W W^T`` being the
+    covariance of d: ``chi^2 = |z|^2`` with the shortest z that solves ``W z = d`` best. Beyond the board a lens is
+    extrapolated: there the rays themselves are far from linear, and would contradict intrinsics that agree. The
+    calibrations are taken as independent; two runs on the same photos are not, and differ less than the test expects.
     """
     sizes = [(one.width_px, one.height_px) for one in (camera, other)]
     if sizes[0] != sizes[1]:

@@ -25,8 +25,8 @@ _LEAST_COVERED_SHARE = 0.7
 _LEAST_RADIUS_SHARE = 0.8
 #: Photos in which the board's points are this near, as a share of the image's diagonal, are from one place.
 _SAME_PLACE_SHARE = 0.005
-#: Where one uncertain direction makes a photo's misfit, three of its sigmas happen by chance to 1 photo in 400; a photo whose
-#: prediction is this many times worse than the middle one has a weight in the result that nothing else has.
+#: Where one uncertain direction makes a photo's misfit, three of its sigmas happen by chance to 1 photo in 400; a photo
+#: that is predicted this many times worse than the middle one has a weight in the result that nothing else has.
 _CONTRADICTS, _ALONE = 3.0, 5.0
 #: More of the board at the sensor's limit moves edges: light spills over.
 _SATURATED_SHARE = 0.05
@@ -156,8 +156,8 @@ def check_photos(photos: Sequence[BoardPoints], camera: Camera) -> Iterator[Doub
 def check_predictions(names: Sequence[str], apart_px: FloatArray, expected_px: FloatArray) -> Iterator[Doubt]:
     """Yield photos that all others contradict, and photos on which the calibration rests alone.
 
-    Shapes: apart_px (p,), expected_px (p,): RMS of a photo's residuals when the others predict it, and the same from the
-    covariance of what they found.
+    Shapes: apart_px (p,), expected_px (p,).
+    apart_px, expected_px: RMS of a photo's residuals when the others predict it, and the same from their covariance.
     """
     far = np.nonzero(apart_px > _CONTRADICTS * expected_px)[0]
     if far.size:
@@ -166,8 +166,8 @@ def check_predictions(names: Sequence[str], apart_px: FloatArray, expected_px: F
         )
         yield Doubt(
             "photos_contradict",
-            f"{far.size} photos contradict all others: {listed}; the board bent, the lens moved or the photo is blurred "
-            "there: leave them out, or look why",
+            f"{far.size} photos contradict all others: {listed}; the board bent, the lens moved or the photo is "
+            "blurred there: leave them out, or look why",
             {"photos_count": int(far.size), "largest_ratio": float((apart_px / expected_px)[far].max())},
         )
     usual = float(np.nanmedian(apart_px)) if np.isfinite(apart_px).any() else float("nan")

@@ -244,7 +244,7 @@ def test_six_real_photos(shared_data: Path, tmp_path: Path) -> None:
     # Asked: 0.036 and 0.09; found when written: 0.0093 and 0.077.
     assert result.quality.rms_px < 0.012
     assert result.kept_apart_px < 0.09
-    # Each photo lies where the others expect it, also the one from another direction, 15 times farther off than the rest.
+    # Each photo lies where the others expect it, also the one from another direction, 15 times farther off.
     ratios = np.array([photo.kept_apart_px / photo.kept_apart_expected_px for photo in result.photos])
     assert ((ratios > 0.5) & (ratios < 2)).all()
     assert "photos_stand_alone" in [one.code for one in result.doubts]
