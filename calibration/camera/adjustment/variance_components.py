@@ -219,7 +219,7 @@ class Posterior:
         variance = (self.covariance[np.ix_(part.columns, part.columns)] * part.normal).sum()
         variance += (block[part.targets] * part.own).sum()
         variance -= 2 * (self._with_points[part.targets][:, :, part.columns] * part.crossed).sum()
-        return float(max(square, 0.0)), float(variance)
+        return max(float(square), 0.0), float(variance)
 
 
 def _factor(square: float, variance: float, sigma: float, count: int) -> float:
