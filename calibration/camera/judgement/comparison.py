@@ -82,10 +82,23 @@ class Comparison:
 def compare(camera: Camera, other: Camera) -> Comparison:
     """Compare two calibrations by the angle between their lines of sight, with and without the best rotation.
 
-    camera, other: The calibrations; images of one size.
-    Returns: The angle over the image with its sigma, and the test whether it is more than chance.
-    InputError: Images of different sizes.
+    Parameters
+    ----------
+    camera, other : Camera
+        The calibrations; images of one size.
 
+    Returns
+    -------
+    Comparison
+        The angle over the image with its sigma, and the test whether it is more than chance.
+
+    Raises
+    ------
+    InputError
+        Images of different sizes.
+
+    Notes
+    -----
     A rotation common to all rays only renames the camera's pose, so the first question is what is left without it.
     The test takes the rays as linear in the intrinsics midway between both, d being what their difference moves there
     (both components at all nodes, without the rotation) and W what both covariances allow, ``W W^T`` being the
