@@ -8,6 +8,7 @@ import numpy as np
 
 from heliogauge.errors import EstimationError, InputError
 from heliogauge.geometry.rigid import rotation_from_vector, skew
+from heliogauge.short_repr import ShortRepr
 from heliogauge.validate import FloatArray, IntArray
 from photogrammetry.bundle.state import BundleState
 
@@ -25,7 +26,7 @@ class DatumKind(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Datum:
+class Datum(ShortRepr):
     """How position, rotation and scale are defined as far as constraints and fixed targets leave them open.
 
     kind: Inner constraints share the datum among the chosen targets: their mean shift, rotation and stretch against
