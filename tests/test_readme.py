@@ -3,7 +3,6 @@
 import os
 import re
 import shutil
-import signal
 import subprocess
 import sys
 import sysconfig
@@ -38,7 +37,8 @@ def run(command: str, folder: Path) -> str:
         ) as served:
             assert served.stdout is not None
             said = served.stdout.readline()
-            served.send_signal(signal.SIGINT)
+            # Not SIGINT: a test run started in the background hands down an ignored one.
+            served.terminate()
         assert "http://127.0.0.1:" in said
         return said
     done = subprocess.run(

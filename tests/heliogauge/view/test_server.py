@@ -275,7 +275,9 @@ def test_an_opened_link_is_the_folder_it_leads_to(tmp_path: Path, results: Path)
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_the_command_serves_until_it_is_stopped(results: Path, number: signal.Signals) -> None:
-    command = [sys.executable, "-c", "from heliogauge.running.cli import main; main()", "view", str(results)]
+    # A test run started in the background hands down an ignored SIGINT.
+    begin = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)"
+    command = [sys.executable, "-c", f"{begin}; from heliogauge.running.cli import main; main()", "view", str(results)]
     environment = os.environ | {"PYTHONUNBUFFERED": "1"}
     with subprocess.Popen(
         [*command, "--no-browser"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment
@@ -286,7 +288,10 @@ def test_the_command_serves_until_it_is_stopped(results: Path, number: signal.Si
         answer = connection.getresponse().read()
         connection.close()
         process.send_signal(number)
-        _, errors = process.communicate(timeout=30)
+        try:
+            _, errors = process.communicate(timeout=30)
+        finally:
+            process.kill()
     assert answer == b"id,x_m\n1,2\n"
     assert "Traceback" not in errors
     assert process.returncode == {signal.SIGINT: 0, signal.SIGTERM: 143}[number]
