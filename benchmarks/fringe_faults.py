@@ -483,6 +483,27 @@ def screen_inverse(folder, draw):
     section["translation_m"] = other.translation_m.tolist()
 
 
+def size_unknown(name):
+    def change(folder, draw):
+        """Measure the screen wrong, and say nothing of how well it was measured."""
+        key(("screen", name), 0.01, 5e-4, 0.1)(folder, draw)
+        for sigma in ("sigma_width_mm", "sigma_height_mm"):
+            folder.content["screen"].pop(sigma, None)
+
+    return change
+
+
+def size_stated(name):
+    def change(folder, draw):
+        """Measure the screen wrong by two sigma of what is stated."""
+        size = folder.content["screen"][name]
+        sigma_mm = draw.size(5.0, 0.2, 50)
+        folder.content["screen"][name] = size + 2e-3 * sigma_mm
+        folder.content["screen"][f"sigma_{name[:-2]}_mm"] = sigma_mm
+
+    return change
+
+
 def width_height_exchanged(folder, draw):
     section = folder.content["screen"]
     section["width_m"], section["height_m"] = section["height_m"], section["width_m"]
@@ -540,8 +561,10 @@ FAULTS = (
     Fault("images mirrored top-bottom", "flip", flipped_y),
     Fault("images turned by 180 deg", "flip", half_turn),
     Fault("pattern mirrored", "flip", screen_flipped_x),
-    Fault("screen width", "set-up", key(("screen", "width_m"), 0.01, 5e-4, 0.1)),
-    Fault("screen height", "set-up", key(("screen", "height_m"), 0.01, 5e-4, 0.1)),
+    Fault("screen width", "set-up", size_unknown("width_m")),
+    Fault("screen height", "set-up", size_unknown("height_m")),
+    Fault("width 2 sigma off, mm", "set-up", size_stated("width_m")),
+    Fault("height 2 sigma off, mm", "set-up", size_stated("height_m")),
     Fault("width and height exchanged", "set-up", width_height_exchanged),
     Fault("screen sags, m", "set-up", sagging_screen, True),
     Fault("screen moved, m", "set-up", key(("screen", ("translation_m", 0)), 0.1, 0.01, 1, relative=False)),

@@ -100,6 +100,11 @@ class PoseSection(Section):
 class _ScreenSection(PoseSection):
     """What every screen has beside its pose: how well its shape is known, and the response of camera and display."""
 
+    sigma_width_mm: Sigma = Field(0.0, description="Standard deviation of the displayed image's width [mm].")
+    sigma_height_mm: Sigma = Field(0.0, description="Standard deviation of its height [mm].")
+    sigma_sag_mm: Sigma = Field(
+        0.0, description="How far its middle may stand out of the plane of its edges, 1 sigma [mm]."
+    )
     sigma_points_mm: Sigma = Field(0.0, description="How far points are off the screen's shape, 1 sigma [mm].")
     response_file: Text | None = Field(
         None, description="Response of camera and display: columns camera_dn, display_level."

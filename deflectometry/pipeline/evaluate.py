@@ -6,11 +6,13 @@ import numpy as np
 import numpy.typing as npt
 
 from deflectometry.frames.image_file_checks import check_size
+from deflectometry.fringes.display_edge import flag_display_edge
 from deflectometry.fringes.observation import Observation
 from deflectometry.fringes.screen_map import ScreenMap
 from deflectometry.pipeline.choices import Choices
 from deflectometry.pose.find_pose import LocatedMirror, MirrorInput, find_pose
 from deflectometry.pose.mirror_outline import mirror_masks
+from deflectometry.pose.mirrors_in_image import find_mirrors
 from deflectometry.setup.camera_and_screen import Setup
 from deflectometry.shape.common_modes import common_modes
 from deflectometry.shape.facet_pixels import solve_shape_of_pixels, thinned, usable_facets
@@ -18,12 +20,24 @@ from deflectometry.shape.gridding import grid_slopes, plan_grid
 from deflectometry.shape.pixel_slopes import SlopeImage, measure_slopes
 from deflectometry.shape.smooth_shape import Align, ShapeSolution
 from heliogauge.doubts import Doubt, gather_doubts
+from heliogauge.errors import EstimationError
 from heliogauge.running.progress import Progress
 from heliogauge.short_repr import ShortRepr
 from heliogauge.slopes.map import SlopeMap
 
 #: Pixels for the common modes: with 400 the coefficients of degree 3 are known 30 times better than one pixel.
 MODE_PIXELS = 400
+
+
+def _at_display_edge(observation: Observation, error: EstimationError) -> EstimationError:
+    """Return why no outline was found: the mirror's image may end where the display ends."""
+    image = observation.lit if observation.lit is not None else observation.modulation_image()
+    try:
+        region = find_mirrors(image).mask
+        edge = flag_display_edge(observation.screen_map(region), region, 1.5)
+    except EstimationError:
+        return error
+    return EstimationError(f"{edge.words}. ({error})") if edge.edges else error
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -62,11 +76,16 @@ def evaluate_frames(
     """
     check_size(observation.frames.shape[:0:-1], setup.camera, "frames")
     with progress.stage("find mirror"):
-        located = find_pose(observation, setup, mirror)
+        try:
+            located = find_pose(observation, setup, mirror)
+        except EstimationError as error:
+            raise _at_display_edge(observation, error) from error
         masks = mirror_masks(setup.camera, located.outline_pose, located.facets, margin_px=located.margin_px)
     with progress.stage("phase"):
         screen_map = observation.screen_map(masks.facet_index >= 0)
         screen_map = replace(screen_map, flags=np.where(masks.flags != 0, masks.flags, screen_map.flags))
+        edge = flag_display_edge(screen_map, masks.facet_index >= 0, located.margin_px)
+        screen_map = edge.screen_map
     with progress.stage("slopes"):
         usable = usable_facets(located.facets, screen_map, masks.facet_index)
         samples, align = usable.samples, choices.align is Align.NORMAL
@@ -89,6 +108,7 @@ def evaluate_frames(
                 images[name], surfaces[name], setup.camera, poses[name], sample.facet, plan=plan, common=common
             )
             stage.advance()
-    doubts = gather_doubts(located.doubts, usable.doubts, *(one.doubts for one in gridded.values()))
+    past = edge.doubt if mirror.known_pose is None else None
+    doubts = gather_doubts(past, located.doubts, usable.doubts, *(one.doubts for one in gridded.values()))
     maps = {name: one.slope_map for name, one in gridded.items()}
     return Evaluation(located, screen_map, masks.facet_index, solution, images, maps, choices, doubts)

@@ -48,6 +48,8 @@ def build_setup(measurement: DeflectometryMeasurement) -> Setup:
         cam_from_screen=known.cam_from_mirror,
         covariance_cam_from_screen=known.covariance,
         sigma_screen_points_m=section.sigma_points_mm * 1e-3,
+        sigma_size_m=1e-3 * np.array([section.sigma_width_mm, section.sigma_height_mm]),
+        sigma_sag_m=section.sigma_sag_mm * 1e-3,
     )
 
 
@@ -228,6 +230,12 @@ def check_missing_sigmas(measurement: DeflectometryMeasurement, setup: Setup) ->
 
 def _states_sigma(section: Section) -> bool:
     return any(key.startswith("sigma") for key in section.model_fields_set)
+
+
+def states_screen_size(measurement: DeflectometryMeasurement) -> bool:
+    """Return whether it is stated how well the size of the screen is known; a sigma of 0.0 is a statement."""
+    stated = measurement.model.screen.model_fields_set
+    return {"sigma_width_mm", "sigma_height_mm"} <= stated or "sigma_points_mm" in stated
 
 
 def check_screen(measurement: DeflectometryMeasurement, screen: Screen) -> Doubt | None:

@@ -5,6 +5,7 @@ from dataclasses import replace
 from deflectometry.frames.image_file_checks import check_compression, check_size
 from deflectometry.keys import DeflectometryMeasurement
 from deflectometry.pipeline.choices import Options, build_choices
+from deflectometry.pipeline.contradictions import refuse_contradictions
 from deflectometry.pipeline.evaluate import evaluate_frames
 from deflectometry.pipeline.headline import canting_numbers, facet_numbers, numbers_of_facets, pose_numbers
 from deflectometry.pipeline.images import image_files, mend_frames, observe, pictures_of_frames
@@ -15,8 +16,9 @@ from deflectometry.pipeline.inputs import (
     check_missing_sigmas,
     check_screen,
     describe_mirror,
+    states_screen_size,
 )
-from deflectometry.pipeline.plausibility import implausible, refuse_impossible
+from deflectometry.pipeline.plausibility import implausible, refuse_impossible, size_doubt
 from deflectometry.pipeline.result import Result
 from deflectometry.setup.screen_table import check_beyond_table
 from deflectometry.shape.assemble import assemble_maps
@@ -87,11 +89,15 @@ def run(
         check_compression([file.name for file in measurement.fringe_files]),
         usable.doubts,
         check_missing_sigmas(measurement, setup),
+        None if states_screen_size(measurement) else size_doubt(setup, evaluation),
         evaluation.doubts,
         check_beyond_table(setup.screen, *evaluation.screen_map.points_seen()),
         doubt_of_canting(cantings),
         implausible(numbers, numbers_by_facet, evaluation),
     )
+    with progress.stage("check result"):
+        by_code = {doubt.code: doubt for doubt in doubts}
+        refuse_contradictions(observation, setup, mirror, evaluation, by_code)
     with progress.stage("hash inputs"):
         hashes = hash_files(measurement.input_files, measurement.folder)
     return Result(

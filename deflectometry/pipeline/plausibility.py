@@ -88,6 +88,31 @@ def implausible(numbers: Numbers, facets: Mapping[str, Numbers], evaluation: Eva
         )
 
 
+def size_doubt(setup: Setup, evaluation: Evaluation) -> Doubt:
+    """Say what a screen of another size would do, where nobody says how well its size is known.
+
+    A width off by s moves the point at u by s (u - 1/2), and with it the normal by half of that over the distance d of
+    the screen: the curvature along x changes by ``s du/dx / (2 d)``. One pose cannot tell it from that of the mirror.
+    """
+    image = next(iter(evaluation.images.values()))
+    rows = slice(image.row, image.row + image.x_m.shape[0])
+    columns = slice(image.column, image.column + image.x_m.shape[1])
+    mirror_m = (setup.cam_from_screen.inverse() @ evaluation.solution.cam_from_mirror).translation_m
+    changes = []
+    for place_m, seen in ((image.x_m, evaluation.screen_map.u), (image.y_m, evaluation.screen_map.v)):
+        good = np.isfinite(place_m) & np.isfinite(seen[rows, columns]) & np.isfinite(image.slope_x)
+        along = np.polyfit(place_m[good], seen[rows, columns][good], 1)[0]
+        changes.append(1e-3 * abs(float(along)) / float(np.linalg.norm(mirror_m)))
+    return Doubt(
+        "screen_size_exact",
+        "no sigma is given for width and height of the screen ([screen] sigma_width_mm, sigma_height_mm): counted as "
+        f"exact, so the sigma of the focal length is too small; 1 mm changes 1/f by {changes[0]:.2g} (width, x) and "
+        f"{changes[1]:.2g} (height, y) per metre, at f = 100 m the focal length by {1e4 * changes[0]:.2g} and "
+        f"{1e4 * changes[1]:.2g} m",
+        {"curvature_x_per_mm_per_m": changes[0], "curvature_y_per_mm_per_m": changes[1]},
+    )
+
+
 def _number(numbers: Numbers, name: str) -> float:
     value = numbers.get(name)
     return float("nan") if value is None else float(value)
@@ -107,24 +132,33 @@ def _rejection_doubt(evaluation: Evaluation) -> Iterator[Doubt]:
         )
 
 
-def _turn_doubt(evaluation: Evaluation) -> Iterator[Doubt]:
-    """Compare the orientation from the reflection with the one from the outline."""
+def turn_in_sigmas(evaluation: Evaluation) -> float:
+    """Return how far the orientation from the reflection is off the one from the outline; 0 without an outline."""
     located = evaluation.located
     if evaluation.choices.align is not Align.NORMAL or located.evidence is None:
-        return
+        return 0.0
     before, after = located.pose.cam_from_mirror, evaluation.solution.cam_from_mirror
     turn = RigidTransform(after.rotation @ before.rotation.T, np.zeros(3)).rotation_vector_rad
     covariance = located.pose.covariance[:3, :3] + _MOUNTING_RAD**2 * np.eye(3)
-    if float(turn @ np.linalg.solve(covariance, turn)) > _TURN_SIGMAS**2:
-        sigma = float(np.sqrt(np.trace(located.pose.covariance[:3, :3])))
-        yield Doubt(
-            "reflection_contradicts_outline",
-            f"the reflection gives another orientation of the mirror than its outline: "
-            f"{1e3 * np.linalg.norm(turn):.1f} mrad apart, where the outline is sure to {1e3 * sigma:.1f} mrad; check "
-            "camera (distortion and its "
-            "direction), pose and size of the screen, outline_m, and that no program has mirrored or turned the images",
-            {"apart_rad": float(np.linalg.norm(turn)), "sigma_outline_rad": sigma},
-        )
+    return float(np.sqrt(turn @ np.linalg.solve(covariance, turn)))
+
+
+def _turn_doubt(evaluation: Evaluation) -> Iterator[Doubt]:
+    """Compare the orientation from the reflection with the one from the outline."""
+    if not turn_in_sigmas(evaluation) > _TURN_SIGMAS:
+        return
+    located = evaluation.located
+    before, after = located.pose.cam_from_mirror, evaluation.solution.cam_from_mirror
+    turn = RigidTransform(after.rotation @ before.rotation.T, np.zeros(3)).rotation_vector_rad
+    sigma = float(np.sqrt(np.trace(located.pose.covariance[:3, :3])))
+    yield Doubt(
+        "reflection_contradicts_outline",
+        f"the reflection gives another orientation of the mirror than its outline: "
+        f"{1e3 * np.linalg.norm(turn):.1f} mrad apart, where the outline is sure to {1e3 * sigma:.1f} mrad; check "
+        "camera (distortion and its direction), pose and size of the screen, outline_m, and that no program has "
+        "mirrored or turned the images",
+        {"apart_rad": float(np.linalg.norm(turn)), "sigma_outline_rad": sigma},
+    )
 
 
 def _curl_doubt(facets: Mapping[str, Numbers]) -> Iterator[Doubt]:

@@ -143,12 +143,13 @@ def pose_from_outline(
     size_px = float(np.ptp(np.concatenate([region.contour_px for region in regions]), axis=0).max())
     search = OutlineSearch(image, camera, facets, found.noise_dn, facet_px)
     fits = [search.follow(start.cam_from_mirror, knowledge.points) for start in starts]
-    fits.sort(key=lambda fit: fit.rms_px)
+    # A tilt that no edge fits has no residual, and is no rival.
+    fits = sorted((fit for fit in fits if np.isfinite(fit.rms_px)), key=lambda fit: fit.rms_px) or fits
     best = fits[0]
     allowed_px = max(MAX_RESIDUAL_SHARE * size_px, 0.2 * best.edges.width_px)
     _check_outline(best, allowed_px)
     ambiguity = None
-    if len(fits) > 1:
+    if len(fits) > 1 and np.isfinite(fits[1].rms_px):
         best, ambiguity = _resolve_tilt(best, fits[1], knowledge)
     pose = _finish(best, camera, knowledge, lit_share(camera, best.pose, facets, image > found.level_dn))
     _check_distance(pose, allowed_px)
