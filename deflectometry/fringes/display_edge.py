@@ -53,19 +53,19 @@ def flag_display_edge(screen_map: ScreenMap, region: BoolArray, margin_px: float
     """
     at_edge = np.zeros(region.shape, dtype=np.bool_)
     names, count = [], max(int(np.count_nonzero(region)), 1)
-    for values, low, high in ((screen_map.u, "left", "right"), (screen_map.v, "upper", "lower")):
-        reach = margin_px * _per_pixel(values)
-        for name, beyond in ((low, values < reach), (high, values > 1 - reach)):
+    for place, low, high in ((screen_map.u, "left", "right"), (screen_map.v, "upper", "lower")):
+        reach = margin_px * _per_pixel(place)
+        for name, beyond in ((low, place < reach), (high, place > 1 - reach)):
             near = beyond & region & (screen_map.flags == 0)
             at_edge |= near
             if np.count_nonzero(near) > _LEAST_LINE * np.sqrt(count):
                 names.append(name)
     flags = screen_map.flags | np.where(at_edge, np.uint32(SampleFlag.OFF_SCREEN), np.uint32(0))
-    values = [np.where(at_edge, np.float32(np.nan), one) for one in (screen_map.u, screen_map.v)]
-    sigmas = [np.where(at_edge, np.float32(np.nan), one) for one in (screen_map.sigma_u, screen_map.sigma_v)]
-    flagged = replace(
-        screen_map, u=values[0], v=values[1], sigma_u=sigmas[0], sigma_v=sigmas[1], flags=flags.astype(np.uint32)
+    u, v, sigma_u, sigma_v = (
+        np.where(at_edge, np.float32(np.nan), one)
+        for one in (screen_map.u, screen_map.v, screen_map.sigma_u, screen_map.sigma_v)
     )
+    flagged = replace(screen_map, u=u, v=v, sigma_u=sigma_u, sigma_v=sigma_v, flags=flags.astype(np.uint32))
     return DisplayEdge(flagged if at_edge.any() else screen_map, tuple(names), int(np.count_nonzero(at_edge)))
 
 
@@ -73,4 +73,5 @@ def _per_pixel(values: Float32Array) -> float:
     """Return how far the display point moves from pixel to pixel, the median over the image."""
     across, down = np.diff(values, axis=1), np.diff(values, axis=0)
     steps = [np.abs(one[np.isfinite(one)]) for one in (across, down)]
-    return float(np.hypot(*(np.median(one) if one.size else 0.0 for one in steps)))
+    usual = [float(np.median(one)) if one.size else 0.0 for one in steps]
+    return float(np.hypot(usual[0], usual[1]))

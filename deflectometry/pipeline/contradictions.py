@@ -9,7 +9,7 @@ from deflectometry.fringes.observation import Observation
 from deflectometry.fringes.phase import TURN_RAD
 from deflectometry.pipeline.choices import Choices
 from deflectometry.pipeline.evaluate import Evaluation, evaluate_frames
-from deflectometry.pipeline.headline import facet_numbers, numbers_of_facets
+from deflectometry.pipeline.headline import facet_numbers
 from deflectometry.pipeline.plausibility import implausible, refuse_impossible, turn_in_sigmas
 from deflectometry.pose.find_pose import MirrorInput
 from deflectometry.setup.camera_and_screen import RectangularScreen, Setup
@@ -77,7 +77,9 @@ def _agrees(one: _Exchange, mirror: MirrorInput, choices: Choices) -> bool:
         refuse_impossible(one.setup, evaluation.solution.cam_from_mirror)
         assembled = assemble_maps(evaluation.located.facets, evaluation.maps, choices.align, Removal.NOTHING)
         numbers = facet_numbers(assembled, assembled)
-        found = implausible(numbers, numbers_of_facets(evaluation, evaluation.maps), evaluation)
+        maps = evaluation.maps
+        by_facet = {name: facet_numbers(one, one) for name, one in maps.items()} if len(maps) > 1 else {}
+        found = implausible(numbers, by_facet, evaluation)
         return not {doubt.code for doubt in (*found, *evaluation.doubts)}.intersection(_CONTRADICTIONS)
     except (EstimationError, InputError):
         return False
