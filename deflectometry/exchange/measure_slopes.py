@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from deflectometry.exchange.slope_files import MAP_SUFFIXES, SlopePoints, read_slopes
-from deflectometry.pipeline.headline import Numbers, facet_numbers, headline_text
+from deflectometry.pipeline.headline import Numbers, facet_numbers, headline_text, reasons
 from heliogauge.doubts import Doubt
 from heliogauge.errors import EstimationError, InputError
 from heliogauge.flags import SampleFlag
@@ -121,7 +121,7 @@ class SlopesResult(InstrumentResult):
             "points": f"{self.points} points, interpolated to {one.x_m.size} x {one.y_m.size} nodes",
             "sigma": "1 standard deviation; slopes are those of the normal, a beam turns by twice as much",
         }
-        return self._summary(self.numbers, texts)
+        return self._summary(self.numbers, texts, reasons(self.numbers))
 
     def write_files(self, folder: Path) -> None:
         """Write the map into an existing folder."""

@@ -14,12 +14,17 @@ from heliogauge.reporting.notation import number_text
 from heliogauge.results.folder import Summary, unit_of
 from heliogauge.slopes.grid import curl
 from heliogauge.slopes.map import SlopeMap
+from heliogauge.slopes.mounts import LEAST_SHARE
 from heliogauge.slopes.removal import Removal
 from heliogauge.slopes.statistics import Canting, SlopeStatistics, common_rms, fit_quadratic, statistics_of_removals
 from heliogauge.validate import FloatArray
 
 Numbers = dict[str, float | int | None]
 
+#: A curvature within so many sigma of zero is one of a flat mirror: 1 of 20 flat ones is beyond.
+FLAT_SIGMAS = 2.0
+#: Slopes are solved to 1e-9 rad: a smaller change over a metre is round-off, whatever the sigma.
+_FLAT_PER_M = 1e-9
 #: What is taken out, and how the numbers that are left are called.
 VIEWS: dict[str, Removal] = {
     "": Removal.NOTHING,
@@ -41,10 +46,8 @@ def facet_numbers(slope_map: SlopeMap, as_measured: SlopeMap) -> Numbers:
         numbers.update(_deviation_numbers(found, view))
     fit = fit_quadratic(as_measured)
     numbers |= {
-        "focal_length_x_m": fit.focal_length_x_m,
-        "sigma_focal_length_x_m": fit.sigma_focal_length_x_m,
-        "focal_length_y_m": fit.focal_length_y_m,
-        "sigma_focal_length_y_m": fit.sigma_focal_length_y_m,
+        **_focus_numbers("x", fit.curvature_x_per_m, fit.sigma_curvature_x_per_m),
+        **_focus_numbers("y", fit.curvature_y_per_m, fit.sigma_curvature_y_per_m),
         "twist_per_m": float(fit.coefficients[4]),
         "sigma_twist_per_m": float(np.sqrt(fit.covariance[4, 4])),
     }
@@ -52,6 +55,41 @@ def facet_numbers(slope_map: SlopeMap, as_measured: SlopeMap) -> Numbers:
     numbers["measured_share"] = slope_map.measured_share
     numbers["valid_nodes_count"] = int(np.count_nonzero(slope_map.valid))
     return numbers
+
+
+def _focus_numbers(axis: str, curvature_per_m: float, sigma_per_m: float) -> Numbers:
+    """Return curvature and focal length along an axis, this one None where the mirror is flat within its sigma.
+
+    Of a curvature that is not told from zero even the sign of the focal length is chance.
+    """
+    is_flat = abs(curvature_per_m) <= max(FLAT_SIGMAS * sigma_per_m, _FLAT_PER_M)
+    return {
+        f"focal_length_{axis}_m": None if is_flat else 0.5 / curvature_per_m,
+        f"sigma_focal_length_{axis}_m": None if is_flat else 0.5 * sigma_per_m / curvature_per_m**2,
+        f"curvature_{axis}_per_m": curvature_per_m,
+        f"sigma_curvature_{axis}_per_m": sigma_per_m,
+    }
+
+
+def reasons(numbers: Numbers, facets: Mapping[str, Numbers] | None = None) -> dict[str, str]:
+    """Say why numbers are None, in the mirror or in one of its facets."""
+    missing = {key for table in (numbers, *(facets or {}).values()) for key, value in table.items() if value is None}
+    found = {}
+    for key in missing:
+        if "focal_length" in key:
+            # One reason for all facets: the number is that of the mirror, where it has one.
+            ending = f": curvature {_curvature_words(numbers, key)}" if numbers.get(key) is None else ""
+            found[key] = f"flat within its sigma{ending}"
+        elif "canting" in key:
+            found[key] = f"less than {100 * LEAST_SHARE:.0f} % of the facet is measured"
+    return found
+
+
+def _curvature_words(numbers: Numbers, key: str) -> str:
+    """Print the curvature that belongs to a focal length."""
+    axis = key.removesuffix("_m")[-1]
+    value, sigma = numbers[f"curvature_{axis}_per_m"], numbers[f"sigma_curvature_{axis}_per_m"]
+    return number_text(float(value or 0.0), sigma, "1/m")
 
 
 def numbers_of_facets(
@@ -205,7 +243,10 @@ def headline_text(summary: Summary) -> str:
 
     def number(key: str) -> str:
         value, sigma = summary.numbers[key], summary.numbers[f"sigma_{key}"]
-        return "not determined" if value is None else number_text(float(value), sigma, unit_of(key)[1])
+        if value is None:
+            return f"not determined ({summary.not_determined[key]})"
+        said = number_text(float(value), sigma, unit_of(key)[1])
+        return f"{said} (convex)" if key.startswith("focal_length") and value < 0 else said
 
     lines = [
         f"{summary.name}: slope deviation of the normal against {summary.texts['design']}",

@@ -67,9 +67,8 @@ def implausible(numbers: Numbers, facets: Mapping[str, Numbers], evaluation: Eva
     yield from _turn_doubt(evaluation)
     yield from _curl_doubt(facets or {"": numbers})
     error, rest = (1e3 * _number(numbers, f"sd_{left}_rad") for left in ("tilt_removed", "best_quadratic"))
-    lengths = (
-        f"focal lengths x {_number(numbers, 'focal_length_x_m'):.4g} m, y {_number(numbers, 'focal_length_y_m'):.4g} m"
-    )
+    # In curvatures, which a flat mirror has, too.
+    lengths = ", ".join(f"1/f in {axis} {2 * _number(numbers, f'curvature_{axis}_per_m'):.4g} 1/m" for axis in "xy")
     if error > _GROSS_MRAD:
         yield Doubt(
             "slopes_too_far_off_design",

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from deflectometry.pipeline.evaluate import Evaluation
-from deflectometry.pipeline.headline import Numbers, flag_words, geometry, headline_text
+from deflectometry.pipeline.headline import Numbers, flag_words, geometry, headline_text, reasons
 from deflectometry.pose.adjust_pose import MirrorPose
 from deflectometry.setup.camera_and_screen import Setup
 from deflectometry.setup.patterns import FringePattern
@@ -88,7 +88,13 @@ class Result(InstrumentResult):
         }
         if self.cantings:
             texts["canting"] = CANTING_SIGN
-        return self._summary(self.numbers, texts, facets=self.facets, geometry_m=geometry(self.setup, self.evaluation))
+        return self._summary(
+            self.numbers,
+            texts,
+            reasons(self.numbers, self.facets),
+            facets=self.facets,
+            geometry_m=geometry(self.setup, self.evaluation),
+        )
 
     def write_files(self, folder: Path) -> None:
         """Write maps, pixels, cameras and outline into an existing folder."""

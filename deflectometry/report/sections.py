@@ -90,7 +90,8 @@ def first_screen(results: Results, view: MapView) -> Html:
         reason = f"not determined: {summary.not_determined.get(key, '')}"
         sigma = summary.numbers.get(f"sigma_{key}")
         shown = "\u2013" if value is None else number_text(value, sigma, unit, name)
-        rows.append((label, shown, reason if value is None else note))
+        said = "convex" if key.startswith("focal_length") and value is not None and value < 0 else note
+        rows.append((label, shown, reason if value is None else said))
     return page.first_screen(summary.name, line, verdict, rows, view)
 
 

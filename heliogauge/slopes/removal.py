@@ -257,8 +257,11 @@ def removal_words(fit: RemovalFit, patterns: Patterns) -> str:
     words = f"tilt of {1e3 * amounts[0]:.4g} mrad in x and {1e3 * amounts[1]:.4g} mrad in y"
     if removal is Removal.FOCUS:
         if patterns.is_flat:
-            return words + f"; curvature of focal length {inverse_length(float(amounts[2])):.6g} m"
-        return words + f"; focal length {inverse_length(1 + float(amounts[2])):.6g} times the design's"
+            return words + f"; focus: 1/f = {amounts[2]:.6g} 1/m"
+        # In 1/f, which passes through zero where a mirror is flat; the focal length flips its sign there.
+        factor = 1 + float(amounts[2])
+        flipped = ", of the opposite sign" if factor < 0 else ""
+        return words + f"; focus: 1/f is {factor:.6g} times the design's{flipped}"
     if removal is Removal.QUADRATIC:
         return words + (
             f"; curvature errors {amounts[2]:.4g} 1/m in x, {amounts[3]:.4g} 1/m in y and twist {amounts[4]:.4g} 1/m"

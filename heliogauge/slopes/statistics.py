@@ -120,6 +120,26 @@ class QuadraticFit:
         return 4 * self.focal_length_y_m**2 * float(np.sqrt(self.covariance[1, 1]))
 
     @property
+    def curvature_x_per_m(self) -> float:
+        """``2 A``, the change of dz/dx along x: 1 / (2 f); negative for a convex mirror [1/m]."""
+        return 2 * float(self.coefficients[0])
+
+    @property
+    def curvature_y_per_m(self) -> float:
+        """``2 B``, the change of dz/dy along y [1/m]."""
+        return 2 * float(self.coefficients[1])
+
+    @property
+    def sigma_curvature_x_per_m(self) -> float:
+        """Standard deviation of the curvature in x [1/m]."""
+        return 2 * float(np.sqrt(self.covariance[0, 0]))
+
+    @property
+    def sigma_curvature_y_per_m(self) -> float:
+        """Standard deviation of the curvature in y [1/m]."""
+        return 2 * float(np.sqrt(self.covariance[1, 1]))
+
+    @property
     def twist_per_m(self) -> float:
         """The coefficient E [1/m]."""
         return float(self.coefficients[4])

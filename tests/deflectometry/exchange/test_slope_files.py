@@ -8,6 +8,7 @@ import pytest
 import heliogauge as hg
 from deflectometry.exchange.measure_slopes import grid_points, load_slopes, run
 from deflectometry.exchange.slope_files import SlopePoints, import_slopes, read_slopes, read_soltrace
+from deflectometry.report import sections
 from heliogauge.errors import EstimationError, InputError
 from heliogauge.geometry.surfaces import paraboloid, plane
 from heliogauge.results.slope_export import export_slope_map
@@ -98,6 +99,41 @@ def test_statistics_are_those_of_the_slopes(tmp_path: Path) -> None:
     assert result.numbers["sd_best_quadratic_rad"] == pytest.approx(0.0, abs=1e-9)
     assert result.numbers["sigma_slope_y_rms_rad"] == pytest.approx(2e-4)
     assert result.numbers["focal_length_x_m"] == pytest.approx(0.5 / (0.05 + 1e-3), rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("curvature_per_m", "headline", "shown"),
+    [
+        (
+            -1e-5,
+            "x not determined (flat within its sigma: curvature -0.000010 ± 0.000026 1/m)",
+            "flat within its sigma",
+        ),
+        (1e-5, "x not determined (flat within its sigma: curvature 0.000010 ± 0.000026 1/m)", "flat within its sigma"),
+        (-1e-3, "x -500 ± 13 m (convex)", "convex"),
+        (1e-3, "x 500 ± 13 m   y not", "500 ± 13 m"),
+        (0.0, "x not determined (flat within its sigma: curvature 0.000000 ± 0.000026 1/m)", "flat within its sigma"),
+    ],
+)
+def test_a_focus_that_may_have_either_sign_is_said_once_and_alike(
+    tmp_path: Path, curvature_per_m: float, headline: str, shown: str
+) -> None:
+    """Terminal, numbers and report; sigma of the curvature: s / (half width * sqrt(n / 3)) of n slopes."""
+    x, y = (axis.ravel() for axis in np.meshgrid(np.linspace(-0.6, 0.6, 31), np.linspace(-0.4, 0.4, 21)))
+    sigma = np.full(x.size, 2.4e-4)
+    write(SlopePoints(x, y, curvature_per_m * x, 0 * y, sigma, sigma), tmp_path / "mirror.csv")
+    import_slopes(tmp_path / "mirror.csv", tmp_path / "m", "slopes", {"design": "plane"})
+    result = run(load_slopes(tmp_path / "m"))
+    summary = result.summarise()
+    assert headline in result.headline()
+    assert summary.numbers["curvature_x_per_m"] == pytest.approx(curvature_per_m, abs=1e-12)
+    assert ("focal_length_x_m" in summary.not_determined) == (abs(curvature_per_m) < 1e-4)
+    (tmp_path / "r").mkdir()
+    result.write(tmp_path / "r")
+    opened = sections.open_results(tmp_path / "r")
+    screen = sections.first_screen(opened, sections.slope_view(opened)).text
+    assert shown in screen
+    assert ("convex" in screen) == (shown == "convex")
 
 
 def test_there_and_back_through_soltrace(tmp_path: Path) -> None:

@@ -80,7 +80,9 @@ def test_design_and_best_fit_focal_length_are_two_references():
     assert against_design.sdx_rad == pytest.approx(np.sqrt(np.mean(across**2)), rel=1e-9)
     best_fit = statistics(slope_map, removed=Removal.FOCUS)
     assert best_fit.sdx_rad < 1e-15
-    assert "focal length 1.02 times the design's" in best_fit.removed
+    assert "focus: 1/f is 0.980392 times the design's" in best_fit.removed
+    convex = statistics(make_map(paraboloid(-20.0), paraboloid(10.0)), removed=Removal.FOCUS)
+    assert "focus: 1/f is -0.5 times the design's, of the opposite sign" in convex.removed
     assert best_fit.reference.startswith("best-fit focal length of the design shape (paraboloid of focal length 10 m")
     assert against_design.reference == "design: paraboloid of focal length 10 m"
 
@@ -92,7 +94,7 @@ def test_focus_of_a_trough_and_of_a_flat():
     assert across.sdy_rad == pytest.approx(np.sqrt(np.mean(along**2)), rel=1e-9)
     sagging = statistics(make_map(paraboloid(500.0), plane()), removed=Removal.FOCUS)
     assert sagging.sd_rad < 1e-15
-    assert "focal length 500 m" in sagging.removed
+    assert "focus: 1/f = 0.002 1/m" in sagging.removed
 
 
 def test_off_axis_facet_focus_is_scaled_with_the_design():
