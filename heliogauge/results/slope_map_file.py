@@ -1,8 +1,8 @@
 """Slope maps and per-pixel results on disk: NetCDF-4, opens in xarray, Panoply, MATLAB, ncdump.
 
 A NetCDF-4 file is an HDF5 file with dimension scales and creation order: it is written here through h5py. Importing
-xarray with h5netcdf takes 0.43 s of CPU, 29 % of the whole command on a small facet (benchmarks/facet_command.py, median
-of 9 pairs), which needs nothing else of them. The tests read the files through xarray.
+xarray with h5netcdf takes 0.43 s of CPU, 29 % of the whole command on a small facet (benchmarks/facet_command.py,
+median of 9 pairs), which needs nothing else of them. The tests read the files through xarray.
 """
 
 import hashlib
