@@ -4,7 +4,7 @@ The pixels of many targets form one array, and every step is one operation on it
 hundred pixels take longer than decoding their photo, most of it in calls. One target is a batch of one.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -22,13 +22,16 @@ from photogrammetry.centers.target_center import REACH, TargetCenter, Unmeasured
 
 #: Variance of a pixel's own width [px^2]: the projection of a unit square has it in every direction.
 _PIXEL_VARIANCE = 1 / 12
-#: Pixels farther from the edge than this say nothing about the centre, up to a blur of 1.5 px [px].
-_BAND_PX = 4.0
+#: Pixels farther from the edge than this say nothing about the centre, up to a blur of 1.5 px; beyond, so many blurs of
+#: it. Holes and marks in the middle of a dot lie farther in than this share of it [px].
+_BAND_PX, _SHARP_PX, _BAND_BLURS, _MOST_BAND = 4.0, 1.5, 3.0, 0.5
 #: Pixels off by more than this many robust sigmas are dust or glare, if also off by this share of the contrast.
 _OUTLIER_SIGMAS, _OUTLIER_CONTRAST = 5.0, 0.05
 #: Width of an edge before it is measured, known to 0.5 px: it keeps discs of a few pixels from running away.
 _USUAL_WIDTH_PX = 0.75
 _SMALL_PX = 5.0
+#: Sections of the outline within which residuals may be alike: moire, JPEG blocks, paper.
+_SECTIONS = 16
 #: Slope of inside minus outside that is always allowed, per pixel, as a share of the contrast. On discs of 6 px a free
 #: slope doubles the centre's sigma (0.0042 px instead of 0.0022 at SNR 200); this floor costs 0.001 px.
 _SLOPE_FLOOR = 0.0003
@@ -48,6 +51,8 @@ class _Effort:
     enough_px: A step of the centre below this is taken and is the last one [px]: the next would be some thirty times
         smaller, a hundredth of the best centres' sigma.
     persistent: Damp a step that climbs or runs away; else such a fit does not settle.
+    band_px: Distance from the edge within which pixels are used [px].
+    width_px: Width of an edge before it is measured [px].
     pixels_at_once: Pixels of windows that are fitted together: with fewer the calls cost more than is gained by what
         stays in the caches.
     """
@@ -57,6 +62,8 @@ class _Effort:
     enough_px: float
     persistent: bool
     pixels_at_once: int
+    band_px: float = _BAND_PX
+    width_px: float = _USUAL_WIDTH_PX
 
     @property
     def descent(self) -> Descent:
@@ -131,7 +138,32 @@ def measure_centers(
         if isinstance(one, TargetCenter):
             begun[k] = one.ellipse
     fit([k for k in whole if not isinstance(found[k], EstimationError)], _CAREFUL)
+    _widen(found, begun, fit)
     return tuple(one for one in found if one is not None)
+
+
+def _widen(
+    found: list[TargetCenter | EstimationError | None],
+    begun: list[Ellipse],
+    fit: Callable[[list[int], _Effort], None],
+) -> None:
+    """Fit large dots that are blurred by more than the usual band shows once more, with a wider one."""
+    blurred: dict[float, list[int]] = {}
+    for k, one in enumerate(found):
+        if not isinstance(one, TargetCenter) or one.blur_px <= _SHARP_PX:
+            continue
+        if _MOST_BAND * one.ellipse.semi_axes_px[1] > _BAND_PX:
+            blurred.setdefault(float(np.ceil(_BAND_BLURS * one.blur_px)), []).append(k)
+    for band_px, rows in blurred.items():
+        before = {k: found[k] for k in rows}
+        for k in rows:
+            one = before[k]
+            if isinstance(one, TargetCenter):
+                begun[k] = one.ellipse
+        fit(rows, replace(_CAREFUL, band_px=band_px, width_px=band_px / _BAND_BLURS))
+        for k in rows:
+            if isinstance(found[k], EstimationError):
+                found[k] = before[k]
 
 
 def _cut_by_border(image_dn: npt.NDArray[np.generic], start: Ellipse) -> EstimationError | None:
@@ -268,6 +300,7 @@ class _Fitted:
     n_used: IntArray
     start: _Start
     settled: BoolArray
+    correlation: FloatArray
     stands_out: BoolArray
 
     def result(self, k: int) -> TargetCenter | EstimationError:
@@ -308,6 +341,7 @@ class _Fitted:
             float(self.blur_px[k]),
             float(self.residual_dn[k]),
             used,
+            float(self.correlation[k]),
         )
 
 
@@ -325,7 +359,7 @@ def _fitted(
 ) -> _Fitted:
     """Fit the discs of one batch."""
     pixels = _cut_out(images, photo, centers, shapes, reach, effort)
-    start = _started(pixels, shapes)
+    start = _started(pixels, shapes, effort)
     fits = _robust(pixels, start, effort)
     parameters, residuals, kept = fits.parameters.T, fits.residuals, fits.roots
     precision = effort.precision
@@ -350,8 +384,14 @@ def _fitted(
     )
     noise = outside[:, None] + coverage * (inside - outside)[:, None]
     # What the prior does not know counts as noise of its own.
+    clustered = _clustered(
+        influence, residuals * kept, np.arctan2(pixels.y - parameters[1, :, None], pixels.x - parameters[0, :, None])
+    )
     by_prior = (inverse[:, :2] * prior[:, None]) @ np.swapaxes(inverse[:, :2], 1, 2)
-    covariance = (influence * noise[:, None]) @ np.swapaxes(influence, 1, 2) + total[:, None, None] * by_prior
+    alone = (influence * noise[:, None]) @ np.swapaxes(influence, 1, 2)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        correlation = np.trace(clustered, axis1=1, axis2=2) / np.trace(alone, axis1=1, axis2=2)
+    covariance = alone + total[:, None, None] * by_prior
     m11, m12, m22 = parameters[2:5]
     with np.errstate(divide="ignore", invalid="ignore"):
         frame = np.moveaxis(np.array([[m22, -m12], [-m12, m11]]) / (m11 * m22 - m12 * m12), -1, 0)
@@ -369,8 +409,20 @@ def _fitted(
         count,
         start,
         fits.settled,
+        np.nan_to_num(correlation, nan=1.0),
         enough & (parameters[9] ** 2 >= _LEAST_STEP_SIGMAS**2 * total * inverse[:, 9, 9]),
     )
+
+
+def _clustered(influence: FloatArray, residuals: FloatArray, angles: FloatArray) -> FloatArray:
+    """Return covariances of centres from residuals that may be alike within sections of the outline, (n, 2, 2).
+
+    The fit takes five of the sections' freedoms.
+    """
+    section = np.floor((angles / (2 * np.pi) + 0.5) * _SECTIONS).astype(np.intp).clip(0, _SECTIONS - 1)
+    members = (section[:, None] == np.arange(_SECTIONS)[:, None]).astype(influence.dtype)
+    sums = (influence * residuals[:, None]) @ np.swapaxes(members, 1, 2)
+    return np.asarray(sums @ np.swapaxes(sums, 1, 2) * (_SECTIONS / (_SECTIONS - 5)), dtype=np.float64)
 
 
 def _inverse(matrices: FloatArray) -> FloatArray:
@@ -406,7 +458,10 @@ def _cut_out(
         + 2 * inverse[:, 0, 1, None, None] * dy[:, :, None] * dx[:, None, :]
         + (inverse[:, 1, 1, None] * dy**2)[:, :, None]
     )
-    band = (_BAND_PX / _smaller(shapes))[:, None, None]
+    smaller = _smaller(shapes)
+    wide = effort.band_px > _BAND_PX
+    band = (np.minimum(effort.band_px, _MOST_BAND * smaller) if wide else effort.band_px) / smaller
+    band = band[:, None, None]
     used = (radius > 1 - band) & (radius < np.minimum(reach, 1 + band))
     sizes = np.array([one.shape for one in images])[photo]
     if effort.persistent:
@@ -439,7 +494,7 @@ def _smaller(shapes: FloatArray) -> FloatArray:
     return np.asarray(np.sqrt(np.maximum(0.5 * (xx + yy) - np.hypot(0.5 * (xx - yy), xy), 0.0)))
 
 
-def _started(pixels: _Pixels, shapes: FloatArray) -> _Start:
+def _started(pixels: _Pixels, shapes: FloatArray, effort: _Effort) -> _Start:
     """Estimate levels, noise and prior of all fits."""
     count, smaller = len(shapes), _smaller(shapes)
     far = pixels.used & (pixels.radius > 1 + np.minimum(0.25, 2 / smaller)[:, None])
@@ -457,12 +512,12 @@ def _started(pixels: _Pixels, shapes: FloatArray) -> _Start:
     area = np.sqrt(np.linalg.det(shapes))[:, None, None]
     root = (shapes + area * np.eye(2)) / np.sqrt(np.trace(shapes, axis1=1, axis2=2)[:, None, None] + 2 * area)
     inverse = np.linalg.inv(root)
-    parameters[2:6] = inverse[:, 0, 0], inverse[:, 0, 1], inverse[:, 1, 1], np.minimum(_USUAL_WIDTH_PX, 0.4 * smaller)
+    parameters[2:6] = inverse[:, 0, 0], inverse[:, 0, 1], inverse[:, 1, 1], np.minimum(effort.width_px, 0.4 * smaller)
     parameters[6:9], parameters[9] = plane.T, step
     # Shading multiplies (the dark side slopes less) or adds (both slope alike): half way, with that as its sigma.
     lighter = np.maximum(np.maximum(np.abs(plane[:, 0]), np.abs(inside)), 1.0)
     slope = 0.5 * step / lighter * plane[:, 1:].T
-    mean[5], sigma[5] = _USUAL_WIDTH_PX, 0.5
+    mean[5], sigma[5] = effort.width_px, 0.5
     mean[10:] = parameters[10:] = slope
     sigma[10:] = np.hypot(*slope) + _SLOPE_FLOOR * np.abs(step)
     with np.errstate(divide="ignore", invalid="ignore"):

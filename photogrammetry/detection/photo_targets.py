@@ -24,6 +24,8 @@ from photogrammetry.targets.ring_codes import VENDOR_RADII, RingRadii
 
 #: Level of dot or ground, as a share of the largest number of the file, from which some of its pixels are cut off.
 _CLIPPED_SHARE = 0.99
+#: Centres of a photo from which it is known how much neighbouring pixels err alike.
+_FEWEST_ALIKE = 4
 #: Passes in which the rings' light is taken away: the dot's blur and size are truer each time.
 _RING_PASSES = 3
 #: Least sigma of the centre of an outline: that of a dot of 6 px with a sharp edge, which the steps of its pixels
@@ -306,6 +308,9 @@ def _detections(
     image_dn: npt.NDArray[np.generic], photo: str, names: Sequence[str], centers: Sequence[TargetCenter]
 ) -> Detections:
     n = len(centers)
+    # Neighbouring pixels may err alike (moire, JPEG, demosaicing): by how much is the same all over a photo.
+    fitted = [center.correlation for center in centers if not center.is_coarse]
+    alike = max(1.0, float(np.median(fitted))) if len(fitted) >= _FEWEST_ALIKE else 1.0
     inside = np.array([center.inside_dn for center in centers])
     contrast = np.array([center.contrast_dn for center in centers])
     coarse = np.array([SampleFlag.COARSE_CENTER * center.is_coarse for center in centers], dtype=np.uint32)
@@ -313,7 +318,7 @@ def _detections(
         photo,
         tuple(names),
         np.array([center.center_px for center in centers]).reshape(n, 2),
-        np.array([center.covariance_px2 for center in centers]).reshape(n, 2, 2),
+        np.array([center.covariance_px2 * (1.0 if center.is_coarse else alike) for center in centers]).reshape(n, 2, 2),
         np.array([center.ellipse.radius_px for center in centers]).reshape(n),
         _flag_clipped(image_dn, inside, contrast) | coarse,
     )
