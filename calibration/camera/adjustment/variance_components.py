@@ -108,14 +108,21 @@ class MixedModel:
         normal[np.diag_indices(size)] += precision
         right = right - np.einsum("jak,ja->k", eliminated, own_right)
         scale = 1 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
-        try:
-            root = np.linalg.inv(np.linalg.cholesky(normal * scale[:, None] * scale))
-        except np.linalg.LinAlgError as error:
-            raise EstimationError("calibration: the photos do not determine camera and poses") from error
-        covariance = (root.T @ root) * scale[:, None] * scale
+        covariance = _inverse_of(normal * scale[:, None] * scale) * scale[:, None] * scale
         values = covariance @ right
         steps = np.einsum("jab,jb->ja", inverse, own_right - np.einsum("jak,k->ja", crossed, values))
         return Posterior(self, components, values, covariance, steps, inverse, eliminated)
+
+
+def _inverse_of(normal: FloatArray) -> FloatArray:
+    """Invert a normal matrix; from its Cholesky factor in place, at a third of the time of two triangular ones."""
+    from scipy.linalg import lapack
+
+    factor, fault = lapack.dpotrf(normal, lower=1)
+    if fault:
+        raise EstimationError("calibration: the photos do not determine camera and poses")
+    half = np.tril(lapack.dpotri(factor, lower=1)[0])
+    return np.asarray(half + np.tril(half, -1).T)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
