@@ -513,6 +513,7 @@ def sagging_screen(folder, draw):
     wall = replace(folder.scene.bench.wall, sag_x_m=draw.amount(0.02, 0.002, 0.1))
     new = draw_again(folder, draw, wall=wall)
     new.tables = {}
+    new.content["screen"].pop("sigma_sag_mm", None)
     return new
 
 

@@ -104,7 +104,7 @@ def _screen(scene: FringeScene, knowledge: Knowledge, rng: np.random.Generator) 
     shape: dict[str, Any] = {"shape": "table", "file": "screen_points.csv"}
     if wall.is_plain:
         shape = {"shape": "rectangle", "width_m": wall.width_m, "height_m": wall.height_m}
-    size = {"sigma_width_mm": 0.0, "sigma_height_mm": 0.0}
+    size = {"sigma_width_mm": 0.0, "sigma_height_mm": 0.0, "sigma_sag_mm": 0.0}
     return {**shape, **pose, **size, "response_file": "response.csv" if knowledge.response else None}
 
 

@@ -12,6 +12,7 @@ from deflectometry.frames.frame_content import FrameSample, fit_sets, sample_fra
 from deflectometry.frames.frame_model import FrameModel, Oddity, OddityKind, estimate_frames
 from deflectometry.frames.light_checks import FaultKind, FrameFault, saturation_limit
 from deflectometry.frames.sequence_checks import check_frames, light_noise
+from deflectometry.frames.set_motion import moved_sets
 from deflectometry.fringes.fringe_orders import search_orders
 from deflectometry.fringes.phase import TURN_RAD, LightResponse
 from deflectometry.setup.patterns import Axis, FringePattern, FringeSet, determines_phase
@@ -23,6 +24,8 @@ from heliogauge.validate import FloatArray
 _MOST_REPAIRS = 8
 #: Amplitude below which noise alone passes for fringes once in a million, over the noise of an amplitude.
 _NO_FRINGES = 5.26
+#: Rounds in which a motion is found: each leaves a tenth of the last.
+_MOTION_ROUNDS = 4
 #: Faults that say where a frame's content belongs.
 _MISPLACED = (FaultKind.REPEATED, FaultKind.STALE, FaultKind.SWAPPED, FaultKind.CORRUPT)
 
@@ -64,6 +67,7 @@ class _State:
     saturation_dn: float
     repairs: tuple[Doubt, ...] = ()
     sigma_periods: FloatArray = field(default_factory=lambda: np.zeros(2))
+    stands_still: bool = False
 
     def describe(self, frame: int) -> str:
         """Say which frame of the measurement this one is."""
@@ -137,6 +141,9 @@ def _mended(state: _State, errors: list[FrameFault]) -> _State | None:
         return state.with_doubt(_pattern_doubt(state, pattern, errors[0]), pattern=pattern)
     model = None
     if not any(fault.kind is FaultKind.LOW_MODULATION for fault in errors):
+        still = None if state.stands_still else _standing_still(state)
+        if still is not None:
+            return still
         model = _modelled(state)
     if model is not None and model.oddities:
         return _with_model(state, model)
@@ -282,6 +289,10 @@ def _light_doubt(text: str, numbers: Mapping[str, float]) -> Doubt:
     return Doubt("frame_light_corrected", text, numbers)
 
 
+def _moved_doubt(text: str, shift_px: FloatArray) -> Doubt:
+    return Doubt("frames_moved", text, {"shift_x_px": float(shift_px[0]), "shift_y_px": float(shift_px[1])})
+
+
 def _pattern_doubt(state: _State, pattern: FringePattern, fault: FrameFault) -> Doubt:
     ratio = float(pattern.sets[0].steps_rad[1] / state.pattern.sets[0].steps_rad[1])
     return _steps_doubt(
@@ -299,6 +310,41 @@ def _with_steps(state: _State, steps: Mapping[int, FloatArray], errors: list[Fra
     more = f"; so in {len(steps)} sets" if len(steps) > 1 else ""
     doubt = _steps_doubt(f"{said}{more}. The steps found were used", {"steps_ratio": ratio})
     return state.with_doubt(doubt, pattern=FringePattern(tuple(sets)))
+
+
+# --- sets that moved ------------------------------------------------------------------------------------------------
+
+
+def _standing_still(state: _State) -> _State | None:
+    """Move sets back to where the others are, by the edges of their mean light; None where none has moved."""
+    first = moved_sets(state.frames, state.pattern)
+    if not first:
+        return None
+    from scipy import ndimage
+
+    total, frames, found = np.zeros((len(state.pattern.sets), 2)), state.frames, first
+    # The shift is found linearly, a tenth too long at half a pixel: from where that has put the sets, again.
+    for _ in range(_MOTION_ROUNDS):
+        for number, (shift, _) in found.items():
+            total[number] += shift
+        frames = state.frames.astype(np.float32)
+        for number, where in enumerate(state.pattern.frame_slices):
+            if total[number].any():
+                for k in range(where.start, where.stop):
+                    frames[k] = ndimage.shift(frames[k], -total[number][::-1], order=5, mode="nearest")
+        found = moved_sets(frames, state.pattern)
+        if not found:
+            break
+    sets = sorted(first)
+    farthest = max(sets, key=lambda number: float(np.hypot(*total[number])))
+    frames_of = [k for number in sets for k in range(*state.pattern.frame_slices[number].indices(len(frames)))]
+    text = (
+        f"{state.listed(frames_of)}: the edges of the mirror are up to ({total[farthest][0]:+.3f}, "
+        f"{total[farthest][1]:+.3f}) px from where the other sets have them; moved back. Camera or mirror moved "
+        "between the sets: fix both, and take the sequence again"
+    )
+    doubt = _moved_doubt(text, total[farthest])
+    return state.with_doubt(doubt, frames=frames, stands_still=True)
 
 
 # --- what the frames have beside their fringes ----------------------------------------------------------------------
@@ -388,7 +434,7 @@ def _say(state: _State, one: Oddity) -> Doubt:
             f"{where}: moved by ({value[0]:+.3f} +- {sigma[0]:.3f}, {value[1]:+.3f} +- {sigma[1]:.3f}) px against the "
             "others; moved back. The camera or the mirror moved: fix both"
         )
-        return Doubt("frames_moved", text, {"shift_x_px": value[0], "shift_y_px": value[1]})
+        return _moved_doubt(text, value)
     if one.kind is OddityKind.PERIODS_OF_SET:
         found = fringes.periods * (1 + value[0])
         text = (

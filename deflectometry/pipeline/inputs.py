@@ -235,7 +235,7 @@ def _states_sigma(section: Section) -> bool:
 def states_screen_size(measurement: DeflectometryMeasurement) -> bool:
     """Return whether it is stated how well the size of the screen is known; a sigma of 0.0 is a statement."""
     stated = measurement.model.screen.model_fields_set
-    return {"sigma_width_mm", "sigma_height_mm"} <= stated or "sigma_points_mm" in stated
+    return {"sigma_width_mm", "sigma_height_mm", "sigma_sag_mm"} <= stated or "sigma_points_mm" in stated
 
 
 def check_screen(measurement: DeflectometryMeasurement, screen: Screen) -> Doubt | None:

@@ -58,6 +58,19 @@ def test_moved_frames(readings: np.ndarray) -> None:
     assert kinds & {OddityKind.SHIFT, OddityKind.CONTRAST}
 
 
+def test_a_camera_that_was_knocked_between_two_sets(readings: np.ndarray) -> None:
+    # The mirror fills the middle, so that its edges are seen; drawn as steps, which no shift of light follows exactly.
+    scene = Scene(cover=0.5)
+    frames = scene.readings(PATTERN, np.random.default_rng(3))
+    for k in range(20, 32):
+        frames[k] = ndimage.shift(frames[k], (-0.3, 0.5), order=3, mode="nearest")
+    repaired = repair_frames(np.clip(np.rint(frames), 0, 255).astype(np.uint8), PATTERN)
+    assert not repaired.errors
+    (moved,) = [doubt for doubt in repaired.repairs if doubt.code == "frames_moved"]
+    assert moved.numbers["shift_x_px"] == pytest.approx(0.5, abs=0.05)
+    assert moved.numbers["shift_y_px"] == pytest.approx(-0.3, abs=0.05)
+
+
 def _declared(change: float, index: int) -> FringePattern:
     sets = list(PATTERN.sets)
     one = sets[index]
