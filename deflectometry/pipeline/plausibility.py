@@ -106,7 +106,8 @@ def size_doubt(setup: Setup, evaluation: Evaluation) -> Doubt:
         "screen_size_exact",
         "no sigma is given for width, height and sag of the screen ([screen] sigma_width_mm, sigma_height_mm, "
         "sigma_sag_mm): counted as exact, so the sigma of the focal length is too small; 1 mm changes 1/f by "
-        f"{changes[0]:.2g} (width, x) and {changes[1]:.2g} (height, y) per metre, at f = 100 m the focal length by {1e4 * changes[0]:.2g} and "
+        f"{changes[0]:.2g} (width, x) and {changes[1]:.2g} (height, y) per metre, "
+        f"at f = 100 m the focal length by {1e4 * changes[0]:.2g} and "
         f"{1e4 * changes[1]:.2g} m",
         {"curvature_x_per_mm_per_m": changes[0], "curvature_y_per_mm_per_m": changes[1]},
     )
