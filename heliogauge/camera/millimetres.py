@@ -250,4 +250,18 @@ def propagate_back(forward: FloatArray, covariance: FloatArray) -> FloatArray:
     held = np.diag(propagated) <= 1e-12 * largest
     propagated[held] = 0.0
     propagated[:, held] = 0.0
-    return np.asarray(propagated)
+    return _without_negative_variances(propagated)
+
+
+def _without_negative_variances(covariance: FloatArray) -> FloatArray:
+    """Set to zero what rounding made negative along directions that are nearly without variance.
+
+    Camera constant and radial terms about a zero radius are correlated to 1 - 1e-9 and more in a job of its own.
+    """
+    scale = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    scale[scale == 0] = 1.0
+    values, vectors = np.linalg.eigh(covariance / scale[:, None] / scale)
+    if values.min() >= 0:
+        return np.asarray(covariance)
+    positive_part = (vectors * np.maximum(values, 0.0)) @ vectors.T
+    return np.asarray(0.5 * (positive_part + positive_part.T) * scale[:, None] * scale)

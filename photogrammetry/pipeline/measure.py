@@ -21,7 +21,13 @@ from photogrammetry.networks.quality import check_lengths, check_network
 from photogrammetry.networks.solve_network import Knowledge, NetworkCameras, Solved, SolveOptions
 from photogrammetry.networks.solve_uncoded import add_dots
 from photogrammetry.networks.target_size import check_sizes
-from photogrammetry.pipeline.cameras import build_cameras, refuse_camera_mismatches, sensors_of, sizes_of_cameras
+from photogrammetry.pipeline.cameras import (
+    assumed_directions,
+    build_cameras,
+    refuse_camera_mismatches,
+    sensors_of,
+    sizes_of_cameras,
+)
 from photogrammetry.pipeline.dots import measure_targets_of
 from photogrammetry.pipeline.inputs import (
     build_checks,
@@ -87,7 +93,8 @@ def run(
     with progress.stage("statistics"):
         lengths = state_length_errors(solved.bundle, checks, build_permissible_error(model))
         sizes = check_sizes(solved, measured.points, measured.ellipses_px2, stated_diameter_mm(model))
-        doubts = gather_doubts(measured.doubts, check_network(solved), check_lengths(lengths), sizes)
+        direction = assumed_directions(measurement)
+        doubts = gather_doubts(measured.doubts, direction, check_network(solved), check_lengths(lengths), sizes)
     surface = None
     if model.surface is not None:
         with progress.stage("surface"):

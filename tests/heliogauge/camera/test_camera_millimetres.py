@@ -4,7 +4,14 @@ import numpy as np
 import pytest
 
 from heliogauge.camera.distortion import BrownDistortion, DistortionDirection
-from heliogauge.camera.millimetres import LensForm, PrincipalOrigin, Sensor, SensorParameters, sensor_parameters
+from heliogauge.camera.millimetres import (
+    LensForm,
+    PrincipalOrigin,
+    Sensor,
+    SensorParameters,
+    propagate_back,
+    sensor_parameters,
+)
 from heliogauge.camera.model import Camera
 from heliogauge.errors import InputError
 
@@ -87,3 +94,12 @@ def test_the_other_direction_is_refused():
         sensor_parameters(Camera(60, 40, 50.0, 50.0, 30.0, 20.0), sensor())
     with pytest.raises(InputError, match="only with AICON"):
         Sensor(60, 40, 0.01, zero_radius_mm=1.0)
+
+
+def test_directions_nearly_without_variance_stay_a_covariance():
+    # Two quantities known as one; rounding made one of their directions negative.
+    covariance = np.array([[1.0, 1.0], [1.0, 1.0 - 1e-8]])
+    found = propagate_back(np.eye(2), covariance)
+    assert np.linalg.eigvalsh(covariance).min() < -1e-9
+    assert np.linalg.eigvalsh(found).min() > -1e-15
+    np.testing.assert_allclose(found, covariance, atol=1e-8)
