@@ -13,11 +13,13 @@ import numpy as np
 import numpy.typing as npt
 
 from heliogauge.short_repr import ShortRepr
-from heliogauge.validate import Float32Array
+from heliogauge.validate import Float32Array, FloatArray
 from photogrammetry.centers.target_center import TargetCenter
 
 #: Points a side with which a pixel's area is sampled, and reach of the blur in its standard deviations.
 _SUBPIXELS, _REACH_SIGMAS = 3, 4.0
+#: Pixels beyond what is used: a fit may move its start by so much.
+_MARGIN_PX = 4
 #: Blurs between the farthest pixels used for the dot and the ring from which its light is nothing: 0.1 % of the step.
 _FAR_SIGMAS = 3.0
 
@@ -45,33 +47,47 @@ def ring_disturbs(center: TargetCenter, ring: InkedRing, reach: float) -> bool:
     return bool((ring.inner - reach) * center.ellipse.semi_axes_px[1] < _FAR_SIGMAS * center.blur_px)
 
 
-def without_rings(
-    image_dn: npt.NDArray[np.generic], centers: Sequence[TargetCenter], rings: Sequence[InkedRing]
-) -> Float32Array:
-    """Return a photo without the light of some code rings.
+@dataclass(frozen=True, slots=True, eq=False)
+class CleanWindows(ShortRepr):
+    """What is round some dots without the light of their rings, side by side in one image.
 
     image_dn (h, w): Grey values [DN].
-    centers: The dots; their blur and contrast are those of their rings.
-    Returns (h, w): Grey values [DN].
+    origins_px (n, 2): Where in the photo the first pixel of each window lies, less where it lies in the image [px].
     """
-    left = np.array(image_dn, dtype=np.float32)
-    height, width = left.shape
-    for center, ring in zip(centers, rings, strict=True):
-        larger = ring.outer * center.ellipse.semi_axes_px[0]
-        half = int(np.ceil(larger + _REACH_SIGMAS * center.blur_px)) + 1
+
+    image_dn: Float32Array
+    origins_px: FloatArray
+
+
+def without_rings(
+    image_dn: npt.NDArray[np.generic], centers: Sequence[TargetCenter], rings: Sequence[InkedRing], reach: float
+) -> CleanWindows:
+    """Cut out what is round some dots and take the light of their code rings away.
+
+    image_dn (h, w): Grey values of the photo [DN].
+    centers: The dots; their blur and contrast are those of their rings.
+    reach: How far from the centre pixels are used, in radii of the dot.
+    """
+    height, width = image_dn.shape
+    half = max(
+        int(np.ceil(reach * one.ellipse.semi_axes_px[0] + _REACH_SIGMAS * one.blur_px)) + _MARGIN_PX for one in centers
+    )
+    side = 2 * half + 1
+    clean = np.empty((side, side * len(centers)), dtype=np.float32)
+    origins = np.empty((len(centers), 2))
+    for k, (center, ring) in enumerate(zip(centers, rings, strict=True)):
         x, y = np.rint(center.center_px).astype(int).tolist()
-        columns = np.arange(max(x - half, 0), min(x + half + 1, width))
-        rows = np.arange(max(y - half, 0), min(y + half + 1, height))
-        if not columns.size or not rows.size:
-            continue
+        columns, rows = np.arange(x - half, x + half + 1), np.arange(y - half, y + half + 1)
         ink = _drawn(center, ring, columns, rows)
         if center.blur_px > 0:
             taps = 2 * int(np.ceil(_REACH_SIGMAS * center.blur_px)) + 1
             ink = np.asarray(
                 cv2.GaussianBlur(ink, (taps, taps), center.blur_px, borderType=cv2.BORDER_REPLICATE), dtype=np.float32
             )
-        left[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1] -= np.float32(center.contrast_dn) * ink
-    return left
+        window = image_dn[np.clip(rows, 0, height - 1)[:, None], np.clip(columns, 0, width - 1)]
+        clean[:, k * side : (k + 1) * side] = window.astype(np.float32) - np.float32(center.contrast_dn) * ink
+        origins[k] = x - half - k * side, y - half
+    return CleanWindows(clean, origins)
 
 
 def _drawn(

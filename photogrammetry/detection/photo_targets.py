@@ -1,7 +1,7 @@
 """All circular targets of one photo: found, read, centred."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -226,11 +226,12 @@ def _measure_coded(
         if not disturbed:
             break
         places, centers = [k for k, _ in disturbed], [one for _, one in disturbed]
-        clean = without_rings(image_dn, centers, [rings[k] for k in places])
-        again = measure_centers(clean, [one.ellipse for one in centers], reach)
-        for k, one in zip(places, again, strict=True):
+        clean = without_rings(image_dn, centers, [rings[k] for k in places], reach)
+        starts = [one.ellipse.moved(-origin) for one, origin in zip(centers, clean.origins_px, strict=True)]
+        again = measure_centers(clean.image_dn, starts, reach)
+        for k, one, origin in zip(places, again, clean.origins_px, strict=True):
             if isinstance(one, TargetCenter):
-                found[k] = one
+                found[k] = replace(one, ellipse=one.ellipse.moved(origin))
     return found
 
 

@@ -127,11 +127,17 @@ def _write_board(shape: BoardShape, folder: Path) -> None:
         folder / "points.csv", PointTable(names, shape.points_m, shape.sigma_m, shape.n_rays.astype(np.int64), flags)
     )
     drawn = shape.board.points_m[shape.seen]
-    columns = {f"drawn_{axis}_m": drawn[:, i] for i, axis in enumerate("xyz")}
-    columns |= {f"departure_{axis}_m": shape.departure_m[:, i] for i, axis in enumerate("xyz")}
-    columns |= {f"sigma_{axis}_m": shape.sigma_m[:, i] for i, axis in enumerate("xyz")}
+    unit = _suffix(shape)
+    columns = {f"drawn_{axis}_{unit}": drawn[:, i] for i, axis in enumerate("xyz")}
+    columns |= {f"departure_{axis}_{unit}": shape.departure_m[:, i] for i, axis in enumerate("xyz")}
+    columns |= {f"sigma_{axis}_{unit}": shape.sigma_m[:, i] for i, axis in enumerate("xyz")}
     units = [_METRES if shape.board.is_metric else _PITCHES] * len(names)
     write_table_csv(folder / "board.csv", {"id": list(names), **columns, "unit": units})
+
+
+def _suffix(shape: BoardShape) -> str:
+    """Return with what the names of columns of lengths end: metres, or the board's pitch where that is not known."""
+    return "m" if shape.board.is_metric else "pitch"
 
 
 def _write_image_points(result: Result, folder: Path) -> None:
@@ -153,6 +159,7 @@ def _write_image_points(result: Result, folder: Path) -> None:
 
 def _write_photos(result: Result, folder: Path) -> None:
     angles = np.degrees([tilt_and_roll(photo.cam_from_board) for photo in result.photos])
+    distances = [float(np.linalg.norm(photo.cam_from_board.translation_m)) for photo in result.photos]
     used = {
         "image": [photo.name for photo in result.photos],
         "use": ["calibration"] * len(result.photos),
@@ -163,7 +170,7 @@ def _write_photos(result: Result, folder: Path) -> None:
         "kept_apart_expected_px": [photo.kept_apart_expected_px for photo in result.photos],
         "tilt_deg": angles[:, 0].tolist(),
         "roll_deg": angles[:, 1].tolist(),
-        "distance_m": [float(np.linalg.norm(photo.cam_from_board.translation_m)) for photo in result.photos],
+        f"distance_{_suffix(result.shape)}": distances,
     }
     for check in result.held_out:
         tilt, roll = np.degrees(tilt_and_roll(check.cam_from_board)).tolist()
@@ -230,9 +237,12 @@ def _floats(cells: list[str]) -> list[float]:
 
 def _read_shape(folder: Path, texts: Mapping[str, str], *, has_drawing: bool) -> BoardShape:
     points = read_points_csv(folder / "points.csv")
-    columns = read_table_csv(folder / "board.csv", ("id", "drawn_x_m", "drawn_y_m", "drawn_z_m", "unit"))
-    drawn = np.array([_floats(columns[f"drawn_{axis}_m"]) for axis in "xyz"]).T
-    board = TargetField("", tuple(points.ids), drawn, is_metric=_METRES in columns["unit"])
+    columns = read_table_csv(folder / "board.csv", ("id", "unit"))
+    is_metric = _METRES in columns["unit"]
+    names = [f"drawn_{axis}_{'m' if is_metric else 'pitch'}" for axis in "xyz"]
+    columns = read_table_csv(folder / "board.csv", ("id", *names))
+    drawn = np.array([_floats(columns[name]) for name in names]).T
+    board = TargetField("", tuple(points.ids), drawn, is_metric=is_metric)
     held = not points.sigma_m.any()
     return BoardShape(
         board,
