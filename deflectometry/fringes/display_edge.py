@@ -55,10 +55,12 @@ def flag_display_edge(screen_map: ScreenMap, region: BoolArray, margin_px: float
     names, count = [], max(int(np.count_nonzero(region)), 1)
     for place, low, high in ((screen_map.u, "left", "right"), (screen_map.v, "upper", "lower")):
         reach = margin_px * _per_pixel(place)
-        for name, beyond in ((low, place < reach), (high, place > 1 - reach)):
-            near = beyond & region & (screen_map.flags == 0)
-            at_edge |= near
-            if np.count_nonzero(near) > _LEAST_LINE * np.sqrt(count):
+        good = region & (screen_map.flags == 0)
+        # An outline that was put where the screen ends keeps its own margin: a line beyond that is seen as well.
+        line = 2 * reach + _per_pixel(place)
+        for name, off in ((low, place), (high, 1 - place)):
+            at_edge |= good & (off < reach)
+            if np.count_nonzero(good & (off < line)) > _LEAST_LINE * np.sqrt(count):
                 names.append(name)
     flags = screen_map.flags | np.where(at_edge, np.uint32(SampleFlag.OFF_SCREEN), np.uint32(0))
     u, v, sigma_u, sigma_v = (
