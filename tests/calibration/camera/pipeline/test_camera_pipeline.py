@@ -79,7 +79,7 @@ def test_other_boards_against_truth(kind: str, board_photos: Callable[[str], Pat
     folder = board_photos(kind)
     result = run(load_camera_calibration(folder), Options(leave_one_out=False))
     assert len(result.photos) == 6
-    assert result.quality.rms_px < 0.01
+    assert result.quality.rms_px < 0.03
     assert np.abs(errors(result, folder)[:4]).max() < 0.6
     assert chi_square_share(result, folder) < 3.5
 
@@ -103,7 +103,8 @@ def test_comparison_with_itself_and_with_less(chessboard: Result, boards: dict[s
     assert flat.comparison is not None
     # A bent board taken as flat costs far more than the noise.
     assert flat.comparison.rms_rad > 5 * chessboard.sigma.rms_free_rad
-    assert flat.quality.rms_px == pytest.approx(flat.quality.rms_as_drawn_px, rel=0.01)
+    # The bend is shared by the points of a photo: weighted for that, residuals are a little larger than the least.
+    assert flat.quality.rms_px == pytest.approx(flat.quality.rms_as_drawn_px, rel=0.15)
     again = Options(compare=tmp_path / "cameras.json", leave_one_out=False)
     same = run(load_camera_calibration(boards["chessboard"]), again)
     assert same.comparison is not None
