@@ -79,7 +79,7 @@ def test_other_boards_against_truth(kind: str, board_photos: Callable[[str], Pat
     folder = board_photos(kind)
     result = run(load_camera_calibration(folder), Options(leave_one_out=False))
     assert len(result.photos) == 6
-    assert result.quality.rms_px < 0.03
+    assert result.quality.rms_px < 0.01
     assert np.abs(errors(result, folder)[:4]).max() < 0.6
     assert chi_square_share(result, folder) < 3.5
 
@@ -205,7 +205,7 @@ def test_a_board_that_looks_the_same_turned(board_photos: Callable[[str], Path])
     folder = board_photos("chessboard-symmetric")
     result = run(load_camera_calibration(folder), Options(leave_one_out=False))
     # Counted upright in every photo, the board's shape is a mixture: 0.1 px and wrong by a hundred sigma.
-    assert result.quality.rms_px < 0.01
+    assert result.quality.rms_px < 0.03
     assert chi_square_share(result, folder) < 3.5
     (doubt,) = (one for one in result.doubts if one.code == "board_looks_the_same_turned")
     assert "surely in all of them" in doubt.text
