@@ -140,8 +140,10 @@ def _mended(state: _State, errors: list[FrameFault]) -> _State | None:
     if pattern is not None:
         return state.with_doubt(_pattern_doubt(state, pattern, errors[0]), pattern=pattern)
     model = None
+    spoilt = [frame for fault in errors if fault.kind is FaultKind.CORRUPT for frame in fault.frames]
     if not any(fault.kind is FaultKind.LOW_MODULATION for fault in errors):
-        still = None if state.stands_still else _standing_still(state)
+        # A set that moved as a whole agrees with itself; a damaged frame spoils its set's mean light.
+        still = None if state.stands_still or spoilt else _standing_still(state)
         if still is not None:
             return still
         model = _modelled(state)
@@ -153,7 +155,6 @@ def _mended(state: _State, errors: list[FrameFault]) -> _State | None:
             steps.update(fault.remedy.steps_rad)
     if steps:
         return _with_steps(state, steps, errors)
-    spoilt = [frame for fault in errors if fault.kind is FaultKind.CORRUPT for frame in fault.frames]
     if spoilt:
         return _left_out(state, spoilt, "do not fit in a part of the pixels", FaultKind.CORRUPT)
     return None

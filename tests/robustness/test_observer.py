@@ -124,7 +124,9 @@ def test_list_mirrored(trough):
 
 def test_list_in_millimetres(trough):
     each_target(trough, scaled(1000.0, 1, 2, 3))
-    assert "are the coordinates in metres" in refused(trough)
+    said = refused(trough)
+    # Where the adjustment does not settle, that is said; nothing is measured either way.
+    assert "are the coordinates in metres" in said or "camera and list of targets" in said
 
 
 @pytest.mark.parametrize(

@@ -37,6 +37,7 @@ COMMANDS = FOR_ALL + [
     "photogrammetry synth",
     "photogrammetry measure",
     "photogrammetry plan",
+    "photogrammetry targets",
     "photogrammetry import colmap",
     "photogrammetry export colmap",
     "photogrammetry export soltrace",
