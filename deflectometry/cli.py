@@ -70,11 +70,12 @@ def measure_command(
 
     progress = terminal_progress(quiet=quiet, verbose=verbose)
     if kind_of(folder).name == "slopes":
-        if (align, grid_step_mm, remove) != (None, None, None):
-            raise InputError(f"{folder}: slopes are evaluated as its measurement.toml says; leave the options out")
+        if (align, grid_step_mm) != (None, None):
+            raise InputError(f"{folder}: slopes have no alignment, and their grid is in measurement.toml; leave it out")
+        removal = None if remove is None else Removal(remove)
         deliver(
             out,
-            lambda: run_slopes(load_slopes(folder), progress),
+            lambda: run_slopes(load_slopes(folder), progress, removal),
             progress,
             force=force,
             quiet=quiet,
@@ -107,7 +108,8 @@ def import_opencsp_command(
         typer.Argument(
             metavar="FILE",
             help="HDF5 and JSON files of one OpenCSP/SOFAST fringe measurement, in any order: measurement, camera, "
-            "display, spatial orientation, facet; image calibration, ensemble and result file where there are any.",
+            "display, spatial orientation, facet; image calibration, ensemble and result file where there are any. A "
+            "result file alone gives its slopes.",
             show_default=False,
         ),
     ],
@@ -202,6 +204,9 @@ def import_surface_command(
     facet: Annotated[
         str | None, typer.Option(help="Which facet of an .h5 file; default: all.", show_default=False)
     ] = None,
+    without_canting: Annotated[
+        bool, typer.Option("--without-canting", help="Turn facets of an .h5 file back by the canting that it gives.")
+    ] = False,
     design: SlopeDesign = "plane",
     focal_length_m: FocalLength = None,
     radius_m: Radius = None,
@@ -213,7 +218,9 @@ def import_surface_command(
     from deflectometry.exchange.slope_files import import_slopes
 
     keys = _design_keys(design, focal_length_m, radius_m)
-    said = import_slopes(file, out, "surface", keys, heliostat=heliostat, facet=facet, force=force)
+    said = import_slopes(
+        file, out, "surface", keys, heliostat=heliostat, facet=facet, without_canting=without_canting, force=force
+    )
     _say_imported(said, out, quiet=quiet)
 
 

@@ -132,9 +132,12 @@ class SlopesResult(InstrumentResult):
         return headline_text(self.summarise())
 
 
-def run(measurement: SlopesMeasurement, progress: Progress | None = None) -> SlopesResult:
+def run(
+    measurement: SlopesMeasurement, progress: Progress | None = None, removal: Removal | None = None
+) -> SlopesResult:
     """Put slopes on a grid and compare them with the design.
 
+    removal: What is taken out of map and headline numbers; None as measurement.toml says.
     InputError: A table that cannot be read, or a grid that is too fine.
     EstimationError: Points on one line.
     """
@@ -144,27 +147,17 @@ def run(measurement: SlopesMeasurement, progress: Progress | None = None) -> Slo
         points = read_slopes(measurement.folder / model.slopes.file)
     with progress.stage("grid"):
         step_mm = model.evaluation.grid_step_mm
+        points, doubts_of_sigma = _with_sigmas(points, model.slopes.sigma_slope_mrad)
         as_measured = grid_points(points, build_design(model.mirror), None if step_mm is None else 1e-3 * step_mm)
-        known = np.isfinite(points.sigma_x).all() and np.isfinite(points.sigma_y).all()
-        if not known:
-            as_measured = _with_sigma(as_measured, 1e-3 * (model.slopes.sigma_slope_mrad or 0.0))
     with progress.stage("statistics"):
-        slope_map = remove(as_measured, Removal(model.evaluation.remove))
+        slope_map = remove(as_measured, removal or Removal(model.evaluation.remove))
         numbers = facet_numbers(slope_map, as_measured)
-    doubts = tuple(_doubts_of_map(measurement.folder / model.slopes.file, as_measured.design))
-    if not known and model.slopes.sigma_slope_mrad is None:
-        doubts += (
-            Doubt(
-                "sigma_of_slopes_missing",
-                "the slopes come without sigmas: they count as exact, and every sigma here is too small; give "
-                "sigma_slope_mrad in [slopes], or columns sigma_slope_x and sigma_slope_y",
-            ),
-        )
+    doubts = (*_doubts_of_map(measurement.folder / model.slopes.file, as_measured.design), *doubts_of_sigma)
     return SlopesResult(
         name=model.name,
         slope_map=slope_map,
         numbers=numbers,
-        points=points.x_m.size,
+        points=int(np.count_nonzero(points.measured)),
         doubts=doubts,
         durations_s=dict(progress.durations_s),
         input_sha256=hash_files(measurement.input_files, measurement.folder),
@@ -214,17 +207,19 @@ def grid_points(points: SlopePoints, design: Quadric, step_m: float | None = Non
     if x_m.size * y_m.size > _MOST_NODES:
         raise InputError(f"a map of {x_m.size} x {y_m.size} nodes; give a larger grid_step_mm")
     x, y = np.meshgrid(x_m, y_m)
-    columns = np.column_stack([points.slope_x, points.slope_y, points.sigma_x, points.sigma_y])
+    # The last column is known wherever there is mirror: a point without slopes takes its surroundings out.
+    whole = np.ones(len(place))
+    columns = np.column_stack([points.slope_x, points.slope_y, points.sigma_x, points.sigma_y, whole])
     distance, nearest = tree.query(np.column_stack([x.ravel(), y.ravel()]))
     values = LinearNDInterpolator(place, columns)(x, y)
     # At the rim rounding puts nodes outside the triangles: a node that is a point has its values.
     same = (distance < _ON_GRID * spacing).reshape(x.shape)
     values[same] = columns[nearest.reshape(x.shape)[same]]
     near = (distance < _GAP * spacing).reshape(x.shape)
-    aperture: BoolArray = same | np.isfinite(values[..., 0])
+    aperture: BoolArray = same | np.isfinite(values[..., 4])
     # Where all points are nodes, a node without a point was left out by whoever measured: it is not filled in.
     is_grid = step_m is None and np.count_nonzero(same) >= len(np.unique(place, axis=0))
-    seen = same if is_grid else aperture & near
+    seen = (same if is_grid else aperture & near) & np.isfinite(values[..., :2]).all(axis=-1)
     slope_x, slope_y, sigma_x, sigma_y = (np.where(seen, values[..., k], np.nan) for k in range(4))
     design_x, design_y = design.gradient(x, y)
     return SlopeMap(
@@ -267,6 +262,30 @@ def _axis(values: FloatArray, spacing: float, step_m: float | None) -> FloatArra
     return np.asarray(values.min() + 0.5 * (np.ptp(values) - (count - 1) * step) + step * np.arange(count))
 
 
-def _with_sigma(slope_map: SlopeMap, sigma_rad: float) -> SlopeMap:
-    sigma = np.where(slope_map.valid, sigma_rad, np.nan)
-    return replace(slope_map, sigma_random_x=sigma, sigma_random_y=sigma)
+def _with_sigmas(points: SlopePoints, stated_mrad: float | None) -> tuple[SlopePoints, tuple[Doubt, ...]]:
+    """Fill in sigmas that are missing: by what measurement.toml says, else by the RMS of the others, else zero."""
+    missing = points.measured & ~(np.isfinite(points.sigma_x) & np.isfinite(points.sigma_y))
+    count, total = int(np.count_nonzero(missing)), int(np.count_nonzero(points.measured))
+    if not count:
+        return points, ()
+    known = points.measured & ~missing
+    filled = []
+    for sigma in (points.sigma_x, points.sigma_y):
+        usual = float(np.sqrt(np.mean(sigma[known] ** 2))) if count < total else 0.0
+        filled.append(np.where(missing, usual if stated_mrad is None else 1e-3 * stated_mrad, sigma))
+    points = replace(points, sigma_x=filled[0], sigma_y=filled[1])
+    if stated_mrad is not None:
+        return points, ()
+    if count < total:
+        text = (
+            f"{count} of {total} slopes come without sigma: they count with the RMS of the others; give "
+            "sigma_slope_mrad in [slopes] if it is known"
+        )
+        return points, (Doubt("sigma_of_some_slopes_missing", text, {"missing_count": count, "slopes_count": total}),)
+    return points, (
+        Doubt(
+            "sigma_of_slopes_missing",
+            "the slopes come without sigmas: they count as exact, and every sigma here is too small; give "
+            "sigma_slope_mrad in [slopes], or columns sigma_slope_x and sigma_slope_y",
+        ),
+    )

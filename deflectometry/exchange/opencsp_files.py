@@ -140,11 +140,12 @@ class EnsembleRecord:
 class CalculationRecord:
     """What SOFAST computed: its pose of the mirror, its slopes (a comparison, not a truth) and its start shape.
 
+    cam_from_mirror: Pose of the mirror; None in files that hold none.
     surface_points_m (3, n): Points of each facet [m].
     slopes (2, n): dz/dx and dz/dy at these points.
     """
 
-    cam_from_mirror: RigidTransform
+    cam_from_mirror: RigidTransform | None
     surface_points_m: tuple[FloatArray, ...]
     slopes: tuple[FloatArray, ...]
 
@@ -375,10 +376,10 @@ def _calculation(node: _Node) -> CalculationRecord:
     )
 
 
-def _facet_pose(facet: _Node) -> RigidTransform:
+def _facet_pose(facet: _Node) -> RigidTransform | None:
     path = "CalculationDataGeometryFacet/SpatialOrientation"
     if not facet.has(path):
-        raise InputError(f"{facet.file_name}: {facet.name} holds no {path}, so no pose of the mirror")
+        return None
     orientation = _Node(facet.file_name, facet.group[path])
     return _pose(orientation.array("r_cam_optic", (3,)), orientation.array("v_cam_optic_cam", (3,)))
 

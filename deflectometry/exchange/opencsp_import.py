@@ -23,6 +23,13 @@ from deflectometry.exchange.opencsp_files import (
     TableRecord,
     read_opencsp_file,
 )
+from deflectometry.exchange.slope_files import (
+    SLOPES_FILE,
+    SlopePoints,
+    points_words,
+    write_points,
+    write_slopes_measurement,
+)
 from heliogauge.doubts import Doubt
 from heliogauge.errors import InputError
 from heliogauge.geometry.rigid import RigidTransform
@@ -72,6 +79,9 @@ def import_opencsp(
 ) -> Imported:
     """Write a measurement folder from OpenCSP files, given in any order and recognised by their content.
 
+    With a fringe measurement it is one of ``kind = "deflectometry"``; a result file without one gives the slopes that
+    SOFAST found, as ``kind = "slopes"``.
+
     files: HDF5 and JSON files: measurement, camera, display shape, spatial orientation, facet definition, and where
         there are any image calibration, ensemble definition and result file. A file made for one purpose wins over
         the copy inside a result file.
@@ -85,7 +95,10 @@ def import_opencsp(
     """
     with WholeFolder(folder, IMPORTED, force=force) as working:
         parts = _Parts([read_opencsp_file(Path(path)) for path in files])
-        _write(working, parts, options or OpencspOptions())
+        if parts.holds(CalculationRecord) and not parts.holds(FringeRecord):
+            _write_slopes(working, parts, options or OpencspOptions())
+        else:
+            _write(working, parts, options or OpencspOptions())
         write_imported(working, "opencsp", [Path(path) for path in files])
     return Imported(tuple(parts.taken), tuple(parts.doubts))
 
@@ -123,6 +136,42 @@ def _write(working: Path, parts: "_Parts", options: OpencspOptions) -> None:
     write_measurement(working, content, comment="Imported from OpenCSP/SOFAST files.")
 
 
+def _write_slopes(working: Path, parts: "_Parts", options: OpencspOptions) -> None:
+    """Write the slopes of a result file; several facets stand where the ensemble has them."""
+    found: CalculationRecord = parts.needed(CalculationRecord, "a SOFAST result (DataSofastCalculation)")
+    facets = parts.wanted_all(FacetRecord)
+    count = len(found.slopes)
+    if not count:
+        raise InputError(f"{parts.taken[-1]}: it holds no slopes (SlopeSolverData)")
+    places: tuple[RigidTransform, ...] = (RigidTransform.identity(),)
+    if count > 1:
+        places = parts.needed(EnsembleRecord, "an ensemble definition, which several facets need").ensemble_from_facet
+    if len(facets) == 1:
+        facets = facets * count
+    if len(places) != count or len(facets) not in (0, count):
+        raise InputError(
+            f"{', '.join(parts.taken)}: slopes of {count} facets, places of {len(places)}, outlines of {len(facets)}"
+        )
+    pieces = []
+    for number, (points, slopes) in enumerate(zip(found.surface_points_m, found.slopes, strict=True)):
+        values = np.concatenate([points, slopes])
+        if facets:
+            # Corners without slopes: what of the facet SOFAST did not measure is counted.
+            corners = facets[number].corners_m
+            values = np.concatenate([values, np.vstack([corners.T, np.full((2, len(corners)), np.nan)])], axis=1)
+        normals = places[number].rotation @ np.stack([-values[3], -values[4], np.ones(values.shape[1])])
+        x, y, _ = places[number].apply(values[:3].T).T
+        pieces.append(np.stack([x, y, -normals[0] / normals[2], -normals[1] / normals[2]]))
+    x, y, slope_x, slope_y = np.concatenate(pieces, axis=1)
+    unknown = np.full(x.size, np.nan)
+    points_found = SlopePoints(x, y, slope_x, slope_y, unknown, unknown)
+    # Of several facets SOFAST's focal length is that of each about its own middle.
+    design = _design_keys(parts, options) if count == 1 or options.focal_length_m else {"design": "plane"}
+    write_points(working / SLOPES_FILE, points_found)
+    write_slopes_measurement(working, "OpenCSP result", SLOPES_FILE, design, "Slopes imported from an OpenCSP result.")
+    parts.taken.append(points_words(points_found))
+
+
 def _date(text: str) -> datetime.datetime | None:
     try:
         return datetime.datetime.fromisoformat(text)
@@ -140,6 +189,7 @@ _WORDS: dict[type, str] = {
     FacetRecord: "facet definition",
     EnsembleRecord: "ensemble definition",
     FocalLengthRecord: "design focal length",
+    CalculationRecord: "slopes of SOFAST",
 }
 
 
@@ -150,6 +200,10 @@ class _Parts:
         self.files = files
         self.taken: list[str] = []
         self.doubts: list[Doubt] = []
+
+    def holds(self, kind: type) -> bool:
+        """Tell whether a file has a record of a kind."""
+        return any(isinstance(record, kind) for file in self.files for record in file.records)
 
     def wanted_all(self, kind: type[_T]) -> list[_T]:
         """Return the records of a kind: from files made for it, else from result files."""
@@ -244,10 +298,18 @@ def _mirror_section(parts: _Parts, fringes: FringeRecord, options: OpencspOption
     design = _design_keys(parts, options)
     section: dict[str, Any] = {}
     facets = parts.wanted_all(FacetRecord)
-    if not facets:
-        raise InputError("no file given holds a facet definition (JSON with v_facet_corners, or DefinitionFacet)")
     ensemble = parts.wanted(EnsembleRecord)
-    if ensemble is None:
+    if not facets:
+        if ensemble is not None:
+            raise InputError("an ensemble definition, but no file given holds a facet definition (v_facet_corners)")
+        text = (
+            "no file given holds a facet definition: the mirror is taken as undefined, so that what shows fringes is "
+            "the mirror, and its frame is where its middle is seen; give the definition (JSON with v_facet_corners) to "
+            "compare with the design at its place"
+        )
+        parts.doubts.append(Doubt("facet_definition_missing", text))
+        section |= design
+    elif ensemble is None:
         if len(facets) > 1:
             raise InputError(
                 f"{parts.taken[-1]}: {len(facets)} facets, but no ensemble definition (JSON with v_facet_locations)"
@@ -319,7 +381,7 @@ def _outline(facet: FacetRecord) -> list[list[float]]:
 
 def _result_pose(path: Path) -> RigidTransform:
     for record in read_opencsp_file(path).records:
-        if isinstance(record, CalculationRecord):
+        if isinstance(record, CalculationRecord) and record.cam_from_mirror is not None:
             return record.cam_from_mirror
     raise InputError(f"{path.name}: no SOFAST result (DataSofastCalculation) in it, so no pose of the mirror")
 

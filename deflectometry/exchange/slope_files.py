@@ -15,7 +15,7 @@ from heliogauge.measurement.writer import write_measurement
 from heliogauge.results.slope_map_file import read_slope_map
 from heliogauge.results.tables import read_columns_csv, read_table_csv, write_table_csv
 from heliogauge.results.whole_folder import WholeFolder
-from heliogauge.validate import FloatArray
+from heliogauge.validate import BoolArray, FloatArray
 
 SLOPES_FILE, MAP_FILE = "slopes.csv", "slopes.nc"
 COLUMNS = ("x_m", "y_m", "slope_x", "slope_y")
@@ -31,7 +31,7 @@ class SlopePoints:
     """Slopes of a mirror at points, in any order.
 
     x_m, y_m (n,): Where they were measured, right and up seen from the front [m].
-    slope_x, slope_y (n,): dz/dx and dz/dy.
+    slope_x, slope_y (n,): dz/dx and dz/dy; NaN where the mirror was looked at and nothing was found.
     sigma_x, sigma_y (n,): Their standard deviations, NaN where they are not known [rad].
     """
 
@@ -41,6 +41,11 @@ class SlopePoints:
     slope_y: FloatArray
     sigma_x: FloatArray
     sigma_y: FloatArray
+
+    @property
+    def measured(self) -> BoolArray:
+        """Points that have both slopes, shape (n,)."""
+        return np.asarray(np.isfinite(self.slope_x) & np.isfinite(self.slope_y))
 
 
 def read_soltrace(file: Path) -> SlopePoints:
@@ -94,23 +99,23 @@ def refuse_implausible(file: Path, points: SlopePoints) -> SlopePoints:
 def read_slopes(file: Path) -> SlopePoints:
     """Read a slope map: NetCDF of ours, or a table with columns x_m, y_m, slope_x, slope_y (and their sigmas).
 
-    Returns: The points that have both slopes.
+    Returns: All points of the mirror: those without slopes count as not measured.
     InputError: The file cannot be read, lacks a column, or has no slopes.
     """
     if file.suffix.lower() in MAP_SUFFIXES:
         slope_map = read_slope_map(file)
-        good = slope_map.valid
-        x, y = np.meshgrid(slope_map.x_m, slope_map.y_m)
-        planes = (x, y, slope_map.slope_x, slope_map.slope_y, *slope_map.sigma_slope())
-        points = SlopePoints(*(plane[good] for plane in planes))
+        valid, mirror = slope_map.valid, slope_map.aperture
+        measured = (slope_map.slope_x, slope_map.slope_y, *slope_map.sigma_slope())
+        planes = (*np.meshgrid(slope_map.x_m, slope_map.y_m), *(np.where(valid, one, np.nan) for one in measured))
+        points = SlopePoints(*(plane[mirror] for plane in planes))
     else:
         known = [name for name in SIGMAS if name in read_table_csv(file, COLUMNS)]
         _, table = read_columns_csv(file, (), (*COLUMNS, *known))
-        good = np.asarray(np.isfinite([table[name] for name in COLUMNS]).all(axis=0))
-        none = np.full(int(good.sum()), np.nan)
-        sigmas = (table[name][good] if name in known else none for name in SIGMAS)
-        points = SlopePoints(*(table[name][good] for name in COLUMNS), *sigmas)
-    if points.x_m.size == 0:
+        placed = np.isfinite(table["x_m"]) & np.isfinite(table["y_m"])
+        none = np.full(int(placed.sum()), np.nan)
+        sigmas = (table[name][placed] if name in known else none for name in SIGMAS)
+        points = SlopePoints(*(table[name][placed] for name in COLUMNS), *sigmas)
+    if not points.measured.any():
         raise InputError(f"{file}: no point has both slopes, so there is nothing to evaluate")
     return refuse_implausible(file, points)
 
@@ -123,12 +128,14 @@ def import_slopes(
     *,
     heliostat: str | None = None,
     facet: str | None = None,
+    without_canting: bool = False,
     force: bool = False,
 ) -> str:
     """Write a measurement folder from slopes of another program.
 
     form: "soltrace", "slopes" or "surface".
     heliostat, facet: Which surface of a file with several.
+    without_canting: Facets of a file that says how they are canted are turned back to the heliostat's plane.
     design: Keys of [mirror]: the design that the slopes are compared with; a plane without them.
     force: Replace a folder that was imported earlier.
     Returns: What was taken over, in a sentence.
@@ -137,27 +144,41 @@ def import_slopes(
     from deflectometry.exchange.surface_files import read_surface
 
     if form == "surface":
-        points = read_surface(file, heliostat, facet)
+        points = read_surface(file, heliostat, facet, without_canting=without_canting)
     else:
         points = read_soltrace(file) if form == "soltrace" else read_slopes(file)
     # A map of ours stays what it is: with its own design and what makes its sigma.
     is_map = form == "slopes" and file.suffix.lower() in MAP_SUFFIXES
     kept = MAP_FILE if is_map else SLOPES_FILE
-    content = {
-        "kind": "slopes",
-        "name": " ".join(filter(None, (heliostat, facet))) or file.stem,
-        "slopes": {"file": kept},
-        "mirror": design or {"design": "plane"},
-    }
-    columns = dict(zip(COLUMNS, (points.x_m, points.y_m, points.slope_x, points.slope_y), strict=True))
-    if np.isfinite(points.sigma_x).any():
-        columns |= dict(zip(SIGMAS, (points.sigma_x, points.sigma_y), strict=True))
+    name = " ".join(filter(None, (heliostat, facet))) or file.stem
     with WholeFolder(folder, IMPORTED, force=force) as working:
         if is_map:
             shutil.copyfile(file, working / MAP_FILE)
         else:
-            write_table_csv(working / SLOPES_FILE, columns)
-        write_measurement(working, content, comment=f"Slopes imported from {file.name}.")
+            write_points(working / SLOPES_FILE, points)
+        write_slopes_measurement(
+            working, name, kept, design or {"design": "plane"}, f"Slopes imported from {file.name}."
+        )
         write_imported(working, form, [file])
-    size = f"{np.ptp(points.x_m):.4g} x {np.ptp(points.y_m):.4g} m"
-    return f"{file.name}: {points.x_m.size} points over {size}"
+    return f"{file.name}: {points_words(points)}"
+
+
+def write_points(path: Path, points: SlopePoints) -> None:
+    """Write slopes as the table that `read_slopes` reads."""
+    columns = dict(zip(COLUMNS, (points.x_m, points.y_m, points.slope_x, points.slope_y), strict=True))
+    if np.isfinite(points.sigma_x).any():
+        columns |= dict(zip(SIGMAS, (points.sigma_x, points.sigma_y), strict=True))
+    write_table_csv(path, columns)
+
+
+def write_slopes_measurement(working: Path, name: str, file: str, design: Mapping[str, Any], comment: str) -> None:
+    """Write measurement.toml of ``kind = "slopes"`` for a table or map in the same folder."""
+    content = {"kind": "slopes", "name": name, "slopes": {"file": file}, "mirror": dict(design)}
+    write_measurement(working, content, comment=comment)
+
+
+def points_words(points: SlopePoints) -> str:
+    """Say how many points there are and how far they reach."""
+    missing = int(np.count_nonzero(~points.measured))
+    without = f" ({missing} without slopes)" if missing else ""
+    return f"{points.x_m.size} points{without} over {np.ptp(points.x_m):.4g} x {np.ptp(points.y_m):.4g} m"

@@ -11,6 +11,7 @@ from deflectometry.exchange.slope_files import SlopePoints, refuse_implausible
 from heliogauge.errors import InputError
 from heliogauge.files.hdf5 import open_hdf5
 from heliogauge.files.regular import read_regular
+from heliogauge.geometry.rigid import rotation_between
 from heliogauge.results.tables import read_columns_csv
 from heliogauge.validate import FloatArray
 
@@ -38,18 +39,23 @@ _PLY_TYPES = {
 }
 
 
-def read_surface(file: Path, heliostat: str | None = None, facet: str | None = None) -> SlopePoints:
+def read_surface(
+    file: Path, heliostat: str | None = None, facet: str | None = None, *, without_canting: bool = False
+) -> SlopePoints:
     """Read a measured surface.
 
     file: HDF5 with NURBS as ARTIST writes them, PLY with normals, or CSV with columns x_m, y_m, z_m, normal_x,
         normal_y, normal_z.
     heliostat, facet: Which surface of an HDF5 file with several; all facets without one.
+    without_canting: Turn each facet of an HDF5 file back by the canting that the file gives it.
     Returns: Slopes where the surface is known; without sigmas.
     InputError: The file cannot be read, or has no such surface, no normals, or a surface seen from behind.
     """
     suffix = file.suffix.lower()
     if suffix in (".h5", ".hdf5"):
-        points, normals = _read_nurbs(file, heliostat, facet)
+        points, normals = _read_nurbs(file, heliostat, facet, without_canting)
+    elif without_canting:
+        raise InputError(f"{file}: only NURBS of ARTIST (.h5) say how their facets are canted; leave it out")
     elif suffix == ".ply":
         points, normals = _read_ply(file)
     elif suffix == ".csv":
@@ -78,7 +84,9 @@ def _slopes(file: Path, points: FloatArray, normals: FloatArray) -> SlopePoints:
     return refuse_implausible(file, SlopePoints(points[:, 0], points[:, 1], slope_x, slope_y, unknown, unknown))
 
 
-def _read_nurbs(file: Path, heliostat: str | None, facet: str | None) -> tuple[FloatArray, FloatArray]:
+def _read_nurbs(
+    file: Path, heliostat: str | None, facet: str | None, without_canting: bool
+) -> tuple[FloatArray, FloatArray]:
     with open_hdf5(file) as content:
         surfaces = {name: one for name, one in content.get("heliostats", {}).items() if "surface/facets" in one}
         if not surfaces:
@@ -96,11 +104,23 @@ def _read_nurbs(file: Path, heliostat: str | None, facet: str | None) -> tuple[F
         chosen = [facets[one] for one in ([facet] if facet else facets)]
         try:
             grids = [(np.asarray(one["control_points"], float), [int(d) for d in one["degrees"]]) for one in chosen]
+            turns = [_uncanted(one) if without_canting else np.eye(3) for one in chosen]
         except (KeyError, TypeError, ValueError, OSError) as error:
-            raise InputError(f"{file}: the control points or degrees of {name} cannot be read ({error})") from None
+            what = "control points, degrees or canting" if without_canting else "control points or degrees"
+            raise InputError(f"{file}: the {what} of {name} cannot be read ({error})") from None
     found = [evaluate_nurbs(file, control, degrees) for control, degrees in grids]
-    points, normals = (np.concatenate(parts) for parts in zip(*found, strict=True))
-    return points, normals
+    points = np.concatenate([one for one, _ in found])
+    # Only the normals: the places stay where they are on the heliostat.
+    return points, np.concatenate([one @ turn.T for (_, one), turn in zip(found, turns, strict=True)])
+
+
+def _uncanted(facet: Any) -> FloatArray:
+    """Return the rotation that takes the normal of a canted facet to z: the file has two vectors along the facet."""
+    canting = np.asarray(facet["canting"], dtype=np.float64)
+    if canting.ndim != 2 or canting.shape[0] != 2 or canting.shape[1] < 3:
+        raise ValueError(f"canting of shape {canting.shape}, two vectors are needed")
+    normal = np.cross(canting[0, :3], canting[1, :3])
+    return rotation_between(normal if normal[2] > 0 else -normal, [0.0, 0.0, 1.0])
 
 
 def evaluate_nurbs(file: Path, control_m: FloatArray, degrees: list[int]) -> tuple[FloatArray, FloatArray]:

@@ -11,6 +11,8 @@ import h5py
 import numpy as np
 import pytest
 
+from deflectometry.exchange.measure_slopes import load_slopes
+from deflectometry.exchange.measure_slopes import run as run_slopes
 from deflectometry.exchange.opencsp_files import (
     CalculationRecord,
     CameraRecord,
@@ -19,6 +21,7 @@ from deflectometry.exchange.opencsp_files import (
     read_opencsp_file,
 )
 from deflectometry.exchange.opencsp_import import OpencspOptions, import_opencsp
+from deflectometry.exchange.slope_files import read_slopes
 from deflectometry.keys import load_deflectometry
 from deflectometry.pipeline.measure import Options, run
 from heliogauge.errors import InputError
@@ -146,7 +149,6 @@ def test_principal_point_of_averaged_images_is_corrected_on_request(files: dict[
         ("camera", "holds a camera"),
         ("display", "DisplayShape"),
         ("orientation", "SpatialOrientation"),
-        ("facet", "facet definition"),
     ],
 )
 def test_missing_kind_is_named_and_nothing_is_written(
@@ -156,6 +158,61 @@ def test_missing_kind_is_named_and_nothing_is_written(
     with pytest.raises(InputError, match=words):
         _import(rest, tmp_path / "out")
     assert not (tmp_path / "out").exists()
+
+
+def test_an_undefined_mirror_is_what_shows_fringes(files: dict[str, Path], tmp_path: Path) -> None:
+    rest = [path for key, path in files.items() if key != "facet"]
+    imported = import_opencsp(rest, tmp_path / "out", OpencspOptions(focal_length_m=50.0))
+    mirror = load_deflectometry(tmp_path / "out").model.mirror
+    assert mirror.outline_m is None
+    assert (mirror.focal_length_m, mirror.distance.distance_m if mirror.distance else None) == (50.0, 9.5)
+    assert "facet_definition_missing" in [one.code for one in imported.doubts]
+
+
+def _result_file(path: Path, places: list[RigidTransform]) -> Path:
+    """What SOFAST found of facets on a paraboloid of f = 20 m, on the lower three quarters of each."""
+    x, y = (axis.ravel() for axis in np.meshgrid(np.linspace(-0.5, 0.5, 21), np.linspace(-0.4, 0.2, 13)))
+    content: dict[str, Any] = {}
+    for number in range(len(places)):
+        facet = f"DataSofastCalculation/facet/facet_{number:03d}/SlopeSolverData"
+        content[f"{facet}/v_surf_points_facet"] = np.stack([x, y, (x**2 + y**2) / 80])
+        content[f"{facet}/slopes_facet_xy"] = np.stack([x / 40 + 1e-3, y / 40])
+        definition = f"DataSofastInput/optic_definition/facet_{number:03d}"
+        corners = np.array([[-0.5, 0.5, 0.5, -0.5], [-0.4, -0.4, 0.4, 0.4], [0.0] * 4])
+        content[f"{definition}/DefinitionFacet/v_facet_corners"] = corners
+        content[f"{definition}/DefinitionFacet/v_facet_centroid"] = np.zeros((3, 1))
+        content[f"{definition}/ParamsSurface/initial_focal_lengths_xy"] = [20.0, 20.0]
+    if len(places) > 1:
+        ensemble = "DataSofastInput/optic_definition/DefinitionEnsemble"
+        content[f"{ensemble}/v_facet_locations"] = np.stack([one.translation_m for one in places], axis=1)
+        content[f"{ensemble}/r_facet_ensemble"] = np.stack([one.rotation_vector_rad for one in places])
+        content[f"{ensemble}/v_centroid_ensemble"] = np.zeros((3, 1))
+        general = "DataSofastCalculation/general/CalculationDataGeometryGeneral"
+        content[f"{general}/r_optic_cam_refine_1"] = np.zeros(3)
+        content[f"{general}/v_cam_optic_cam_refine_1"] = np.array([[0.0], [0.0], [9.0]])
+    return _write_h5(path, content)
+
+
+def test_a_result_file_alone_gives_its_slopes(tmp_path: Path) -> None:
+    """+1 mrad in x over the design of the file; a quarter of the facet that SOFAST did not measure is counted."""
+    file = _result_file(tmp_path / "r.h5", [RigidTransform.identity()])
+    import_opencsp([file], tmp_path / "out")
+    result = run_slopes(load_slopes(tmp_path / "out"))
+    assert result.numbers["sdx_rad"] == pytest.approx(1e-3, rel=1e-3)
+    assert result.numbers["sdy_rad"] == pytest.approx(0.0, abs=1e-7)
+    assert result.numbers["measured_share"] == pytest.approx(0.75, abs=0.04)
+    assert result.points == 21 * 13
+
+
+def test_facets_of_a_result_file_stand_in_the_ensemble(tmp_path: Path) -> None:
+    """The second facet is turned by 2 mrad about y: its dz/dx is 2 mrad less at every point."""
+    turned = RigidTransform.from_rotation_vector([0.0, 2e-3, 0.0], [1.1, 0.0, 0.0])
+    import_opencsp([_result_file(tmp_path / "r.h5", [RigidTransform.identity(), turned])], tmp_path / "out")
+    points = read_slopes(tmp_path / "out" / "slopes.csv")
+    first, second = points.measured & (points.x_m < 0.55), points.measured & (points.x_m > 0.55)
+    assert (first.sum(), second.sum()) == (21 * 13, 21 * 13)
+    assert points.slope_x[second].mean() - points.slope_x[first].mean() == pytest.approx(-2e-3, rel=1e-3)
+    assert points.x_m[second].mean() == pytest.approx(1.1, abs=1e-4)
 
 
 def test_two_files_of_one_kind_are_refused(files: dict[str, Path], tmp_path: Path) -> None:

@@ -1,5 +1,6 @@
 """Slopes of other programs: in, on a grid, and against what they were made of."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -134,6 +135,31 @@ def test_a_focus_that_may_have_either_sign_is_said_once_and_alike(
     screen = sections.first_screen(opened, sections.slope_view(opened)).text
     assert shown in screen
     assert ("convex" in screen) == (shown == "convex")
+
+
+def test_rim_points_without_slopes_count_as_not_measured(tmp_path: Path) -> None:
+    """31 x 21 points of which the rim has no slopes: 29 x 19 are measured, and the rim is part of the mirror."""
+    points = on_a_grid()
+    rim = (np.abs(points.x_m) > 0.59) | (np.abs(points.y_m) > 0.39)
+    file = write(replace(points, slope_x=np.where(rim, np.nan, points.slope_x)), tmp_path / "mirror.csv")
+    import_slopes(file, tmp_path / "m", "slopes", {"design": "paraboloid", "focal_length_m": 10.0})
+    result = run(load_slopes(tmp_path / "m"))
+    assert result.slope_map.shape == (21, 31)
+    assert result.numbers["measured_share"] == pytest.approx(29 * 19 / (31 * 21))
+    assert result.points == 29 * 19
+
+
+def test_one_missing_sigma_costs_that_one_alone(tmp_path: Path) -> None:
+    points = on_a_grid()
+    holed = replace(points, sigma_x=np.where(np.arange(points.x_m.size) == 100, np.nan, points.sigma_x))
+    columns = {name: getattr(holed, name) for name in ("x_m", "y_m", "slope_x", "slope_y")}
+    columns |= {"sigma_slope_x": holed.sigma_x, "sigma_slope_y": holed.sigma_y}
+    write_table_csv(tmp_path / "mirror.csv", columns)
+    import_slopes(tmp_path / "mirror.csv", tmp_path / "m", "slopes", {"design": "paraboloid", "focal_length_m": 10.0})
+    result = run(load_slopes(tmp_path / "m"))
+    assert [(one.code, one.numbers["missing_count"]) for one in result.doubts] == [("sigma_of_some_slopes_missing", 1)]
+    np.testing.assert_allclose(result.slope_map.sigma_random_x, 1e-4, rtol=1e-6)
+    np.testing.assert_allclose(result.slope_map.sigma_random_y, 2e-4, rtol=1e-6)
 
 
 def test_there_and_back_through_soltrace(tmp_path: Path) -> None:
