@@ -22,8 +22,11 @@ from photogrammetry import ImagePoints
 from photogrammetry.bundle import BundleProblem, BundleState, CameraModel, adjust, datum, statistics
 from photogrammetry.bundle import state as states
 
-#: Degrees of the smooth part of the board's departure: in its plane, and across it (degree 1 is the pose).
-_BOARD_DEGREES, _ACROSS_DEGREES = (1, 2, 3, 4, 5), (2, 3, 4, 5)
+#: Groups of the smooth part of the board's departure, besides stretch and shear of a print in its plane: axes and degrees.
+#: With one size for all, a sheared or bent board with nothing else is less likely than a camera whose centre moves from
+#: photo to photo.
+_STRETCHED = "stretched"
+_BOARD_GROUPS = {"in plane": ((0, 1), (2, 3, 4, 5)), "bent": ((2,), (2,)), "across": ((2,), (3, 4, 5))}
 #: Degrees of the smooth error of a photo, over the board.
 _PHOTO_DEGREES = {"low": (1, 2), "high": (3, 4, 5)}
 #: What of the camera settles anew with each photo: the intrinsic that must be free, and places in `INTRINSIC_NAMES`.
@@ -35,8 +38,19 @@ _UNKNOWN = 30.0
 #: Steps below this many sigmas of the camera end the iteration.
 _SETTLED, _MOST_STEPS = 0.1, 12
 #: Sizes to begin with: board and points in pitches, photos' errors and centres in pixels, focal lengths in a share.
-_EFFECTS = {"in plane": 3e-3, "across": 3e-3, "low": 0.02, "high": 0.02, "focal": 1e-4, "center": 0.1}
+_EFFECTS = {
+    "stretched": 3e-3,
+    "in plane": 3e-3,
+    "bent": 3e-3,
+    "across": 3e-3,
+    "low": 0.02,
+    "high": 0.02,
+    "focal": 1e-4,
+    "center": 0.1,
+}
 _POINT, _NOISE = (5e-4, 5e-4, 1e-3), 2.0
+#: This share of them is nothing: 0.00002 px, 1e-7 of the focal length.
+_NOTHING = 1e-3
 
 
 class Sizes(NamedTuple):
@@ -170,15 +184,13 @@ class MixedAdjustment:
         """How far points may be from the drawing: 0: held, infinite: nothing is known, shape (3,) [m]."""
         if not self.network.places_known:
             return np.full(3, np.inf)
-        if "across" not in self.sizes.names:
+        if _STRETCHED not in self.sizes.names:
             return np.zeros(3)
-        size = dict(zip(self.sizes.names, self.sizes.components.effects, strict=True))
         drawn, unit = self.network.board.points_m[self.network.seen], self.linear.unit_m
-        plane, across = (
-            float(np.sqrt((smooth_terms(drawn, degrees, _BOARD_DECAY) ** 2).sum(axis=1).mean())) * size[name]
-            for name, degrees in (("in plane", _BOARD_DEGREES), ("across", _ACROSS_DEGREES))
-        )
-        return np.asarray(unit * np.hypot([plane, plane, across], self.sizes.components.point))
+        board, group = _board_effects(drawn, self.sizes.names)
+        effects = (board**2 * self.sizes.components.effects[group] ** 2).sum(axis=2).mean(axis=0)
+        variance = self.sizes.components.point**2 + np.array([effects[:2].mean(), effects[:2].mean(), effects[2]])
+        return np.asarray(unit * np.sqrt(variance))
 
     @property
     def datum(self) -> str:
@@ -230,10 +242,30 @@ def adjust_mixed(
     NotConvergedError: Nothing settles.
     """
     groups = _group_names(network, refine_board)
-    components = (
-        _start_components(groups, network, refine_board, len(table.photos)) if sizes is None else sizes.components
-    )
+    if sizes is not None:
+        return _adjusted(network, table, start, sizes, refine_board=refine_board, settled=settled)
+    first = _start_components(groups, network, refine_board, len(table.photos))
+    found = _adjusted(network, table, start, Sizes(groups, first), refine_board=refine_board)
+    own = np.array([name in _CAMERA_EFFECTS for name in groups])
+    if not (own & (found.sizes.components.effects > 2 * _NOTHING * first.effects)).any():
+        return found
+    # The likelihood has two maxima where a bent board can be told from a camera that changes only by all photos.
+    still = replace(first, effects=np.where(own, _NOTHING, 1.0) * first.effects)
+    other = _adjusted(network, table, start, Sizes(groups, still), refine_board=refine_board)
+    return max((found, other), key=lambda one: one.posterior.log_likelihood)
+
+
+def _adjusted(
+    network: BoardNetwork,
+    table: ImagePoints,
+    start: BundleState,
+    sizes: Sizes,
+    *,
+    refine_board: bool,
+    settled: bool = False,
+) -> MixedAdjustment:
     state, columns = start, _columns(network.free)
+    groups, components = sizes
     for _ in range(_MOST_STEPS):
         linear = _linearised(network, table, state, groups, refine_board=refine_board)
         posterior = linear.model.solve(components) if settled else linear.model.settle(components)
@@ -250,7 +282,7 @@ def adjust_mixed(
 
 
 def _group_names(network: BoardNetwork, refine_board: bool) -> tuple[str, ...]:
-    board = ("in plane", "across") if refine_board and network.places_known else ()
+    board = (_STRETCHED, *_BOARD_GROUPS) if refine_board and network.places_known else ()
     return (*board, *_PHOTO_DEGREES, *(name for name, (needed, _) in _CAMERA_EFFECTS.items() if needed in network.free))
 
 
@@ -349,7 +381,9 @@ def _linearised(
     kind = np.concatenate([np.full(n_lens, -1), group, np.tile(own_group, len(table.photos))]).astype(np.intp)
     estimated = network.places_known and refine_board
     expected = (drawn - state.points_m) / unit if estimated else np.zeros(drawn.shape)
-    model = MixedModel(rows, kind, expected, points_estimated=estimated)
+    usual = _start_components(groups, network, refine_board, len(table.photos))
+    least = Components(_NOTHING * usual.effects, _NOTHING * usual.point, _NOTHING * usual.noise)
+    model = MixedModel(rows, kind, expected, points_estimated=estimated, least=least)
     through = np.zeros((len(drawn), 3, kind.size))
     through[:, :, n_lens:shared] = board
     return _Linear(model, unit, through, tuple(pose_columns), int((kind < 0).sum()))
@@ -357,15 +391,21 @@ def _linearised(
 
 def _board_effects(drawn_m: FloatArray, groups: tuple[str, ...]) -> tuple[FloatArray, IntArray]:
     """Return how each of the board's modes moves its points, shape (n, 3, k) [pitches], and the modes' groups."""
-    if "across" not in groups:
+    if _STRETCHED not in groups:
         return np.zeros((len(drawn_m), 3, 0)), np.zeros(0, dtype=np.intp)
-    plane = smooth_terms(drawn_m, _BOARD_DEGREES, _BOARD_DECAY)
-    across = smooth_terms(drawn_m, _ACROSS_DEGREES, _BOARD_DECAY)
-    count, other = plane.shape[1], across.shape[1]
-    board = np.zeros((len(drawn_m), 3, 2 * count + other))
-    board[:, 0, :count], board[:, 1, count : 2 * count], board[:, 2, 2 * count :] = plane, plane, across
-    group = np.repeat([groups.index("in plane"), groups.index("across")], [2 * count, other])
-    return board, group.astype(np.intp)
+    # The board's own size is its unit: were it free, a vanishing board would have vanishing departures.
+    flat = drawn_m[:, :2] - drawn_m[:, :2].mean(axis=0)
+    x, y = (flat / np.sqrt((flat**2).sum(axis=1).mean())).T
+    stretched = np.stack([np.stack([x, -y, 0 * x], axis=1), np.stack([y, x, 0 * x], axis=1)], axis=2)
+    parts, kinds = [stretched], [np.full(2, groups.index(_STRETCHED))]
+    for name, (axes, degrees) in _BOARD_GROUPS.items():
+        terms = smooth_terms(drawn_m, degrees, _BOARD_DECAY)
+        for axis in axes:
+            columns = np.zeros((len(drawn_m), 3, terms.shape[1]))
+            columns[:, axis] = terms
+            parts.append(columns)
+            kinds.append(np.full(terms.shape[1], groups.index(name)))
+    return np.concatenate(parts, axis=2), np.concatenate(kinds).astype(np.intp)
 
 
 def _moved(network: BoardNetwork, state: BundleState, posterior: Posterior, linear: _Linear) -> BundleState:

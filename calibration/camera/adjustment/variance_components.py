@@ -58,6 +58,7 @@ class MixedModel:
     group (k,): Group of random effects of each common unknown, -1 for one without a prior.
     prior_point (m, 3): Expected value of each point's step.
     points_estimated: Whether the variance of the points' own departures is estimated; otherwise it is held.
+    least: Standard deviations that mean nothing: none gets smaller, so that the likelihood keeps its digits.
 
     The rows of photo i are ``y = A x + B e + v`` with common unknowns x (some of them random effects), steps e of the
     points around their expectation, and noise v. Variances follow from ``s^2 = q / (n - tr(C) / s^2)`` for each group
@@ -66,8 +67,15 @@ class MixedModel:
     """
 
     def __init__(
-        self, photos: Sequence[PhotoRows], group: IntArray, prior_point: FloatArray, *, points_estimated: bool
+        self,
+        photos: Sequence[PhotoRows],
+        group: IntArray,
+        prior_point: FloatArray,
+        *,
+        points_estimated: bool,
+        least: Components | None = None,
     ) -> None:
+        self._least = least
         self._group, self._prior_point, self._points_estimated = group, prior_point, points_estimated
         self._parts = [_Part.of(one) for one in photos]
 
@@ -108,21 +116,30 @@ class MixedModel:
         normal[np.diag_indices(size)] += precision
         right = right - np.einsum("jak,ja->k", eliminated, own_right)
         scale = 1 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
-        covariance = _inverse_of(normal * scale[:, None] * scale) * scale[:, None] * scale
+        inverse_normal, logs = _inverse_of(normal * scale[:, None] * scale)
+        covariance = inverse_normal * scale[:, None] * scale
         values = covariance @ right
+        logs += float(np.linalg.slogdet(own)[1].sum() - 2 * np.log(scale).sum())
+        logs += 2 * float((np.log(components.effects)[self._group] * (self._group >= 0)).sum())
+        logs += 2 * count * float(np.log(components.point).sum())
+        square = float((self._prior_point**2 * weight).sum() - np.einsum("ja,jab,jb->", own_right, inverse, own_right))
+        for part, noise in zip(self._parts, components.noise, strict=True):
+            logs += 4 * part.targets.size * float(np.log(noise))
+            square += part.square / noise**2
+        misfit = logs + square - float(right @ values)
         steps = np.einsum("jab,jb->ja", inverse, own_right - np.einsum("jak,k->ja", crossed, values))
-        return Posterior(self, components, values, covariance, steps, inverse, eliminated)
+        return Posterior(self, components, values, covariance, steps, -0.5 * misfit, inverse, eliminated)
 
 
-def _inverse_of(normal: FloatArray) -> FloatArray:
-    """Invert a normal matrix; from its Cholesky factor in place, at a third of the time of two triangular ones."""
+def _inverse_of(normal: FloatArray) -> tuple[FloatArray, float]:
+    """Invert a normal matrix from its Cholesky factor in place; return the logarithm of its determinant too."""
     from scipy.linalg import lapack
 
     factor, fault = lapack.dpotrf(normal, lower=1)
     if fault:
         raise EstimationError("calibration: the photos do not determine camera and poses")
     half = np.tril(lapack.dpotri(factor, lower=1)[0])
-    return np.asarray(half + np.tril(half, -1).T)
+    return np.asarray(half + np.tril(half, -1).T), 2 * float(np.log(np.diag(factor)).sum())
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -161,6 +178,7 @@ class Posterior:
     values (k,): Common unknowns.
     covariance (k, k): Their covariance.
     steps (m, 3): Steps of the points.
+    log_likelihood: Restricted log-likelihood of these variances, but for a constant.
     """
 
     model: MixedModel
@@ -168,6 +186,7 @@ class Posterior:
     values: FloatArray
     covariance: FloatArray
     steps: FloatArray
+    log_likelihood: float
     _inverse: FloatArray
     _eliminated: FloatArray
 
@@ -215,6 +234,10 @@ class Posterior:
                 for part, one in zip(self.model._parts, now.noise, strict=True)
             ]
         )
+        least = self.model._least
+        if least is not None:
+            effects, noise = np.maximum(effects, least.effects), np.maximum(noise, least.noise)
+            point = np.maximum(point, least.point) if self.model._points_estimated else point
         return Components(effects, point, noise)
 
     def _misfit(self, part: _Part, block: FloatArray) -> tuple[float, float]:
