@@ -201,9 +201,6 @@ def test_targets_with_rough_places(board_photos: Callable[[str], Path], tmp_path
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(
-    strict=True, reason="chi-square per degree of freedom is 18: five photos do not settle the shared effects"
-)
 def test_a_board_that_looks_the_same_turned(board_photos: Callable[[str], Path]) -> None:
     folder = board_photos("chessboard-symmetric")
     result = run(load_camera_calibration(folder), Options(leave_one_out=False))
