@@ -95,6 +95,16 @@ def test_a_real_heliostat_has_the_deviation_of_its_own_sheet(shared_data: Path) 
             off.append(np.stack([one.slope_x, one.slope_y]) - canted[:, None])
     deviation = np.concatenate(off, axis=1)
     np.testing.assert_allclose(1e3 * deviation.std(axis=1), [1.786, 1.352], atol=0.03)
+    # The option of the command does the same: normals are turned, not slopes subtracted.
+    turned = read_surface(file, "AA39", without_canting=True)
+    found = np.stack([turned.slope_x, turned.slope_y])
+    np.testing.assert_allclose(found, deviation, atol=2e-6)
+
+
+def test_only_files_that_say_the_canting_can_be_freed_of_it(tmp_path: Path) -> None:
+    (tmp_path / "m.csv").write_text("x_m,y_m,z_m,normal_x,normal_y,normal_z\n0,0,0,0,0,1\n")
+    with pytest.raises(InputError, match="say how their facets are canted"):
+        read_surface(tmp_path / "m.csv", without_canting=True)
 
 
 @pytest.mark.parametrize(
