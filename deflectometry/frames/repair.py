@@ -26,6 +26,8 @@ _MOST_REPAIRS = 8
 _NO_FRINGES = 5.26
 #: Rounds in which a motion is found: each leaves a tenth of the last.
 _MOTION_ROUNDS = 4
+#: What keeps the light the same from frame to frame.
+_STEADY_LIGHT = "lock the exposure, let the display warm up, expose for whole refresh periods"
 #: Faults that say where a frame's content belongs.
 _MISPLACED = (FaultKind.REPEATED, FaultKind.STALE, FaultKind.SWAPPED, FaultKind.CORRUPT)
 
@@ -387,7 +389,10 @@ def _with_model(state: _State, model: FrameModel) -> _State | None:
         replace(one, steps_rad=one.steps_rad + model.step_rad[where])
         for one, where in zip(state.pattern.sets, state.pattern.frame_slices, strict=True)
     ]
-    doubts = (*state.repairs, *(_say(state, one) for one in model.oddities))
+    same = [kinds[kind] for kind in (OddityKind.OFFSET, OddityKind.GAIN) if kinds[kind]]
+    others = [one for one in model.oddities if one.kind not in (OddityKind.OFFSET, OddityKind.GAIN)]
+    said = (*(_say_light(state, group) for group in same), *(_say(state, one) for one in others))
+    doubts = (*state.repairs, *said)
     return replace(state, frames=frames, pattern=FringePattern(tuple(sets)), repairs=doubts)
 
 
@@ -415,6 +420,19 @@ def _with_places(state: _State, model: FrameModel, moved: list[Oddity]) -> _Stat
     return replace(state, pattern=FringePattern(tuple(sets)), repairs=tuple(doubts), sigma_periods=sigma)
 
 
+def _say_light(state: _State, group: list[Oddity]) -> Doubt:
+    """Say in one sentence which frames have light of their own, or more or less of all light."""
+    where = state.listed(sorted(frame for one in group for frame in one.frames))
+    largest = max(group, key=lambda one: abs(one.value[0]))
+    value, sigma = largest.value[0], largest.sigma[0]
+    up_to = "up to " if len(group) > 1 else ""
+    if largest.kind is OddityKind.OFFSET:
+        text = f"{where}: {up_to}{value:+.2f} +- {sigma:.2f} DN of light beside the fringes; taken off"
+        return _light_doubt(f"{text}. Switch room light and automatic exposure off", {"offset_dn": value})
+    text = f"{where}: the light is off by {up_to}{value:+.2%} +- {sigma:.2%}; divided out"
+    return _light_doubt(f"{text}. For the next time: {_STEADY_LIGHT}", {"change_share": value})
+
+
 def _say(state: _State, one: Oddity) -> Doubt:
     """Say what was found and used."""
     where = state.listed(one.frames)
@@ -422,14 +440,9 @@ def _say(state: _State, one: Oddity) -> Doubt:
     fringes = state.pattern.sets[index]
     of_set = f"{fringes.axis} fringes with {fringes.periods:g} periods"
     value, sigma = one.value, one.sigma
-    if one.kind is OddityKind.OFFSET:
-        text = f"{where}: {value[0]:+.2f} +- {sigma[0]:.2f} DN of light beside the fringes; taken off"
-        return _light_doubt(f"{text}. Switch room light and automatic exposure off", {"offset_dn": value[0]})
-    if one.kind in (OddityKind.GAIN, OddityKind.DRIFT):
-        how = "drifts by" if one.kind is OddityKind.DRIFT else "is off by"
-        text = f"{where}: the light {how} {value[0]:+.2%} +- {sigma[0]:.2%}; divided out"
-        remedy = "lock the exposure, let the display warm up, expose for whole refresh periods"
-        return _light_doubt(f"{text}. For the next time: {remedy}", {"change_share": value[0]})
+    if one.kind is OddityKind.DRIFT:
+        text = f"{where}: the light drifts by {value[0]:+.2%} +- {sigma[0]:.2%}; divided out"
+        return _light_doubt(f"{text}. For the next time: {_STEADY_LIGHT}", {"change_share": value[0]})
     if one.kind in (OddityKind.SHIFT, OddityKind.KNOCK):
         text = (
             f"{where}: moved by ({value[0]:+.3f} +- {sigma[0]:.3f}, {value[1]:+.3f} +- {sigma[1]:.3f}) px against the "
