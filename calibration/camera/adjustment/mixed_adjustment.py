@@ -22,9 +22,9 @@ from photogrammetry import ImagePoints
 from photogrammetry.bundle import BundleProblem, BundleState, CameraModel, adjust, datum, statistics
 from photogrammetry.bundle import state as states
 
-#: Groups of the smooth part of the board's departure, besides stretch and shear of a print in its plane: axes and degrees.
-#: With one size for all, a sheared or bent board with nothing else is less likely than a camera whose centre moves from
-#: photo to photo.
+#: Groups of the smooth part of the board's departure, besides stretch and shear of a print in its plane: axes and
+#: degrees. With one size for all, a sheared or bent board with nothing else is less likely than a camera whose centre
+#: moves from photo to photo.
 _STRETCHED = "stretched"
 _BOARD_GROUPS = {"in plane": ((0, 1), (2, 3, 4, 5)), "bent": ((2,), (2,)), "across": ((2,), (3, 4, 5))}
 #: Degrees of the smooth error of a photo, over the board.
