@@ -395,9 +395,8 @@ def _storable(fringes: FringeRecord) -> list[tuple[str, npt.NDArray[Any]]]:
     if dtypes <= {np.dtype(np.uint8), np.dtype(np.uint16)}:
         return images
     values = np.concatenate([image.reshape(-1) for _, image in images])
-    if not (
-        np.isfinite(values).all() and np.all(values == np.rint(values)) and 0 <= values.min() <= values.max() < 65536
-    ):
+    whole = values.dtype.kind in "biuf" and np.isfinite(values).all() and np.all(values == np.rint(values))
+    if not (whole and 0 <= values.min() <= values.max() < 65536):
         raise InputError(
             f"frames of type {', '.join(map(str, dtypes))} hold values that are no whole numbers from 0 to 65535; PNG"
             " cannot keep them without loss"

@@ -108,10 +108,26 @@ def _read_nurbs(
         except (KeyError, TypeError, ValueError, OSError) as error:
             what = "control points, degrees or canting" if without_canting else "control points or degrees"
             raise InputError(f"{file}: the {what} of {name} cannot be read ({error})") from None
-    found = [evaluate_nurbs(file, control, degrees) for control, degrees in grids]
-    points = np.concatenate([one for one, _ in found])
+    found = [evaluate_nurbs(file, control, degrees)[1] for control, degrees in grids]
+    points = np.concatenate([fitted_places(control) for control, _ in grids])
     # Only the normals: the places stay where they are on the heliostat.
-    return points, np.concatenate([one @ turn.T for (_, one), turn in zip(found, turns, strict=True)])
+    return points, np.concatenate([one @ turn.T for one, turn in zip(found, turns, strict=True)])
+
+
+def fitted_places(control_m: FloatArray) -> FloatArray:
+    """Return where the normals of a facet belong that ARTIST fitted to measured ones.
+
+    control_m (m, n, 3): Control points [m].
+    Returns: Places in the order of `evaluate_nurbs`, shape (k, 3) [m].
+
+    ARTIST (SurfaceGenerator.fit_nurbs) compares a measured normal with the surface's at the parameters that are the
+    place's share of the facet's extent. Its control points keep their even lattice, and on that the surface's own
+    places at those parameters are up to three times as far apart at the rim: slopes there would count too much.
+    """
+    share = (np.arange(_PLACES) + 0.5) / _PLACES
+    weight = np.stack([1 - share, share], axis=1)
+    corners = control_m[np.ix_([0, -1], [0, -1])]
+    return np.asarray(np.einsum("ua,vb,abk->uvk", weight, weight, corners).reshape(-1, 3))
 
 
 def _uncanted(facet: Any) -> FloatArray:

@@ -251,6 +251,15 @@ def test_wrong_number_of_frames_is_refused(files: dict[str, Path], tmp_path: Pat
         _import(files, tmp_path / "out")
 
 
+def test_frames_of_text_are_refused(files: dict[str, Path], tmp_path: Path) -> None:
+    with h5py.File(files["measurement"], "a") as file:
+        frames = file["MeasurementSofastFringe/fringe_images"][()]
+        del file["MeasurementSofastFringe/fringe_images"]
+        file["MeasurementSofastFringe/fringe_images"] = frames.astype("S3")
+    with pytest.raises(InputError, match="no whole numbers from 0 to 65535"):
+        _import(files, tmp_path / "out")
+
+
 def test_an_existing_measurement_is_not_overwritten(files: dict[str, Path], tmp_path: Path) -> None:
     _import(files, tmp_path / "out")
     with pytest.raises(InputError, match="holds files already; choose another folder or give force=True"):
