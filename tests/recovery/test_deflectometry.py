@@ -31,6 +31,7 @@ def test_perfect_mirror_has_no_bias(tmp_path, name):
     assert np.all(np.abs(found.bias_mrad) < 0.001 + 4 * standard_error)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SINGLE)
 def test_slope_errors_are_found_within_their_random_sigma(tmp_path, name):
     result = measure(
@@ -56,6 +57,7 @@ def test_pose_from_the_outline_stays_within_the_common_sigma(tmp_path, name):
     assert np.all(np.sqrt((smooth**2).mean(axis=1)) < 3 * np.hypot(predicted, noise))
 
 
+@pytest.mark.slow
 def test_setup_that_is_off_by_its_sigmas_is_covered(tmp_path):
     """Camera, screen, pose and distance all wrong by draws of their sigmas: the whole sigma covers the whole error."""
     knowledge = Knowledge(
@@ -163,6 +165,7 @@ def edit(folder, *changes):
     path.write_text(text)
 
 
+@pytest.mark.slow
 def test_mirror_without_outline_needs_only_the_distance(tmp_path):
     """What is seen is the mirror; its frame is where the middle reflects, so compare shapes, not places."""
     scene = preset_scene("small")

@@ -27,6 +27,7 @@ def pair(tmp_path_factory):
     return folder
 
 
+@pytest.mark.slow
 def test_file_and_command_line_know_every_removal(tmp_path):
     """What measurement.toml and --remove accept are the values of the enumeration."""
     assert get_args(EvaluationSection.model_fields["remove"].annotation) == tuple(Removal)
@@ -41,6 +42,7 @@ def test_file_and_command_line_know_every_removal(tmp_path):
     assert left[3] < 0.95 * left[0]
 
 
+@pytest.mark.slow
 def test_canting_is_that_of_the_facets_whatever_is_removed_from_the_maps(pair):
     as_measured = run(load_deflectometry(pair)).summarise().facets
     result = run(load_deflectometry(pair), Options(remove=Removal.TILT))
@@ -127,6 +129,7 @@ def test_distance_to_another_point_needs_an_outline(without_outline):
         run(load_deflectometry(without_outline.parent))
 
 
+@pytest.mark.slow
 def test_focal_length_is_that_of_the_mirror_whatever_is_removed(tmp_path):
     write_dataset(tmp_path / "m", preset_scene("small"), DatasetOptions(3, Knowledge()))
     stated = []

@@ -57,6 +57,7 @@ def stated(key, value):
     return lambda line: f"{key} = {value}" if line.startswith(f"{key} = ") else line
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("sigma_key", "sigma", "key", "step", "entry", "source"),
     [

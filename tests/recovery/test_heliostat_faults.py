@@ -39,6 +39,7 @@ def named(folder, seed, heliostats):
     return said, {unit.true.name: unit.faults for unit in scene.units}
 
 
+@pytest.mark.slow
 def test_each_fault_is_named_and_no_healthy_heliostat(tmp_path):
     """Twelve faults, each by its kind; twelve healthy heliostats without any."""
     assert set(NAMES) == set(FAULTS)

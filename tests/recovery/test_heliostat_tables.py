@@ -104,6 +104,7 @@ def test_play_is_found_from_the_side_of_approach(tmp_path):
         assert abs(found.values[index] - 4e-3) < 4 * found.sigma[index]
 
 
+@pytest.mark.slow
 def test_photos_become_spots_and_a_model_that_tracks(tmp_path):
     """Photos to centroids within 3 mm at 90 m, and from 16 of them a model that tracks the year within 0.15 mrad.
 

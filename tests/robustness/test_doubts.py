@@ -36,6 +36,7 @@ def test_good_measurement_has_no_doubts(drawn):
     assert warnings_of(drawn) == ""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("change", "exchanged"),
     [(lambda image: image[:, ::-1], "left and right"), (lambda image: image[::-1], "top and bottom")],
@@ -50,6 +51,7 @@ def test_mirrored_images(folder, rewrite, change, exchanged):
     assert "\n" not in said
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("pattern", "new", "doubts"),
     [
@@ -65,6 +67,7 @@ def test_wrong_setup(folder, rewrite, pattern, new, doubts):
     assert all(doubt in said for doubt in doubts), said
 
 
+@pytest.mark.slow
 def test_exchanged_axes(folder, rewrite):
     rewrite(folder, ('axis = "x"', 'axis = "z"'), ('axis = "y"', 'axis = "x"'), ('axis = "z"', 'axis = "y"'))
     said = refused(folder)
@@ -134,6 +137,7 @@ def test_screen_table_that_ends_early(curved):
     assert "see beyond the measured points" in warnings_of(curved)
 
 
+@pytest.mark.slow
 def test_screen_table_with_one_wrong_point(curved):
     def change(rows):
         rows[3280][4] += 0.5

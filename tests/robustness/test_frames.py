@@ -54,6 +54,7 @@ def spoilt(folder, *faults, noise_dn=1.0, **lighting):
     return folder
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("share", [0.05, -0.03])
 def test_slow_drift_is_seen_in_all_frames_together(tmp_path, share):
     """No single frame is off by more than its own uncertainty; 5 % from first to last passed in silence."""
@@ -107,6 +108,7 @@ def test_frame_without_its_lower_third_is_damaged_not_stale(tmp_path):
     assert mended(tmp_path / "m") == ("frames_left_out",)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("fault", "code"),
     [("repeated:5", "frames_left_out"), ("stale:6", "frames_left_out"), ("swapped:7", "frames_reordered")],

@@ -142,6 +142,7 @@ def test_photos_without_overlap(good, tmp_path, capsys):
     assert "common targets" in said(capsys)
 
 
+@pytest.mark.slow
 def test_targets_in_one_plane(tmp_path, capsys):
     """A plane with a known camera is measured rightly; an unknown one is calibrated by rolled, tilted photos."""
     rng = np.random.default_rng(6)

@@ -129,6 +129,7 @@ def test_list_in_millimetres(trough):
     assert "are the coordinates in metres" in said or "camera and list of targets" in said
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("change", "said"),
     [

@@ -61,6 +61,7 @@ def test_planted_files_do_leave_marks(tmp_path: Path) -> None:
     assert {"executed-numpy", "executed-observer"} <= set(executed(tmp_path))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("end", ["", os.pathsep], ids=["path", "path with a colon at its end"])
 def test_commands_in_a_folder_of_data(field: Path, tmp_path: Path, repository: Path, end: str) -> None:
     if end:

@@ -21,6 +21,7 @@ def refused(folder) -> str:
     return str(caught.value)
 
 
+@pytest.mark.slow
 def test_distance_off_by_5_cm_is_covered_by_sigma(folder, rewrite):
     """0.15 mrad off with a sigma of 0.007 mrad before: the contradiction counted for nothing."""
     rewrite(folder, (DISTANCE, "distance_m = 10.3198"))
@@ -56,6 +57,7 @@ def test_outline_with_a_corner_twice_or_crossing_sides():
     Facet("f", [[0, 0], [1, 0], [2, 0], [2, 1], [1, 0.5], [0, 1]], plane())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 1])
 def test_panel_that_leans_in_the_frame_of_its_optic(tmp_path, seed):
     """Start poses took a trough's panel for flat in z: the pose was 0.45 rad off, and the image contradicted it."""

@@ -180,6 +180,7 @@ def test_folder_of_points(tmp_path) -> None:
     assert not list(out.glob("photo_*"))
 
 
+@pytest.mark.slow
 def test_folder_of_a_board(tmp_path) -> None:
     out = tmp_path / "m"
     answer = CliRunner().invoke(app, ["camera", "synth", str(out), "--photos", "2", "--scale", "0.25", "--quiet"])

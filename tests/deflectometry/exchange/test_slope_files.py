@@ -188,6 +188,7 @@ def test_there_and_back_through_soltrace(tmp_path: Path) -> None:
     assert leave("deflectometry", "import", "slopes", tmp_path / "mirror.csv", "-o", tmp_path / "m", "--force") == 0
 
 
+@pytest.mark.slow
 def test_a_map_of_ours_keeps_what_it_knows(tmp_path: Path) -> None:
     """Another design than its own, and a common share of sigma that is lost, are said."""
     result = hg.measure(hg.synth("deflectometry", tmp_path / "facet"), tmp_path / "r")

@@ -55,6 +55,7 @@ def measured_errors(nominal, pose, samples, align):
     return (np.linalg.lstsq(terms.T, error.T, rcond=None)[0].T) @ at, solution
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("align", [True, False])
 def test_common_sigma_is_the_scatter(uncertain, cam_from_mirror, align):
     rng = np.random.default_rng(11)

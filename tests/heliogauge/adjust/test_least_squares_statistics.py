@@ -46,6 +46,7 @@ def chi_square_band(freedom):
     return stats.chi2.ppf([0.005, 0.995], freedom)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("loss", LOSSES, ids=lambda loss: type(loss).__name__)
 def test_scatter_is_the_reported_sigma(loss):
     squares, factor = scatter(lambda rng: rng.normal(size=40), 500, loss=loss)
@@ -76,6 +77,7 @@ def contaminated(rng, share=0.1, size=10.0):
     return np.where(rng.random(40) < share, rng.normal(0, size, 40), rng.normal(size=40))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scale", list(CovarianceScale), ids=lambda scale: scale.name)
 @pytest.mark.parametrize("loss", LOSSES[1:], ids=lambda loss: type(loss).__name__)
 def test_robust_covariance_is_honest_with_ten_percent_of_gross_errors(loss, scale):

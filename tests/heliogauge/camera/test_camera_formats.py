@@ -265,6 +265,7 @@ def published_sigma0(folder, y_up):
     return float(np.sqrt(total / 3725))
 
 
+@pytest.mark.slow
 def test_a_published_calibration_gives_back_its_sigma0(shared_data):
     # DBAT prints 0.16148 px with a redundancy of 3725; its printed digits leave 1e-5 px.
     folder = shared_data / "photogrammetry" / "dbat_camcal"

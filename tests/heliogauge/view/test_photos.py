@@ -105,6 +105,7 @@ def test_a_link_opens_its_photo(open_page: Any, again: bool) -> None:
         page.get_by_text("Photo 3 of 3. note 2").wait_for()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("layer", "color"), [("○ used", USED), ("\u00d7 refused", REFUSED), ("residuals", ARROW), ("outline", OUTLINE)]
 )

@@ -38,6 +38,7 @@ def test_from_a_folder_to_the_difference_of_two(page: Any, tmp_path: Path) -> No
         assert page.get_by_label("Layer").first.locator("option").first.text_content() == "Difference of dz/dx"
 
 
+@pytest.mark.slow
 def test_the_pointer_meets_a_column_of_nodes_that_a_report_leaves_out(page: Any, tmp_path: Path) -> None:
     """A report keeps every second of 600 columns; number 67 is not among them."""
     one = slope_map(nodes=600)

@@ -360,6 +360,7 @@ def test_a_map_that_counts_the_absorber_has_it_left_out_where_it_is_counted_apar
     np.testing.assert_allclose(shares, [1200 * 9e-8 + one @ one, 1200 * 9e-8 + one[0] ** 2], rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_sigma_of_the_best_places_is_the_scatter() -> None:
     trough, modes = uncertain_trough(from_reflection=False)
     profile = beam_profile(sun_profile(SUN))

@@ -55,6 +55,7 @@ def test_errors_of_theta_ra_are_those_of_both_parts() -> None:
     assert 0 < np.nanmax(np.abs(theta_a_error)) < 0.5 * shift / 1.48
 
 
+@pytest.mark.slow
 def test_sigma_of_theta_ra_is_its_scatter_and_not_the_sum_of_both_parts() -> None:
     # Cameras good for 4 mm leave the tube's place uncertain by 1 mm: theta_r and theta_a err by half a milliradian,
     # each by what the other does.

@@ -63,6 +63,7 @@ def put(row, layout, target, values):
         row[layout.kept_column[target] : layout.kept_column[target] + 3] += values
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("space", list(ResidualSpace))
 @pytest.mark.parametrize("direction", list(DistortionDirection))
 def test_derivatives(direction, space):

@@ -57,6 +57,7 @@ def backward(marks):
     return calibrated(marks, model, DistortionDirection.MEASURED_TO_IDEAL)
 
 
+@pytest.mark.slow
 def test_backward_model(backward):
     assert backward.redundancy == 3725
     assert backward.sigma0 / 10 == pytest.approx(0.161480, abs=5e-7)
@@ -132,6 +133,7 @@ def photo_number(row):
     return int(row[0])
 
 
+@pytest.mark.slow
 def test_forward_model(marks):
     model = CameraModel("c4040z", ("focal_px", *LENS))
     result = calibrated(marks, model, DistortionDirection.IDEAL_TO_MEASURED)

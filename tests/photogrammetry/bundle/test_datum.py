@@ -113,6 +113,7 @@ def test_alignment_to_control_points_and_constraints():
         aligned_to_control(away, names, line)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(6))
 def test_a_trough_that_fits_its_rims_both_ways_is_seen_from_above(seed):
     rng = np.random.default_rng(seed)

@@ -28,6 +28,7 @@ FORMS = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("dark", [True, False])
 @pytest.mark.parametrize("kind", ["uint8", "uint16", "float32"])
 def test_all_sizes_tilts_polarities_and_depths(dark: bool, kind: str) -> None:

@@ -62,6 +62,7 @@ def begun(walk, known: KnownTargets):
     return start_following(images[0], found.detections, shapes, pose)
 
 
+@pytest.mark.slow
 def test_followed_targets_have_the_centres_that_a_search_gives(walk) -> None:
     scene, known, images = walk
     track = begun(walk, known)

@@ -211,6 +211,7 @@ def mixed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Result, Path]:
     return run(load_photogrammetry(folder)), folder
 
 
+@pytest.mark.slow
 def test_features_beside_coded_targets(mixed: tuple[Result, Path]) -> None:
     result, folder = mixed
     bundle = result.solved.bundle

@@ -63,6 +63,7 @@ def size(camera):
     return {"width_px": camera.width_px, "height_px": camera.height_px}
 
 
+@pytest.mark.slow
 def test_two_cameras_each_with_its_own_intrinsics(tmp_path):
     truth, points = two_cameras(np.random.default_rng(3))
     cameras = [
@@ -90,6 +91,7 @@ def test_two_cameras_each_with_its_own_intrinsics(tmp_path):
     assert 0.5 < np.sqrt((errors**2).mean() / (sigma**2).mean()) < 1.4
 
 
+@pytest.mark.slow
 def test_a_known_camera_beside_an_unknown_one(tmp_path):
     truth, points = two_cameras(np.random.default_rng(4))
     write_camera_json(tmp_path / "wide.json", WIDE)
@@ -121,6 +123,7 @@ def test_cameras_that_do_not_fit_their_photos(tmp_path, capsys, cameras, message
     assert message in capsys.readouterr().err.replace("\n", " ")
 
 
+@pytest.mark.slow
 def test_prior_of_a_calibration_and_of_single_sigmas(tmp_path):
     """A prior that is off by three of its sigmas gives way as far as the network says; both ways give the same."""
     truth, points = network(np.random.default_rng(6), 10, 40, sigma_px=0.3)
@@ -157,6 +160,7 @@ def test_prior_without_covariance_is_refused(tmp_path, capsys):
     assert "states no covariance" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("form", ["brown", "aicon"])
 def test_millimetres_in_are_millimetres_out(tmp_path, form):
     """A camera given in another program's words, held: nothing of it changes, the network fits."""
@@ -221,6 +225,7 @@ def test_every_key_is_in_the_file_that_is_written(tmp_path):
     assert json.loads((tmp_path / "out" / "cameras.json").read_text())["cameras"].keys() == {"camera"}
 
 
+@pytest.mark.slow
 def test_a_photo_that_is_not_determined_is_left_out_and_named(tmp_path):
     """One photo by a camera of its own, free, with six targets: twelve coordinates for six of pose, eight of camera."""
     free = ["focal_px", "center_x_px", "center_y_px", "k1", "k2", "k3", "p1", "p2"]

@@ -77,6 +77,7 @@ def test_control_that_leaves_something_open_is_an_error(job, tmp_path, capsys):
     assert "leave 3 of position, 3 of rotation open" in " ".join(capsys.readouterr().err.split())
 
 
+@pytest.mark.slow
 def test_scale_bars_from_a_table_and_the_datum_of_a_photo(job, tmp_path):
     truth, points, camera = job
     means = {}

@@ -125,6 +125,7 @@ def test_weighted_fit_agrees_with_scipy() -> None:
     assert (np.abs(step) < 0.02 * sigma_pose[:3]).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("inner", [False, True], ids=["full covariance", "inner datum"])
 def test_sigmas_are_the_scatter(inner: bool) -> None:
     surface, rng = design(paraboloid, 4.0), np.random.default_rng(4)

@@ -47,6 +47,7 @@ def chi_square_share(result: Result, folder: Path) -> float:
     return float(error @ np.linalg.solve(result.camera.covariance[np.ix_(FREE, FREE)], error)) / len(FREE)
 
 
+@pytest.mark.slow
 def test_chessboard_against_truth(chessboard: Result, boards: dict[str, Path]) -> None:
     assert len(chessboard.photos) == 8
     # 30 mm squares of 45 px bent by 1 mm: as drawn 0.2 px, with the board's shape the noise of the corners.
@@ -231,6 +232,7 @@ def test_sigmas_are_the_scatter(kind: str, scenes: int, tmp_path: Path) -> None:
     assert 0.6 < np.sqrt(np.mean(np.square(ratios))) < 1.5
 
 
+@pytest.mark.slow
 def test_six_real_photos(shared_data: Path, tmp_path: Path) -> None:
     for file in sorted((shared_data / "opencsp" / "camera_calibration").glob("*.png")):
         shutil.copy(file, tmp_path / file.name)

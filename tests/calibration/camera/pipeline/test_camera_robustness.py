@@ -50,6 +50,7 @@ def off(result: Result, good: Result) -> float:
     return float(np.abs((result.camera.parameters - good.camera.parameters) / sigma).max())
 
 
+@pytest.mark.slow
 def test_depth_and_colour_do_not_matter(folder: Path, good: Result) -> None:
     changed(folder, lambda image: image.astype(np.uint16) * 257)
     assert off(run(load_camera_calibration(folder), QUICK), good) < 0.02
@@ -57,6 +58,7 @@ def test_depth_and_colour_do_not_matter(folder: Path, good: Result) -> None:
     assert off(run(load_camera_calibration(folder), QUICK), good) < 1e-6
 
 
+@pytest.mark.slow
 def test_names_with_spaces_and_accents(folder: Path, good: Result) -> None:
     other = folder.rename(folder.parent / "Kalibrierung ü 1")
     for file in sorted(other.glob("photo_*.png")):
@@ -82,6 +84,7 @@ def test_no_photos(folder: Path) -> None:
         load_camera_calibration(folder)
 
 
+@pytest.mark.slow
 def test_a_mirrored_photo_is_noticed_and_left_out(folder: Path, good: Result) -> None:
     changed(folder, lambda image: np.ascontiguousarray(image[:, ::-1]), 3)
     result = run(load_camera_calibration(folder))
@@ -102,6 +105,7 @@ def test_repeated_and_saturated_photos_are_warned_of(folder: Path, good: Result)
     assert "photo_005.png" in texts["photos_saturated"]
 
 
+@pytest.mark.slow
 def test_photos_held_out_are_predicted(folder: Path) -> None:
     result = run(load_camera_calibration(folder), Options(hold_out="photo_002*, photo_007.png", leave_one_out=False))
     assert [one.name for one in result.held_out] == ["photo_002.png", "photo_007.png"]

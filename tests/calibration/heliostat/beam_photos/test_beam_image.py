@@ -43,6 +43,7 @@ def test_orientation(direction_px: tuple[int, int]) -> None:
     assert shift == pytest.approx(np.multiply(direction_px, [1, -1]) * 10 * PIXEL_M, abs=0.003)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scene", ["plain", "weak"])
 def test_sigma_is_the_scatter(scene: str) -> None:
     """Each method's sigma, against the scatter of 40 pictures with noise."""

@@ -383,6 +383,7 @@ def test_wrong_place(rng):
     assert judged(seen(drawn(nominal(), rng), rng), design=moved).kinds == ("position",)
 
 
+@pytest.mark.slow
 def test_wrong_actuator():
     """Numbers of another actuator, at which readings cannot be, are named; the readings too."""
     rng = np.random.default_rng(1)

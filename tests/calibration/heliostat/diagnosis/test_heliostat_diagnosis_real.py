@@ -23,6 +23,7 @@ def test_sound_ones_are_not_accused(name):
         assert diagnose(found).kinds == ()
 
 
+@pytest.mark.slow
 def test_faulty_one_is_named():
     """The wrong unit's triangle does not close at 20 readings; with other numbers it would fit."""
     design, observations = heliostat(FAULTY)

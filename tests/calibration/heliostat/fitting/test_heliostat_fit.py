@@ -64,6 +64,7 @@ def test_without_noise_the_truth_comes_back_to_rounding():
     assert not found.rejected.any()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("free", "priors", "options", "noise"),
     [

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import pytest
 
 from calibration.heliostat.files.beam_files import PICTURE_COLUMNS
 from calibration.heliostat.keys import load_heliostat
@@ -53,6 +54,7 @@ def photographed(folder: Path, *, thorough: bool, n_heliostats: int = 1) -> Path
     return folder / "out"
 
 
+@pytest.mark.slow
 def test_results_hold_the_beams_and_the_report_shows_them(tmp_path: Path) -> None:
     out = photographed(tmp_path, thorough=True)
     beams = read_table_csv(out / "beams.csv")
@@ -87,6 +89,7 @@ def test_results_hold_the_beams_and_the_report_shows_them(tmp_path: Path) -> Non
         assert photo.lines[0].name == "ellipse of D4-sigma"
 
 
+@pytest.mark.slow
 def test_each_heliostat_of_a_field_has_its_pictures(tmp_path: Path) -> None:
     out = photographed(tmp_path, thorough=True, n_heliostats=2)
     for folder in (out / name for name in read_table_csv(out / "field.csv")["heliostat"]):

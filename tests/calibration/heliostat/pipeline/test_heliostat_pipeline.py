@@ -350,6 +350,7 @@ def test_names_that_are_no_folders(names: tuple[str, ...], wanted: str) -> None:
 
 
 class TestCommand:
+    @pytest.mark.slow
     def test_paint_folder_without_a_measurement_file(self, tmp_path: Path) -> None:
         write_paint(tmp_path / "in", names=("AA11", "AA12"), observations=24)
         (tmp_path / "in" / "AA12" / "AA12_properties.json").write_text("{", encoding="utf-8")
@@ -454,6 +455,7 @@ class TestWhatAFieldHasInCommon:
         write_field(folder, heliostats=6, observations=40, seed=4)
         return folder
 
+    @pytest.mark.slow
     def test_the_other_side_of_the_sky_is_predicted_better(self, folder: Path) -> None:
         options = Options(split="azimuth", jobs=1)
         together = run(load_heliostat(folder), options)
@@ -466,6 +468,7 @@ class TestWhatAFieldHasInCommon:
         assert np.median(np.array(errors[0]) / sigma) < 1.5
         assert 5 in [one.numbers.get("heliostats_count") for one in together.heliostats[0].notes]
 
+    @pytest.mark.slow
     def test_few_heliostats_are_taken_for_themselves(self, folder: Path) -> None:
         few = run(load_heliostat(folder), Options(only="H1,H2,H3,H4", jobs=1))
         assert FIELD not in {one.free for one in few.heliostats}
@@ -474,6 +477,7 @@ class TestWhatAFieldHasInCommon:
         told = run(load_heliostat(folder), Options(model="5", jobs=1))
         assert {one.free for one in told.heliostats} == {"5"}
 
+    @pytest.mark.slow
     def test_a_heliostat_with_wrong_numbers_is_named_and_spoils_none(self, tmp_path: Path) -> None:
         write_field(tmp_path, heliostats=6, observations=40, seed=4)
         table = read_table_csv(tmp_path / "observations.csv")
