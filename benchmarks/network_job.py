@@ -1,6 +1,7 @@
 """An industrial job through the whole command: 100 photos, 90,000 image points, camera in millimetres, one scale bar.
 
-Run: OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 python benchmarks/network_job.py [PHOTOS TARGETS]
+Run: OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 python benchmarks/network_job.py [PHOTOS TARGETS [SHARE]]
+SHARE of the targets that a photo could show are seen in it (default 1).
 The lens is AICON's (A1 to A3 with r0, B1, B2, C1, C2), all ten parameters free, from a start 2 % off; image points come
 from the formulas of `heliogauge.camera.millimetres` on a numeric network. Prints what the command needs and how far the
 coordinates are from the truth, beside their sigmas.
@@ -30,7 +31,7 @@ VALUES = np.array([33.7, 0.06, -0.05, -4e-5, 5e-8, -1e-11, 4e-6, -7e-6, 1e-4, -5
 FREE = ["focal_px", "aspect", "center_x_px", "center_y_px", "skew", "k1", "k2", "k3", "p1", "p2"]
 
 
-def write_folder(folder: Path, n_photos: int, n_targets: int) -> np.ndarray:
+def write_folder(folder: Path, n_photos: int, n_targets: int, share: float = 1.0) -> np.ndarray:
     """Write image points with noise and measurement.toml; return the true coordinates."""
     rng = np.random.default_rng(0)
     targets = np.column_stack([rng.uniform(-4, 4, (n_targets, 2)), rng.uniform(-0.6, 0.6, n_targets)])
@@ -41,6 +42,8 @@ def write_folder(folder: Path, n_photos: int, n_targets: int) -> np.ndarray:
         pose = look_at(center, rng.uniform(-0.5, 0.5, 3), (i % 4) * np.pi / 2)
         seen = camera.project(pose.apply(targets))
         inside = np.nonzero(((seen > 0) & (seen < [WIDTH - 1, HEIGHT - 1])).all(axis=1))[0]
+        # The first targets are the scale bar's.
+        inside = inside[(rng.uniform(size=inside.size) < share) | (inside < 2)] if share < 1 else inside
         photo.append(np.full(inside.size, i))
         target.append(inside)
         pixels.append(seen[inside] + rng.normal(0, SIGMA_PX, (inside.size, 2)))
@@ -76,10 +79,11 @@ def write_folder(folder: Path, n_photos: int, n_targets: int) -> np.ndarray:
 
 def main() -> None:
     n_photos, n_targets = (int(one) for one in sys.argv[1:3]) if len(sys.argv) > 2 else (100, 1000)
+    share = float(sys.argv[3]) if len(sys.argv) > 3 else 1.0
     with tempfile.TemporaryDirectory() as place:
         folder, out = Path(place) / "in", Path(place) / "out"
         folder.mkdir()
-        truth = write_folder(folder, n_photos, n_targets)
+        truth = write_folder(folder, n_photos, n_targets, share)
         begin = time.process_time()
         try:
             command(["photogrammetry", "measure", str(folder), "-o", str(out), "--no-report"])

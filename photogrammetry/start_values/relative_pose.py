@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from heliogauge.adjust.gauss_newton import Options
 from heliogauge.adjust.robust_loss import Cauchy
 from heliogauge.camera.model import Camera
 from heliogauge.errors import EstimationError
@@ -17,6 +18,9 @@ from photogrammetry.image_points import ImagePoints
 from photogrammetry.start_values.triangulation import Triangulation, intersect_lines, ray_sigma_rad
 
 LEAST_COMMON = 6
+
+#: A true solution settles in some steps; a false one may crawl for ever.
+_OPTIONS = BundleOptions(loss=Cauchy(), descent=Options(tolerance=1e-2, max_iterations=60))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -143,7 +147,7 @@ def _refined(shared: SharedTargets, pose: RigidTransform, tolerance: float) -> R
     problem = BundleProblem(table, (CameraModel("first"), CameraModel("second")), np.array([0, 1]))
     start = BundleState.from_poses(shared.cameras, [RigidTransform.identity(), pose], first.points_m[which])
     try:
-        result = adjust(problem, start, options=BundleOptions(loss=Cauchy()))
+        result = adjust(problem, start, options=_OPTIONS)
     except (EstimationError, np.linalg.LinAlgError):
         return None
     moved = result.state.cam_from_world(1) @ result.state.cam_from_world(0).inverse()

@@ -1,14 +1,15 @@
 """Pose of one photo from targets with known coordinates: three-point solutions, robust choice, refinement."""
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 
-from heliogauge.adjust.least_squares import POSE, POSE_NAMES, Options, Problem, Tukey, solve, whitened
+from heliogauge.adjust.least_squares import POSE, POSE_NAMES, Options, Problem, Tukey, solve
 from heliogauge.camera.model import Camera
 from heliogauge.errors import EstimationError, InputError
-from heliogauge.geometry.rigid import RigidTransform
+from heliogauge.geometry.rigid import RigidTransform, skew
 from heliogauge.validate import BoolArray, FloatArray, IntArray, float_array
 from photogrammetry.bundle.state import rotations_from_vectors
 
@@ -56,7 +57,9 @@ def resect(
     EstimationError: Fewer than four targets, or no pose that four of them agree with.
 
     Up to 60 triples of targets, spread first, by the three-point solution of OpenCV; every pose is judged by the sum
-    of squared residuals cut off at the tolerance; the best different ones are refined with Tukey's loss.
+    of squared residuals cut off at the tolerance; the best different ones are refined with Tukey's loss. Until then
+    residuals are linear in the ideal image about each image point: what is left out is the change of the distortion
+    over a residual, below 0.0001 of it for residuals of some pixels.
     """
     points, pixels = float_array("points_m", points_m, (None, 3)), float_array("pixels_px", pixels_px, (None, 2))
     covariance = float_array("covariance_px2", covariance_px2, (len(points), 2, 2))
@@ -64,11 +67,11 @@ def resect(
         raise InputError(f"resection: {len(points)} targets and {len(pixels)} image points")
     if len(points) < LEAST_TARGETS:
         raise EstimationError(f"resection: {len(points)} targets with known coordinates, {LEAST_TARGETS} are needed")
-    roots = np.linalg.inv(np.linalg.cholesky(covariance))
-    turns, shifts = _three_point_poses(camera, points, pixels)
-    costs = (np.minimum(_misses(camera, turns, shifts, points, pixels, roots), tolerance) ** 2).sum(axis=1)
+    image = _IdealImage.of(camera, pixels, covariance)
+    turns, shifts = _three_point_poses(image, points)
+    costs = (np.minimum(image.misses(turns, shifts, points), tolerance) ** 2).sum(axis=1)
     refined = [
-        _refine(camera, RigidTransform(turns[i], shifts[i]), points, pixels, covariance, tolerance)
+        _refine(image, RigidTransform(turns[i], shifts[i]), points, tolerance)
         for i in _promising(turns, costs, 2 * len(points))
     ]
     found = [one for one in refined if one is not None]
@@ -76,7 +79,7 @@ def resect(
         raise EstimationError(f"resection: no pose explains {LEAST_TARGETS} of the {len(points)} image points")
     judged = []
     for pose, matrix in found:
-        miss = _misses(camera, pose.rotation[None], pose.translation_m[None], points, pixels, roots)[0]
+        miss = _misses(camera, pose, points, pixels, covariance)
         judged.append((float((np.minimum(miss, tolerance) ** 2).sum()), pose, matrix, miss))
     judged.sort(key=lambda one: one[0])
     cost, pose, matrix, miss = judged[0]
@@ -92,20 +95,47 @@ def resect(
     return Resection(pose, matrix, inliers, miss, rival)
 
 
-def _three_point_poses(camera: Camera, points: FloatArray, pixels: FloatArray) -> tuple[FloatArray, FloatArray]:
+class _IdealImage(NamedTuple):
+    """Image points where a camera without distortion would have them.
+
+    places (n, 2): x/z and y/z of the lines of sight; NaN where the lens is not one-to-one.
+    roots (n, 2, 2): Take a difference of places to a residual in sigma.
+    """
+
+    places: FloatArray
+    roots: FloatArray
+
+    @classmethod
+    def of(cls, camera: Camera, pixels: FloatArray, covariance: FloatArray) -> "_IdealImage":
+        rays = camera.cast_rays(pixels)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            ahead = np.where(rays[:, 2:] > 0, rays / rays[:, 2:], np.nan)
+        change = camera.project_with_jacobians(ahead).d_pixel_d_point[..., :2]
+        return cls(ahead[:, :2], np.linalg.inv(np.linalg.cholesky(covariance)) @ change)
+
+    @property
+    def usable(self) -> BoolArray:
+        """Image points with a line of sight."""
+        return np.asarray(np.isfinite(self.places).all(axis=1))
+
+    def misses(self, turns: FloatArray, shifts: FloatArray, points: FloatArray) -> FloatArray:
+        """Length of each residual for each pose, shape (k, n), in sigma; infinite behind the camera."""
+        seen = points @ turns.swapaxes(1, 2) + shifts[:, None]
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            difference = (seen[..., :2] / seen[..., 2:] - self.places)[..., None]
+            squares = ((self.roots @ difference)[..., 0] ** 2).sum(axis=2)
+        return np.sqrt(np.where((seen[..., 2] > 0) & np.isfinite(squares), squares, np.inf))
+
+
+def _three_point_poses(image: _IdealImage, points: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the solutions of all chosen triples, rotations (k, 3, 3) and translations (k, 3)."""
-    rays = camera.cast_rays(pixels)
-    ideal = rays[:, :2] / rays[:, 2:]
-    usable = np.nonzero(np.isfinite(ideal).all(axis=1))[0]
+    usable = np.nonzero(image.usable)[0]
     vectors: list[FloatArray] = []
     if usable.size >= 3:
-        for triple in _triples(points, usable):
-            three = np.ascontiguousarray(points[triple])
-            area = np.linalg.norm(np.cross(three[1] - three[0], three[2] - three[0]))
-            if area < 1e-6 * float(((three - three.mean(axis=0)) ** 2).sum()):
-                continue
-            image = np.ascontiguousarray(ideal[triple])
-            _, turns, shifts = cv2.solveP3P(three, image, np.eye(3), np.zeros(4), flags=cv2.SOLVEPNP_AP3P)
+        matrix, none = np.eye(3), np.zeros(4)
+        triples = _triples(points, usable)
+        for three, places in zip(points[triples], image.places[triples], strict=True):
+            _, turns, shifts = cv2.solveP3P(three, places, matrix, none, flags=cv2.SOLVEPNP_AP3P)
             pairs = zip(turns, shifts, strict=True)
             vectors += [np.concatenate([turn, shift]).ravel() for turn, shift in pairs]
     poses = np.array(vectors).reshape(-1, 6)
@@ -113,27 +143,30 @@ def _three_point_poses(camera: Camera, points: FloatArray, pixels: FloatArray) -
     return rotations_from_vectors(poses[:, :3]), poses[:, 3:]
 
 
-def _triples(points: FloatArray, usable: IntArray) -> list[FloatArray]:
-    """Choose triples of targets, all of few or a fixed random choice of many, the widest first."""
+def _triples(points: FloatArray, usable: IntArray) -> IntArray:
+    """Choose triples of targets not in one line, all of few or a fixed random choice of many, shape (k, 3)."""
     rng = np.random.default_rng(0)
-    chosen = {tuple(sorted(rng.choice(usable, 3, replace=False).tolist())) for _ in range(4 * _TRIALS)}
-    triples = np.array(sorted(chosen))
+    drawn = np.sort(rng.integers(usable.size, size=(40 * _TRIALS, 3)), axis=1)
+    drawn = drawn[(drawn[:, 0] < drawn[:, 1]) & (drawn[:, 1] < drawn[:, 2])][: 4 * _TRIALS]
+    triples = usable[np.unique(drawn, axis=0)]
     sides = points[triples]
-    area = np.linalg.norm(np.cross(sides[:, 1] - sides[:, 0], sides[:, 2] - sides[:, 0]), axis=1)
+    first, second = sides[:, 1] - sides[:, 0], sides[:, 2] - sides[:, 0]
+    area = np.linalg.norm(np.cross(first, second), axis=1)
     # Half the widest (precise), half at random (so that a few false wide ones do not take all places).
     widest = np.argsort(-area, kind="stable")[: _TRIALS // 2]
     others = rng.permutation(len(triples))[: _TRIALS // 2]
-    return list(triples[np.unique(np.concatenate([widest, others]))])
+    chosen = np.unique(np.concatenate([widest, others]))
+    size = ((sides[chosen] - sides[chosen].mean(axis=1, keepdims=True)) ** 2).sum(axis=(1, 2))
+    return np.asarray(triples[chosen[area[chosen] >= 1e-6 * size]])
 
 
 def _misses(
-    camera: Camera, turns: FloatArray, shifts: FloatArray, points: FloatArray, pixels: FloatArray, roots: FloatArray
+    camera: Camera, pose: RigidTransform, points: FloatArray, pixels: FloatArray, covariance: FloatArray
 ) -> FloatArray:
-    """Length of each residual for each pose, shape (k, n), in sigma; infinite where the target cannot be seen."""
-    seen = np.einsum("kij,nj->kni", turns, points) + shifts[:, None]
-    difference = camera.project(seen) - pixels
-    misses = np.linalg.norm(np.einsum("nij,knj->kni", roots, difference), axis=2)
-    return np.where(np.isfinite(misses), misses, np.inf)
+    """Length of each residual, shape (n,), in sigma; infinite where the target cannot be seen."""
+    difference = (camera.project(pose.apply(points)) - pixels)[..., None]
+    lengths = np.linalg.norm((np.linalg.inv(np.linalg.cholesky(covariance)) @ difference)[..., 0], axis=1)
+    return np.where(np.isfinite(lengths), lengths, np.inf)
 
 
 def _turn(first: RigidTransform, second: RigidTransform) -> float:
@@ -156,30 +189,32 @@ def _promising(turns: FloatArray, costs: FloatArray, freedom: int) -> list[int]:
 
 
 def _refine(
-    camera: Camera,
-    start: RigidTransform,
-    points: FloatArray,
-    pixels: FloatArray,
-    covariance: FloatArray,
-    tolerance: float,
+    image: _IdealImage, start: RigidTransform, points: FloatArray, tolerance: float
 ) -> tuple[RigidTransform, FloatArray] | None:
     """Refine with the image points that the pose can see; None if that fails."""
-    seen = np.isfinite(camera.project(start.apply(points))).all(axis=1)
+    seen = np.isfinite(image.misses(start.rotation[None], start.translation_m[None], points)[0])
     if seen.sum() < 3:
         return None
+    targets, places, roots = points[seen], image.places[seen], image.roots[seen]
 
     def residuals(pose: RigidTransform) -> tuple[FloatArray, FloatArray]:
-        projection = camera.project_posed(points[seen], pose)
-        difference = (projection.pixels_px - pixels[seen]).ravel()
-        return whitened(difference, projection.d_pixel_d_pose.reshape(-1, 6), covariance[seen])
+        turned = pose.rotate(targets)
+        x, y, z = (turned + pose.translation_m).T
+        z = np.where(z > 0, z, np.nan)
+        slopes = np.zeros((len(turned), 2, 3))
+        slopes[:, 0, 0] = slopes[:, 1, 1] = 1 / z
+        slopes[:, 0, 2], slopes[:, 1, 2] = -x / z**2, -y / z**2
+        moved = roots @ slopes
+        difference = roots @ (np.stack([x / z, y / z], axis=1) - places)[..., None]
+        return difference.ravel(), np.concatenate([-moved @ skew(turned), moved], axis=2).reshape(-1, 6)
 
     problem = Problem(POSE_NAMES, residuals, POSE)
     try:
         # Wide at first: a start from three noisy points may be tens of sigma off.
-        start_cost = residuals(start)[0].reshape(-1, 2)
-        typical = float(np.median(np.linalg.norm(start_cost, axis=1)))
-        rough = solve(problem, start, loss=Tukey(max(2 * tolerance, 4 * typical)), block_size=2, options=_QUICK)
-        fine = solve(problem, rough.state, loss=Tukey(tolerance), block_size=2, options=_QUICK)
+        typical = float(np.median(np.linalg.norm(residuals(start)[0].reshape(-1, 2), axis=1)))
+        if 2 * typical > tolerance:
+            start = solve(problem, start, loss=Tukey(4 * typical), block_size=2, options=_QUICK).state
+        fine = solve(problem, start, loss=Tukey(tolerance), block_size=2, options=_QUICK)
     except EstimationError:
         return None
     return fine.state, fine.covariance
