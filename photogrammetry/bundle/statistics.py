@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from statistics import NormalDist
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -52,8 +53,17 @@ def examine_image_points(result: BundleResult) -> ImagePointTests:
 
     With H the two rows and columns of ``J Q J^T`` of an image point, its whitened residual has the covariance ``I -
     H``. Pope's version of ``T = r^T (I - H)^-1 r``: T over the sum of all squares has a beta distribution, so the
-    probability is ``(1 - T / total)^((redundancy - 2) / 2)``.
+    probability is ``(1 - T / total)^((redundancy - 2) / 2)``. They are kept as long as the result.
     """
+    if result not in _EXAMINED:
+        _EXAMINED[result] = _examined(result)
+    return _EXAMINED[result]
+
+
+_EXAMINED: WeakKeyDictionary[BundleResult, ImagePointTests] = WeakKeyDictionary()
+
+
+def _examined(result: BundleResult) -> ImagePointTests:
     count = result.problem.observations.n
     weight = result.system.rows
     shares = np.concatenate([_leverages(result, one) for one in weight])

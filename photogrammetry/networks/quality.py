@@ -1,5 +1,6 @@
 """What an adjusted network is worth: headline numbers, scale bars kept apart, doubts."""
 
+import contextlib
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -24,6 +25,8 @@ _DOUBLED_RAYS = 2
 _NAMED_ALONE, _LISTED = 3, 10
 #: Probability of naming any good image point of all.
 _FAMILY = 0.01
+#: Of more points than this the hull is found first.
+_FEW_POINTS = 1000
 #: Intersections below this many degrees say little of the depth.
 _LEAST_ROLL_RAD = 0.5
 #: Good measurements lose a few image points in a hundred; a wrong start loses every fifth.
@@ -196,13 +199,17 @@ def _posterior_sigma_px(bundle: BundleResult) -> float:
 
 
 def _extent_m(bundle: BundleResult) -> float:
-    """Return the largest distance of two points."""
+    """Return the largest distance of two points: of two corners of their hull."""
+    from scipy.spatial import ConvexHull, QhullError
+    from scipy.spatial.distance import pdist
+
     points = bundle.points_m[bundle.problem.observations.n_rays > 0]
-    reach = 0.0
-    for first in range(0, len(points), 256):
-        block = points[first : first + 256, None] - points[None]
-        reach = max(reach, float(np.einsum("abi,abi->ab", block, block).max(initial=0.0)))
-    return float(np.sqrt(reach))
+    points = points[np.isfinite(points).all(axis=1)]
+    if len(points) > _FEW_POINTS:
+        with contextlib.suppress(QhullError):
+            # Points in one plane have a hull too once they are joggled, by 1e-11 of their extent.
+            points = points[ConvexHull(points, qhull_options="QJ").vertices]
+    return float(pdist(points).max(initial=0.0))
 
 
 def _rms(values: Sequence[float]) -> float | None:

@@ -248,17 +248,35 @@ def adjust_growth(grown: Growth) -> None:
         grown.points[grown.known & (rays < 2)] = np.nan
         rows = rows[rays[grown.table.target_index[rows]] >= 2]
         result = _adjusted(grown, rows)
-        misses = np.linalg.norm(result.whitened_residuals, axis=1)
-        # Median of the length of two normal components: 1.18 sigma; few redundant ones make residuals too small.
-        share = max(result.redundancy / (2 * rows.size), 0.05)
-        before, cameras = grown.noise.copy(), grown.camera_of_photo[grown.table.photo_index[rows]]
-        for camera in np.unique(cameras).tolist():
-            typical = float(np.median(misses[cameras == camera])) / 1.18 / np.sqrt(share)
-            grown.noise[camera] = max(1.0, before[camera] * min(typical, 1.0))
-        grown.misses = np.full(grown.table.n, np.inf)
-        grown.misses[rows] = misses * (before / grown.noise)[cameras]
+        misses, before = np.linalg.norm(result.whitened_residuals, axis=1), grown.noise.copy()
+        _renew_noise(grown, rows, misses, result.redundancy)
         if (before < 1.5 * grown.noise).all():
             break
+
+
+def appraise(grown: Growth) -> None:
+    """Renew noise and misses where poses and targets are good already.
+
+    grown: The network, changed in place.
+    """
+    rows = rows_inside(grown)
+    roots = np.linalg.inv(np.linalg.cholesky(grown.covariance(rows)))
+    difference = (projected(grown, rows) - grown.table.pixels_px[rows])[..., None]
+    misses = np.nan_to_num(np.linalg.norm((roots @ difference)[..., 0], axis=1), nan=np.inf)
+    unknowns = 3 * int(np.count_nonzero(grown.known)) + 6 * len(grown.poses)
+    _renew_noise(grown, rows, misses, 2 * rows.size - unknowns)
+
+
+def _renew_noise(grown: Growth, rows: IntArray, misses: FloatArray, redundancy: int) -> None:
+    """Take noise and misses from the lengths of residuals in units of the noise that was."""
+    # Median of the length of two normal components: 1.18 sigma; few redundant ones make residuals too small.
+    share = max(redundancy / (2 * rows.size), 0.05)
+    before, cameras = grown.noise.copy(), grown.camera_of_photo[grown.table.photo_index[rows]]
+    for camera in np.unique(cameras).tolist():
+        typical = float(np.median(misses[cameras == camera])) / 1.18 / np.sqrt(share)
+        grown.noise[camera] = max(1.0, before[camera] * min(typical, 1.0))
+    grown.misses = np.full(grown.table.n, np.inf)
+    grown.misses[rows] = misses * (before / grown.noise)[cameras]
 
 
 def _adjusted(grown: Growth, rows: IntArray) -> BundleResult:
