@@ -27,11 +27,23 @@ INSTRUMENT = Instrument(
             init_help="For slopes that were measured otherwise, instead of images of fringes.",
             run="deflectometry.exchange.measure_slopes:run",
         ),
+        Kind(
+            name="deflectometry-poses",
+            model="deflectometry.poses.keys:PosesModel",
+            load="deflectometry.poses.keys:load_poses",
+            template="deflectometry.poses:template_poses.toml",
+            command="deflectometry measure",
+            init_option="--poses",
+            init_help="For one mirror in several poses, which determine camera and screen.",
+            run="deflectometry.poses.measure:run",
+            options="deflectometry.pipeline.choices:Options",
+        ),
     ),
     synth="data_synth.preset_folders:deflectometry",
     synth_command="data_synth.cli:deflectometry",
     reports={
         "deflectometry": "deflectometry.report:report.ipynb",
         "slopes": "deflectometry.report:report_slopes.ipynb",
+        "deflectometry-poses": "deflectometry.report:report_poses.ipynb",
     },
 )

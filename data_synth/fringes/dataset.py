@@ -31,11 +31,13 @@ class DatasetOptions(ShortRepr):
 
     seed: Seed of all noise; the same seed gives the same files.
     knowledge: What measurement.toml states, and how well.
+    stated: Sections of measurement.toml that are stated so, whatever the scene is.
     force: Replace an earlier synthetic measurement.
     """
 
     seed: int = 0
     knowledge: Knowledge = field(default_factory=Knowledge)
+    stated: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     force: bool = False
 
 
@@ -60,11 +62,11 @@ def write_dataset(
                 write_image(working / name, image)
                 stage.advance()
         with progress.stage("write truth"):
-            if not scene.bench.wall.is_plain:
+            content = measurement_content(scene, list(names), chosen.knowledge, knowledge_rng) | dict(chosen.stated)
+            if "file" in content["screen"]:
                 write_table_csv(working / "screen_points.csv", dict(screen_table(scene.bench.wall)))
             if chosen.knowledge.response:
                 write_table_csv(working / "response.csv", response_table(scene))
-            content = measurement_content(scene, list(names), chosen.knowledge, knowledge_rng)
             write_measurement(working, content, comment=f"Synthetic measurement, seed {chosen.seed}; see truth.json.")
             write_json(working / TRUTH_FILE, {**fringes.truth.parameters, "seed": chosen.seed})
             _write_pixels(working / TRUTH_ARRAYS_FILE, fringes.truth.pixels)

@@ -20,8 +20,10 @@ class Knowledge:
     pose_known: Give the mirror's pose; otherwise its outline and the measured distance.
     sigma_distance_mm: Error of the distance between the origins of mirror and screen.
     sigma_screen_rotation_mrad, sigma_screen_translation_mm: Errors of the screen's pose.
+    sigma_width_mm, sigma_height_mm: Errors of the displayed image's size.
     sigma_focal_px, sigma_center_px: Errors of the camera, independent in x and y as measurement.toml has it.
     response: Give the response of camera and display (as measured with grey steps) in response.csv.
+    roll_deg: How the mirror is turned in the image.
     """
 
     pose_known: bool = False
@@ -30,9 +32,12 @@ class Knowledge:
     sigma_distance_mm: float = 1.0
     sigma_screen_rotation_mrad: float = 0.0
     sigma_screen_translation_mm: float = 0.0
+    sigma_width_mm: float = 0.0
+    sigma_height_mm: float = 0.0
     sigma_focal_px: float = 0.0
     sigma_center_px: float = 0.0
     response: bool = False
+    roll_deg: float = 0.0
 
     def __post_init__(self) -> None:
         for name in self.__dataclass_fields__:
@@ -56,8 +61,8 @@ def measurement_content(
         "kind": "deflectometry",
         "name": scene.name,
         "notes": "Synthetic: drawn by heliogauge deflectometry synth.",
-        "camera": _camera(scene, knowledge, rng),
-        "screen": _screen(scene, knowledge, rng),
+        "camera": camera_section(scene, knowledge, rng),
+        "screen": screen_section(scene, knowledge, rng),
         "pattern": {
             "set": [
                 {
@@ -79,7 +84,8 @@ def measurement_content(
     }
 
 
-def _camera(scene: FringeScene, knowledge: Knowledge, rng: np.random.Generator) -> dict[str, Any]:
+def camera_section(scene: FringeScene, knowledge: Knowledge, rng: np.random.Generator) -> dict[str, Any]:
+    """Return [camera] of measurement.toml, with errors of the stated sigmas."""
     camera = scene.bench.camera
     focal_error_x, focal_error_y, center_error_x, center_error_y = rng.standard_normal(4)
     return {
@@ -96,15 +102,23 @@ def _camera(scene: FringeScene, knowledge: Knowledge, rng: np.random.Generator) 
     }
 
 
-def _screen(scene: FringeScene, knowledge: Knowledge, rng: np.random.Generator) -> dict[str, Any]:
+def screen_section(scene: FringeScene, knowledge: Knowledge, rng: np.random.Generator) -> dict[str, Any]:
+    """Return [screen] of measurement.toml, with errors of the stated sigmas; of a table the size has none."""
     wall = scene.bench.wall
     pose = _pose(
         scene.bench.cam_from_wall, knowledge.sigma_screen_rotation_mrad, knowledge.sigma_screen_translation_mm, rng
     )
     shape: dict[str, Any] = {"shape": "table", "file": "screen_points.csv"}
-    if wall.is_plain:
-        shape = {"shape": "rectangle", "width_m": wall.width_m, "height_m": wall.height_m}
     size = {"sigma_width_mm": 0.0, "sigma_height_mm": 0.0, "sigma_sag_mm": 0.0}
+    if wall.is_plain:
+        sigmas_mm = {"width": knowledge.sigma_width_mm, "height": knowledge.sigma_height_mm}
+        errors_m = {name: 1e-3 * sigma * rng.standard_normal() if sigma else 0.0 for name, sigma in sigmas_mm.items()}
+        shape = {
+            "shape": "rectangle",
+            "width_m": wall.width_m + errors_m["width"],
+            "height_m": wall.height_m + errors_m["height"],
+        }
+        size |= {f"sigma_{name}_mm": sigma for name, sigma in sigmas_mm.items()}
     return {**shape, **pose, **size, "response_file": "response.csv" if knowledge.response else None}
 
 
@@ -130,6 +144,8 @@ def _mirror(scene: FringeScene, knowledge: Knowledge, rng: np.random.Generator) 
         "sigma_mm": knowledge.sigma_distance_mm,
     }
     known: dict[str, Any] = {"pose": pose} if knowledge.pose_known else {"distance": distance}
+    if knowledge.roll_deg:
+        known["roll_deg"] = knowledge.roll_deg
     if len(facets) == 1:
         return {**_design(facets[0]), "outline_m": facets[0].outline_m, **known}
     listed = [

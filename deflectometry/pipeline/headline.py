@@ -92,17 +92,18 @@ def _curvature_words(numbers: Numbers, key: str) -> str:
     return number_text(float(value or 0.0), sigma, "1/m")
 
 
-def numbers_of_facets(
-    evaluation: Evaluation, maps: Mapping[str, SlopeMap], cantings: Sequence[FacetCanting]
+def numbers_of_maps(
+    maps: Mapping[str, SlopeMap], as_measured: Mapping[str, SlopeMap], cantings: Sequence[FacetCanting]
 ) -> dict[str, Numbers]:
     """Collect the headline numbers of each measured facet of an ensemble; empty for a single facet.
 
     maps: Map of each facet after what was removed.
+    as_measured: The same before that.
     cantings: Of all facets.
     """
     return {
         one.facet.name: _numbers_of_canting(one.canting)
-        | facet_numbers(maps[one.facet.name], evaluation.maps[one.facet.name])
+        | facet_numbers(maps[one.facet.name], as_measured[one.facet.name])
         for one in cantings
         if one.facet.name in maps
     }

@@ -1,5 +1,6 @@
 """A measurement folder to results: the stages follow each other in `run`."""
 
+from collections.abc import Callable
 from dataclasses import replace
 
 from deflectometry.frames.image_file_checks import check_compression, check_size
@@ -7,7 +8,7 @@ from deflectometry.keys import DeflectometryMeasurement
 from deflectometry.pipeline.choices import Options, build_choices
 from deflectometry.pipeline.contradictions import refuse_contradictions
 from deflectometry.pipeline.evaluate import evaluate_frames
-from deflectometry.pipeline.headline import canting_numbers, facet_numbers, numbers_of_facets, pose_numbers
+from deflectometry.pipeline.headline import canting_numbers, facet_numbers, numbers_of_maps, pose_numbers
 from deflectometry.pipeline.images import image_files, mend_frames, observe, pictures_of_frames
 from deflectometry.pipeline.inputs import (
     build_mounts,
@@ -20,6 +21,7 @@ from deflectometry.pipeline.inputs import (
 )
 from deflectometry.pipeline.plausibility import implausible, refuse_impossible, size_doubt
 from deflectometry.pipeline.result import Result
+from deflectometry.setup.camera_and_screen import Setup
 from deflectometry.setup.screen_table import check_beyond_table
 from deflectometry.shape.assemble import assemble_maps
 from deflectometry.shape.facet_canting import canting_of_facets, doubt_of_canting
@@ -32,7 +34,11 @@ from heliogauge.slopes.removal import Removal, remove
 
 
 def run(
-    measurement: DeflectometryMeasurement, options: Options | None = None, progress: Progress | None = None
+    measurement: DeflectometryMeasurement,
+    options: Options | None = None,
+    progress: Progress | None = None,
+    *,
+    adjusted: Callable[[Setup], Setup] | None = None,
 ) -> Result:
     """Evaluate a measurement.
 
@@ -44,6 +50,8 @@ def run(
         Choices that override the file's.
     progress : Progress, optional
         Reports each stage.
+    adjusted : callable, optional
+        Changes camera and screen from what the file states to what is known better.
 
     Returns
     -------
@@ -59,6 +67,8 @@ def run(
     """
     options, progress = options or Options(), progress or SilentProgress()
     setup, pattern = build_setup(measurement), build_pattern(measurement)
+    if adjusted is not None:
+        setup = adjusted(setup)
     frames = read_frames(image_files(measurement), jobs=options.jobs, progress=progress)
     observation = observe(measurement, pattern, frames)
     check_size(observation.frames.shape[:0:-1], setup.camera, str(measurement.folder))
@@ -82,7 +92,7 @@ def run(
         cantings = canting_of_facets(facets, evaluation.maps, mounts_m) if len(facets) > 1 else ()
         numbers = facet_numbers(assembled, as_measured) | pose_numbers(evaluation.located, evaluation)
         numbers |= canting_numbers(cantings)
-        numbers_by_facet = numbers_of_facets(evaluation, maps, cantings)
+        numbers_by_facet = numbers_of_maps(maps, evaluation.maps, cantings)
     doubts = gather_doubts(
         check_screen(measurement, setup.screen),
         frames.doubts,

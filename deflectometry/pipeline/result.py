@@ -108,10 +108,7 @@ class Result(InstrumentResult):
         write_cameras_json(folder / "cameras.json", {"camera": self.setup.camera}, _facet_poses(evaluation))
         if evaluation.located.evidence is not None:
             write_table_csv(folder / "outline.csv", _outline_columns(evaluation.located.evidence))
-        if self.cantings:
-            write_table_csv(folder / CANTING_FILE, _canting_columns(self.cantings))
-        if any(len(one.mounts_m) for one in self.cantings):
-            write_table_csv(folder / MOUNTS_FILE, _mount_columns(self.cantings))
+        write_canting(folder, self.cantings)
 
     def headline(self) -> str:
         """Return the most important numbers in a few lines for the terminal."""
@@ -129,6 +126,14 @@ def _facet_poses(evaluation: Evaluation) -> dict[str, PhotoPose]:
         pose = cam_from_mirror @ facet.ensemble_from_facet
         poses[facet.name] = PhotoPose("camera", pose, carry @ located.pose.covariance @ carry.T, residual)
     return poses
+
+
+def write_canting(folder: Path, cantings: tuple[FacetCanting, ...]) -> None:
+    """Write the canting of each facet and the moves of its mounts; nothing for a single facet."""
+    if cantings:
+        write_table_csv(folder / CANTING_FILE, _canting_columns(cantings))
+    if any(len(one.mounts_m) for one in cantings):
+        write_table_csv(folder / MOUNTS_FILE, _mount_columns(cantings))
 
 
 def _canting_columns(cantings: tuple[FacetCanting, ...]) -> dict[str, Any]:

@@ -1,14 +1,14 @@
 """The share of the uncertainty that a whole slope map has in common: pose, screen and camera."""
 
-import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from deflectometry.pose.pose_observations import UncertainPose
 from deflectometry.setup.camera_and_screen import Setup
-from deflectometry.shape.facet_pixels import PixelSamples, Warp, trace_samples
+from deflectometry.setup.setup_steps import moved_setup, principal_steps, setup_steps
+from deflectometry.shape.facet_pixels import PixelSamples, trace_samples
 from deflectometry.shape.smooth_shape import FacetSamples, RoundLimits, ShapeSolution, slopes_at, solve_shape
 from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.slopes.map import CommonModes, monomials
@@ -17,6 +17,8 @@ from heliogauge.validate import FloatArray
 #: Degree of the polynomials that hold a mode: what pose, lens and screen do to a map is smooth, a cubic leaves
 #: less than 2 % of it on the setups tried.
 MODE_DEGREE = 3
+#: Source of the modes of the mirror's own pose; all others are of camera and screen.
+MIRROR_POSE = "mirror pose"
 
 
 def common_modes(
@@ -50,7 +52,7 @@ def common_modes(
     changes: list[list[FloatArray]] = []
     rounds = RoundLimits(2, 1, must_settle=False)
     for one in _perturbations(setup, start.cam_from_mirror, located):
-        traced = trace_samples(one.setup, samples, one.warp)
+        traced = trace_samples(one.setup, samples)
         shape = solve_shape(traced, one.cam_from_mirror, align=align, start=start, rounds=rounds)
         sources.append(one.source)
         moved_on = _departures(traced, shape, start)
@@ -80,75 +82,16 @@ class _Perturbed:
     source: str
     setup: Setup
     cam_from_mirror: RigidTransform
-    warp: Warp | None = None
 
 
 def _perturbations(setup: Setup, cam_from_mirror: RigidTransform, located: UncertainPose) -> Iterator[_Perturbed]:
     """Yield the inputs moved by one sigma along each principal direction of each covariance."""
     for step in principal_steps(located.covariance):
-        yield _Perturbed("mirror pose", setup, cam_from_mirror.moved(step))
-    for step in principal_steps(setup.covariance_cam_from_screen):
-        moved = replace(setup, cam_from_screen=setup.cam_from_screen.moved(step))
-        yield _Perturbed("screen pose", moved, located.following(moved, cam_from_mirror))
-    for step in principal_steps(setup.camera.covariance):
-        camera = setup.camera.with_parameters(setup.camera.parameters + step)
-        moved = replace(setup, camera=camera)
-        yield _Perturbed("camera", moved, located.following(moved, cam_from_mirror))
-    if setup.sigma_screen_points_m > 0:
-        for warp in _screen_warps(setup.sigma_screen_points_m):
-            yield _Perturbed("screen shape", setup, cam_from_mirror, warp)
-    for source, warp in _screen_sizes(setup):
-        yield _Perturbed(source, setup, cam_from_mirror, warp)
-
-
-def principal_steps(covariance: FloatArray) -> FloatArray:
-    """Return one-sigma steps along the principal directions of a covariance.
-
-    covariance (n, n): Covariance matrix; parameters may differ in unit.
-    Returns (k, n): Independent steps whose outer products add up to the covariance; k is its rank.
-    """
-    scale = np.sqrt(np.diag(covariance))
-    used = scale > 0
-    if not used.any():
-        return np.zeros((0, scale.size))
-    correlation = covariance[np.ix_(used, used)] / np.outer(scale[used], scale[used])
-    values, vectors = np.linalg.eigh(correlation)
-    keep = values > 1e-12 * values[-1]
-    steps = np.zeros((int(np.count_nonzero(keep)), scale.size))
-    steps[:, used] = (vectors[:, keep] * np.sqrt(values[keep])).T * scale[used]
-    return steps
-
-
-def _screen_warps(sigma_m: float) -> Iterator[Warp]:
-    """Yield the smooth shapes that a surveyed screen may have wrong; together each axis has the RMS sigma.
-
-    Legendre polynomials over the display: stretch and shear in the screen's plane, bows and twist out of it. Shifts
-    and turns are those of the screen's pose.
-    """
-    in_plane, out_of_plane = ((1, 0), (0, 1)), ((2, 0), (1, 1), (0, 2))
-    for axis, orders in ((0, in_plane), (1, in_plane), (2, out_of_plane)):
-        for order in orders:
-            yield Warp(axis, order, sigma_m / float(np.sqrt(len(orders))))
-
-
-def _screen_sizes(setup: Setup) -> Iterator[tuple[str, Warp]]:
-    """Yield what width, height, sag and periods that are one sigma off do to the screen's points.
-
-    A width off by s moves the point at u by s (u - 1/2), an RMS of s / sqrt(12) over the display; a bulge that is s
-    high in the middle and 0 at two edges is a Legendre polynomial of order 2 with an RMS of 2 s / (3 sqrt(5)).
-    """
-    corners = setup.screen.points_m(np.array([0.0, 1.0, 0.5, 0.5]), np.array([0.5, 0.5, 0.0, 1.0]))
-    size_m = np.linalg.norm(corners[[1, 3]] - corners[[0, 2]], axis=1)
-    orders = ((1, 0), (0, 1))
-    for axis, order in enumerate(orders):
-        if setup.sigma_size_m[axis] > 0:
-            yield "screen size", Warp(axis, order, float(setup.sigma_size_m[axis]) / math.sqrt(12.0))
-        if setup.sigma_periods[axis] > 0:
-            by_periods = float(setup.sigma_periods[axis] * size_m[axis])
-            yield "fringe periods", Warp(axis, order, by_periods / math.sqrt(12.0))
-    if setup.sigma_sag_m > 0:
-        for order in ((2, 0), (0, 2)):
-            yield "screen sag", Warp(2, order, setup.sigma_sag_m * 2.0 / (3.0 * math.sqrt(5.0)))
+        yield _Perturbed(MIRROR_POSE, setup, cam_from_mirror.moved(step))
+    for one in setup_steps(setup):
+        moved = moved_setup(setup, (one,), np.ones(1))
+        follows = cam_from_mirror if one.warp is not None else located.following(moved, cam_from_mirror)
+        yield _Perturbed(one.source, moved, follows)
 
 
 def _as_modes(sources: list[str], changes: list[FloatArray], points_m: FloatArray, sample: PixelSamples) -> CommonModes:

@@ -114,44 +114,11 @@ def thinned(sample: PixelSamples, most: int) -> PixelSamples:
     return replace(sample, pixels_px=sample.pixels_px[chosen], u=sample.u[chosen], v=sample.v[chosen])
 
 
-@dataclass(frozen=True, slots=True)
-class Warp:
-    """A smooth shape added to a screen.
-
-    axis: Coordinate of the screen frame that changes.
-    order: Orders of the Legendre polynomials in u and in v.
-    rms_m: RMS over the display [m].
-    """
-
-    axis: int
-    order: tuple[int, int]
-    rms_m: float
-
-    def shift_m(self, u: FloatArray, v: FloatArray) -> FloatArray:
-        """Return the shift of the points that show (u, v), shape (n, 3) [m]."""
-        shift = np.zeros((u.size, 3))
-        shift[:, self.axis] = self.rms_m * _legendre(self.order[0], u) * _legendre(self.order[1], v)
-        return shift
-
-
-def _legendre(order: int, fraction: FloatArray) -> FloatArray:
-    """Return the Legendre polynomial of order 0 to 2 over fractions 0 to 1, scaled to RMS 1."""
-    centred = 2 * fraction - 1
-    values = (np.ones_like(centred), centred, 1.5 * centred**2 - 0.5)[order]
-    return np.asarray(np.sqrt(2 * order + 1) * values)
-
-
-def trace_samples(setup: Setup, samples: Sequence[PixelSamples], warp: Warp | None = None) -> list[FacetSamples]:
-    """Turn pixels and display coordinates into lines of sight and screen points.
-
-    warp: Smooth shape added to the screen.
-    Returns: The same pixels in the camera frame.
-    """
+def trace_samples(setup: Setup, samples: Sequence[PixelSamples]) -> list[FacetSamples]:
+    """Turn pixels and display coordinates into lines of sight and screen points, in the camera frame."""
     traced = []
     for sample in samples:
         points = setup.screen.points_m(sample.u, sample.v)
-        if warp is not None:
-            points = points + warp.shift_m(sample.u.astype(np.float64), sample.v.astype(np.float64))
         rays = setup.camera.cast_rays(sample.pixels_px)
         traced.append(
             FacetSamples(sample.facet, np.ascontiguousarray(rays.T), setup.cam_from_screen.apply(points).T.copy())

@@ -7,7 +7,8 @@ import pytest
 
 from deflectometry.pose.pose_observations import UncertainPose
 from deflectometry.setup.camera_and_screen import Setup
-from deflectometry.shape.common_modes import common_modes, principal_steps
+from deflectometry.setup.setup_steps import principal_steps
+from deflectometry.shape.common_modes import common_modes
 from deflectometry.shape.facet_pixels import PixelSamples, spread_indices, trace_samples
 from deflectometry.shape.smooth_shape import slopes_at, solve_shape
 from heliogauge.geometry.surfaces import Facet, paraboloid

@@ -1,0 +1,1 @@
+"""One mirror in several poses: camera, screen and surface from one adjustment."""
