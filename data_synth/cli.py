@@ -9,6 +9,7 @@ from typing import Annotated, Literal
 
 import typer
 
+from heliogauge.errors import InputError
 from heliogauge.running.commands import NewFolder, Quiet, Verbose, parse_periods
 
 FringePreset = Literal[
@@ -70,6 +71,15 @@ def deflectometry(
         ),
     ] = None,
     pose_known: Annotated[bool, typer.Option("--pose-known", help="State the mirror's pose exactly.")] = False,
+    poses: Annotated[
+        int,
+        typer.Option(
+            min=1, max=8, help="Several poses of the mirror before camera and screen that are not exactly known."
+        ),
+    ] = 1,
+    width_error_percent: Annotated[
+        float, typer.Option(help="With several poses: the screen's stated width is off by so much, whatever its sigma.")
+    ] = 0.0,
     force: Replace = False,
     quiet: Quiet = False,
     verbose: Verbose = False,
@@ -78,6 +88,7 @@ def deflectometry(
     from data_synth.fringes.dataset import DatasetOptions, write_dataset
     from data_synth.fringes.faults import Fault
     from data_synth.fringes.knowledge import Knowledge
+    from data_synth.fringes.poses import PoseOptions, write_poses
     from data_synth.fringes.presets import preset_scene
     from deflectometry.setup import make_pattern
     from heliogauge.running.terminal import terminal_progress
@@ -93,9 +104,15 @@ def deflectometry(
         faults=tuple(Fault.parse(text) for text in fault or ()),
     )
     knowledge = Knowledge(pose_known=pose_known, response=gamma != 1.0)
-    write_dataset(
-        folder, scene, DatasetOptions(seed, knowledge, force), terminal_progress(quiet=quiet, verbose=verbose)
-    )
+    progress = terminal_progress(quiet=quiet, verbose=verbose)
+    if poses > 1:
+        if pose_known or gamma != 1.0:
+            raise InputError("--poses: the mirror's poses are found from its outline, and the display is linear then")
+        write_poses(folder, scene, PoseOptions(poses, seed, 1e-2 * width_error_percent, force), progress)
+    elif width_error_percent:
+        raise InputError("--width-error-percent goes with --poses 2 or more")
+    else:
+        write_dataset(folder, scene, DatasetOptions(seed, knowledge, force=force), progress)
     if not quiet:
         print(folder)
 

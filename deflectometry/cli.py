@@ -62,6 +62,8 @@ def measure_command(
     from deflectometry.keys import load_deflectometry
     from deflectometry.pipeline.choices import Options
     from deflectometry.pipeline.measure import run
+    from deflectometry.poses.keys import load_poses
+    from deflectometry.poses.measure import run as run_poses
     from deflectometry.shape.smooth_shape import Align
     from heliogauge.errors import InputError
     from heliogauge.measurement.load import kind_of
@@ -69,7 +71,8 @@ def measure_command(
     from heliogauge.slopes.removal import Removal
 
     progress = terminal_progress(quiet=quiet, verbose=verbose)
-    if kind_of(folder).name == "slopes":
+    kind = kind_of(folder).name
+    if kind == "slopes":
         if (align, grid_step_mm) != (None, None):
             raise InputError(f"{folder}: slopes have no alignment, and their grid is in measurement.toml; leave it out")
         removal = None if remove is None else Removal(remove)
@@ -92,7 +95,11 @@ def measure_command(
     )
     deliver(
         out,
-        lambda: run(load_deflectometry(folder), options, progress),
+        lambda: (
+            run_poses(load_poses(folder), options, progress)
+            if kind == "deflectometry-poses"
+            else run(load_deflectometry(folder), options, progress)
+        ),
         progress,
         force=force,
         quiet=quiet,

@@ -37,6 +37,7 @@ INSTRUMENT = Instrument(
             init_help="For one mirror in several poses, which determine camera and screen.",
             run="deflectometry.poses.measure:run",
             options="deflectometry.pipeline.choices:Options",
+            check="deflectometry.poses.check:find_faults",
         ),
     ),
     synth="data_synth.preset_folders:deflectometry",

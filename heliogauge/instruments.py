@@ -70,7 +70,7 @@ class Instrument:
     name: Its name, one word: that after ``heliogauge`` on the command line, and that of ``heliogauge.synth``.
     summary: What it measures, in one line; ``--help`` shows it without importing the commands.
     commands: The ``typer.Typer`` of its verbs; ``init`` and ``synth`` are added to them.
-    kinds: Kinds of measurement.toml that it evaluates: the usual one first, then one with an `init_option` at most.
+    kinds: Kinds of measurement.toml that it evaluates: the usual one first, the others with an `init_option`.
     reports: File of the report notebook of each kind of result.
     synth: Function ``(folder, *, preset, seed, force, progress)`` that writes a measurement folder with known truth.
     synth_command: The same as a command, with all that can be chosen.

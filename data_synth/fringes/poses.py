@@ -17,6 +17,7 @@ from heliogauge.results.json_file import write_json
 from heliogauge.results.whole_folder import WholeFolder
 from heliogauge.running.progress import Progress
 from heliogauge.short_repr import ShortRepr
+from heliogauge.validate import FloatArray
 
 #: How the mirror stands: turned by a quarter each time, two by two at another distance (share of the first) and
 #: aimed at another place of the screen.
@@ -82,9 +83,7 @@ def write_poses(folder: Path, scene: FringeScene, options: PoseOptions, progress
         for number, (name, rng) in enumerate(zip(names, rngs, strict=True)):
             seed = int(rng.integers(2**31))
             known = replace(knowledge, roll_deg=90.0 * (number % 4))
-            write_dataset(
-                working / name, posed_scene(scene, number), DatasetOptions(seed, known, stated), progress
-            )
+            write_dataset(working / name, posed_scene(scene, number), DatasetOptions(seed, known, stated), progress)
         content = {
             "kind": "deflectometry-poses",
             "name": scene.name,
@@ -125,7 +124,7 @@ def _stated_screen(
     return {**section, "width_m": section["width_m"] * (1 + width_error), "sigma_sag_mm": _SIGMA_SAG_MM}
 
 
-def _with_sag(scene: FringeScene, sag_m: np.ndarray) -> FringeScene:
+def _with_sag(scene: FringeScene, sag_m: FloatArray) -> FringeScene:
     """Bend the screen; its frame moves so that the mean plane stays where the file has it."""
     wall = replace(scene.bench.wall, sag_x_m=float(sag_m[0]), sag_y_m=float(sag_m[1]))
     back = RigidTransform.from_rotation_vector([0.0, 0.0, 0.0], [0.0, 0.0, -float(sag_m.sum()) / 3.0])

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -106,7 +107,7 @@ def _solve(poses: Sequence[PoseSlopes]) -> JointSolution:
     residual = (right - matrix @ solution)[:n_data]
     return JointSolution(
         common=solution[n_slopes : own[0]],
-        own=tuple(solution[low:high] for low, high in zip(own[:-1], own[1:], strict=True)),
+        own=tuple(solution[low:high] for low, high in pairwise(own)),
         covariance=(inverse @ inverse.T)[n_slopes:, n_slopes:],
         noise_factor=1.0,
         chi_square=float(residual @ residual),

@@ -58,6 +58,11 @@ class PosesMeasurement(ShortRepr):
     poses: dict[str, DeflectometryMeasurement]
 
     @property
+    def fringe_files(self) -> tuple[Path, ...]:
+        """Images of the frames of all poses."""
+        return tuple(file for one in self.poses.values() for file in one.fringe_files)
+
+    @property
     def input_files(self) -> tuple[Path, ...]:
         """All files the measurement consists of, measurement.toml first."""
         return (self.folder / MEASUREMENT_FILE, *(file for one in self.poses.values() for file in one.input_files))
@@ -75,8 +80,8 @@ def load_poses(folder: Path) -> PosesMeasurement:
             raise InputError(f"{file}: pose.folder = {one.folder!r}: a folder in {folder} is needed")
     poses = {one.folder: load_deflectometry(folder / one.folder) for one in model.pose}
     first = model.pose[0].folder
-    for name, one in poses.items():
-        for key in _differences(poses[first], one):
+    for name, other in poses.items():
+        for key in _differences(poses[first], other):
             raise InputError(
                 f"{file}: {key} is not the same in {first} and {name}; the poses of one measurement share camera, "
                 "screen and mirror, and differ in where the mirror stands"
@@ -97,12 +102,11 @@ def _differences(first: DeflectometryMeasurement, other: DeflectometryMeasuremen
 
 def _shared(measurement: DeflectometryMeasurement) -> dict[str, dict[str, Any]]:
     model = measurement.model
-    shared = {
+    return {
         "camera": _with_contents(measurement, model.camera.model_dump()),
         "screen": _with_contents(measurement, model.screen.model_dump(exclude={"response_file"})),
         "mirror": model.mirror.model_dump(exclude=_OF_ONE_POSE),
     }
-    return shared
 
 
 def _with_contents(measurement: DeflectometryMeasurement, section: dict[str, Any]) -> dict[str, Any]:

@@ -17,12 +17,13 @@ from deflectometry.poses.pose_maps import JointMaps, PoseMaps, combine_maps, kee
 from deflectometry.poses.result import PoseRow, PosesResult
 from deflectometry.poses.setup_parameters import doubts_of_setup, setup_parameters
 from deflectometry.setup.camera_and_screen import Setup
-from deflectometry.setup.setup_steps import SetupStep, moved_setup, setup_steps
+from deflectometry.setup.setup_steps import SetupStep, moved_setup, principal_steps, setup_steps
 from deflectometry.shape.assemble import assemble_maps
 from deflectometry.shape.facet_canting import canting_of_facets, doubt_of_canting
 from deflectometry.shape.smooth_shape import Align
 from heliogauge.doubts import Doubt, gather_doubts
 from heliogauge.errors import EstimationError, InputError, MetrologyError
+from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.geometry.surfaces import Facet
 from heliogauge.measurement.load import MEASUREMENT_FILE
 from heliogauge.results.folder import hash_files
@@ -35,8 +36,9 @@ from heliogauge.validate import FloatArray
 _MOST_ROUNDS = 3
 #: A last linear step this many sigmas long leaves, with sensitivities good to 2 %, an error of a tenth of a sigma.
 _LAST_STEP_SIGMAS = 5.0
-#: Below this probability the poses differ by more than noise and stated sigmas explain.
-_LEAST_PROBABILITY = 1e-3
+#: Below this probability the poses differ by more than noise and stated sigmas explain, and from this factor on the
+#: cause matters more than the noise: drawn measurements, whose pixels are coarse and sigmas true, have 1.0 to 1.7.
+_LEAST_PROBABILITY, _LEAST_FACTOR = 1e-3, 2.0
 
 
 def run(measurement: PosesMeasurement, options: Options | None = None, progress: Progress | None = None) -> PosesResult:
@@ -97,7 +99,7 @@ def run(measurement: PosesMeasurement, options: Options | None = None, progress:
         steps=tuple(steps),
         parameters=parameters,
         solution=joint.solution,
-        poses=tuple(_rows(stated_round, one_round)),
+        poses=tuple(_rows(stated_round, one_round, joint.solution)),
         maps=maps,
         assembled=assembled,
         numbers=numbers,
@@ -112,10 +114,17 @@ def run(measurement: PosesMeasurement, options: Options | None = None, progress:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _PoseRun:
-    """One pose as it was measured: maps, numbers, doubts, and where the mirror stood."""
+    """One pose as it was measured.
+
+    maps: Its maps.
+    row: Where the mirror stood, and its numbers.
+    follows (k, 6): How far the mirror's pose follows each common error, as `RigidTransform.moved` takes it.
+    doubts: What makes it doubtful.
+    """
 
     maps: PoseMaps
     row: PoseRow
+    follows: FloatArray
     doubts: tuple[Doubt, ...]
 
 
@@ -168,7 +177,10 @@ def _measure_all(
             options = replace(options, grid_step_mm=1e3 * round(float(template.x_m[1] - template.x_m[0]), 12))
         names &= set(maps)
         runs[name] = _PoseRun(
-            PoseMaps({key: keep_map(one) for key, one in maps.items()}, amounts), _row(name, result), result.doubts
+            PoseMaps({key: keep_map(one) for key, one in maps.items()}, amounts),
+            _row(name, result),
+            np.array([_follows(result, step) for step in steps]).reshape(-1, 6),
+            result.doubts,
         )
     if len(runs) < 2:
         raise EstimationError(
@@ -223,15 +235,41 @@ def _row(name: str, result: Result) -> PoseRow:
     )
 
 
-def _rows(stated: _Round, adjusted: _Round) -> Iterator[PoseRow]:
+def _follows(result: Result, step: SetupStep) -> FloatArray:
+    """Return the step of the mirror's pose when camera and screen make one of theirs: outline and distance stay."""
+    with_setup = result.evaluation.located.pose.with_setup
+    if with_setup is None or step.warp is not None:
+        return np.zeros(6)
+    before, after = with_setup(result.setup), with_setup(moved_setup(result.setup, (step,), np.ones(1)))
+    turn = RigidTransform(after.rotation @ before.rotation.T, np.zeros(3)).rotation_vector_rad
+    return np.concatenate([turn, after.translation_m - before.translation_m])
+
+
+def _rows(stated: _Round, adjusted: _Round, solution: JointSolution) -> Iterator[PoseRow]:
     """Yield the poses as adjusted, with the numbers that each alone gives with the setup as stated."""
-    for name, one in adjusted.runs.items():
-        yield replace(one.row, numbers=stated.runs[name].row.numbers)
+    first = solution.common.size
+    for (name, one), own in zip(adjusted.runs.items(), solution.own, strict=True):
+        # The errors of the mirror's own pose come first among those that a pose has for itself.
+        steps = principal_steps(one.row.covariance)
+        chosen = [*range(solution.common.size), *range(first, first + len(steps))]
+        follows = np.concatenate([one.follows, steps])
+        before = stated.runs[name]
+        before_follows = np.concatenate([before.follows, principal_steps(before.row.covariance)])
+        moved = np.concatenate([solution.common - one.maps.measured_at, own[: len(steps)]]) @ follows
+        yield replace(
+            one.row,
+            cam_from_mirror=one.row.cam_from_mirror.moved(moved),
+            covariance=follows.T @ solution.covariance[np.ix_(chosen, chosen)] @ follows,
+            outline_distance_m=before.row.distance_m,
+            sigma_outline_distance_m=replace(before.row, covariance=before_follows.T @ before_follows).sigma_distance_m,
+            numbers=before.row.numbers,
+        )
+        first += own.size
 
 
 def _doubt_of_differences(solution: JointSolution, n_poses: int) -> Doubt | None:
     """Return whether the poses differ by more than noise and stated sigmas explain."""
-    if solution.probability >= _LEAST_PROBABILITY:
+    if solution.probability >= _LEAST_PROBABILITY or solution.noise_factor < _LEAST_FACTOR:
         return None
     return Doubt(
         "poses_differ",

@@ -35,7 +35,6 @@ class KeptMap:
     flags (ny, nx): As in the map.
     common: Modes of the pose.
     noise_correlation: As in the map.
-    mean_height_m: Mean height over the measured nodes above the design [m].
     """
 
     error: Float32Array
@@ -47,7 +46,7 @@ class KeptMap:
     @property
     def measured(self) -> BoolArray:
         """Nodes with a value, shape (ny, nx)."""
-        return np.isfinite(self.error[0])
+        return np.asarray(np.isfinite(self.error[0]))
 
 
 def keep_map(slope_map: SlopeMap) -> KeptMap:
@@ -111,10 +110,8 @@ class _FacetFit:
     own: FloatArray
 
 
-def _fit_facet(
-    kept: KeptMap, template: SlopeMap, facet: Facet, measured: BoolArray, *, aligned: bool
-) -> _FacetFit:
-    """Fit one facet: least squares of equal weights, so that what no polynomial holds is left out alike in all poses."""
+def _fit_facet(kept: KeptMap, template: SlopeMap, facet: Facet, measured: BoolArray, *, aligned: bool) -> _FacetFit:
+    """Fit one facet, by equal weights: what no polynomial holds is left out alike in all poses."""
     modes = kept.common
     rows, columns = np.nonzero(measured)
     terms = modes.coefficients.shape[2]
@@ -124,7 +121,9 @@ def _fit_facet(
     for start in range(0, rows.size, _BLOCK):
         row, column = rows[start : start + _BLOCK], columns[start : start + _BLOCK]
         x_m, y_m = template.x_m[column], template.y_m[row]
-        basis = monomials((x_m - modes.center_m[0]) / modes.scale_m, (y_m - modes.center_m[1]) / modes.scale_m, modes.degree)
+        basis = monomials(
+            (x_m - modes.center_m[0]) / modes.scale_m, (y_m - modes.center_m[1]) / modes.scale_m, modes.degree
+        )
         normal += basis @ basis.T
         values = [kept.error[:, row, column].astype(np.float64)]
         slopes = np.stack([template.design_slope_x[row, column], template.design_slope_y[row, column]])
@@ -219,7 +218,9 @@ def combine_maps(
     )
     carry = np.concatenate(
         [
-            sum((share[:, [number]] * one.common for number, one in enumerate(slopes)), np.zeros(slopes[0].common.shape)),
+            sum(
+                (share[:, [number]] * one.common for number, one in enumerate(slopes)), np.zeros(slopes[0].common.shape)
+            ),
             *(share[:, [number]] * one.own for number, one in enumerate(slopes)),
         ],
         axis=1,
@@ -264,7 +265,9 @@ def _mean_map(
         variance += np.where(measured, (weight * one.sigma.astype(np.float64)) ** 2, 0.0)
         flags |= one.flags
     known = total > 0
-    flags[known] &= np.bitwise_and.reduce([np.where(one.measured, one.flags, np.uint32(0xFFFFFFFF)) for one in kept])[known]
+    flags[known] &= np.bitwise_and.reduce([np.where(one.measured, one.flags, np.uint32(0xFFFFFFFF)) for one in kept])[
+        known
+    ]
     flags[~known & template.aperture & (flags == 0)] = np.uint32(SampleFlag.NOT_SEEN)
     with np.errstate(invalid="ignore", divide="ignore"):
         error = np.where(known, error / total, np.nan)

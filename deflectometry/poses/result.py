@@ -34,12 +34,13 @@ class PoseRow:
     """One pose of the mirror.
 
     name: Name of its folder.
-    cam_from_mirror: Pose of the mirror with camera and screen as adjusted.
-    covariance (6, 6): Its covariance, for camera and screen as they are [rad, m].
+    cam_from_mirror: Pose of the mirror as adjusted.
+    covariance (6, 6): Its covariance, for camera and screen as adjusted [rad, m].
     roll_rad: How the mirror is turned in the image, counter-clockwise [rad].
     screen_distance_m: From the mirror's origin to the screen's [m].
     residual_px: RMS residual of the outline; None without one [px].
     numbers: Headline numbers of this pose alone, with camera and screen as stated.
+    outline_distance_m, sigma_outline_distance_m: Distance from the camera as outline and tape give it [m].
     """
 
     name: str
@@ -49,6 +50,19 @@ class PoseRow:
     screen_distance_m: float
     residual_px: float | None
     numbers: Numbers
+    outline_distance_m: float = float("nan")
+    sigma_outline_distance_m: float = float("nan")
+
+    @property
+    def distance_m(self) -> float:
+        """Distance of the mirror's origin from the camera [m]."""
+        return float(np.linalg.norm(self.cam_from_mirror.translation_m))
+
+    @property
+    def sigma_distance_m(self) -> float:
+        """Its standard deviation [m]."""
+        along = self.cam_from_mirror.translation_m / self.distance_m
+        return float(np.sqrt(along @ self.covariance[3:, 3:] @ along))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -165,7 +179,10 @@ def pose_columns(poses: Sequence[PoseRow]) -> dict[str, list[Any]]:
     columns: dict[str, list[Any]] = {
         "pose": [one.name for one in poses],
         "roll_rad": [one.roll_rad for one in poses],
-        "camera_distance_m": [float(np.linalg.norm(one.cam_from_mirror.translation_m)) for one in poses],
+        "camera_distance_m": [one.distance_m for one in poses],
+        "sigma_camera_distance_m": [one.sigma_distance_m for one in poses],
+        "outline_distance_m": [one.outline_distance_m for one in poses],
+        "sigma_outline_distance_m": [one.sigma_outline_distance_m for one in poses],
         "screen_distance_m": [one.screen_distance_m for one in poses],
         "residual_px": [float("nan") if one.residual_px is None else one.residual_px for one in poses],
     }

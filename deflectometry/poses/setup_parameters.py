@@ -105,9 +105,9 @@ def doubts_of_setup(parameters: Sequence[SetupParameter]) -> Iterator[Doubt]:
             yield Doubt(
                 "stated_setup_contradicts_poses",
                 f"{one.name}: the poses give {number_text(one.found, one.sigma_found, one.unit)}, "
-                f"{abs(one.sigmas):.1f} of its stated sigmas from {number_text(one.stated, one.sigma_stated, one.unit)} "
-                "in measurement.toml; the found value was used: measure it again, and state what is right or how sure "
-                "it really is",
+                f"{abs(one.sigmas):.1f} of its stated sigmas from "
+                f"{number_text(one.stated, one.sigma_stated, one.unit)} in measurement.toml; the found value was used: "
+                "measure it again, and state what is right or how sure it really is",
                 {"off_sigmas_factor": abs(one.sigmas)},
             )
 

@@ -14,6 +14,7 @@ import signal
 import sys
 import warnings
 from collections.abc import Sequence
+from inspect import Parameter, Signature
 from io import TextIOWrapper
 from pathlib import Path
 from types import FrameType
@@ -23,7 +24,7 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 from heliogauge import __version__
-from heliogauge.errors import MetrologyError, ReportWarning, SweptWarning
+from heliogauge.errors import InputError, MetrologyError, ReportWarning, SweptWarning
 from heliogauge.instruments import Instrument, instruments, resolve
 from heliogauge.running.commands import (
     AsJson,
@@ -48,7 +49,7 @@ def group_of(instrument: Instrument) -> Any:
     verbs = typer.Typer(rich_markup_mode=None, pretty_exceptions_enable=False, add_completion=False)
     verbs.callback()(lambda: None)
     if instrument.kinds:
-        verbs.command("init")(_init_of_two(instrument) if len(instrument.kinds) > 1 else _init(instrument))
+        verbs.command("init")(_init(instrument))
     if instrument.synth_command:
         verbs.command("synth")(resolve(instrument.synth_command))
     first: Any = typer.main.get_command(verbs)
@@ -68,26 +69,31 @@ def _place(verb: str) -> int:
 
 
 def _init(instrument: Instrument) -> Any:
-    def init(folder: InitFolder, force: ForceInit = False, quiet: Quiet = False, verbose: Verbose = False) -> None:
+    """Return the command that writes a commented measurement.toml, with an option for each kind but the usual one."""
+    usual, *others = instrument.kinds
+    flags = {one.init_option.removeprefix("--").replace("-", "_"): one for one in others}
+
+    def init(folder: Path, *, force: bool = False, quiet: bool = False, verbose: bool = False, **chosen: bool) -> None:
         """Write a commented measurement.toml to start from."""
-        _write_template(instrument.kinds[0].name, folder, force=force, quiet=quiet)
+        asked = [flags[name] for name, given in chosen.items() if given]
+        if len(asked) > 1:
+            raise InputError(
+                f"{' and '.join(one.init_option for one in asked)}: one file has one kind; give one of them"
+            )
+        _write_template((asked or [usual])[0].name, folder, force=force, quiet=quiet)
 
-    return init
-
-
-def _init_of_two(instrument: Instrument) -> Any:
-    usual, other = instrument.kinds
-
-    def init(
-        folder: InitFolder,
-        is_other: Annotated[bool, typer.Option(other.init_option, help=other.init_help)] = False,
-        force: ForceInit = False,
-        quiet: Quiet = False,
-        verbose: Verbose = False,
-    ) -> None:
-        """Write a commented measurement.toml to start from."""
-        _write_template((other if is_other else usual).name, folder, force=force, quiet=quiet)
-
+    options = {name: Annotated[bool, typer.Option(one.init_option, help=one.init_help)] for name, one in flags.items()}
+    types = {"folder": InitFolder, **options, "force": ForceInit, "quiet": Quiet, "verbose": Verbose}
+    # Typer reads the options off the signature: it is written here, since the kinds are the instrument's.
+    init.__annotations__ = types
+    init.__signature__ = Signature(  # type: ignore[attr-defined]
+        [
+            Parameter(
+                name, Parameter.KEYWORD_ONLY, default=Parameter.empty if name == "folder" else False, annotation=one
+            )
+            for name, one in types.items()
+        ]
+    )
     return init
 
 
