@@ -2,8 +2,8 @@
 
 `run` evaluates a measurement folder that `load_deflectometry` has read. The rooms follow the data: what stands where
 (`setup`), faulty frames (`frames`), phase and display point of each pixel (`fringes`), the mirror's pose, its shape and
-maps, and the stages in a row (`pipeline`); `exchange` reads measurements made with OpenCSP, `write_patterns` makes the
-frames to display.
+maps, the stages in a row (`pipeline`), and several poses of one mirror in one adjustment (`poses`); `exchange` reads
+measurements made with OpenCSP, `write_patterns` makes the frames to display.
 """
 
 from typing import TYPE_CHECKING

@@ -285,11 +285,11 @@ def _doubts_of_poses(one: _Round) -> Iterator[Doubt]:
     """Yield the doubts of the single poses, each once where all of them have it."""
     codes = [{doubt.code for doubt in pose.doubts} for pose in one.runs.values()]
     in_all = set.intersection(*codes)
-    said = set[str]()
+    listed = set[str]()
     for name, pose in one.runs.items():
         for doubt in pose.doubts:
             if doubt.code not in in_all:
                 yield doubt.prefixed(name)
-            elif doubt.code not in said:
-                said.add(doubt.code)
+            elif doubt.code not in listed:
+                listed.add(doubt.code)
                 yield doubt.prefixed("in every pose")

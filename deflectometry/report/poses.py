@@ -61,15 +61,6 @@ def pose_numbers(results: Results) -> Html:
         number_text(float(numbers[key] or 0.0), numbers[f"sigma_{key}"], "1/m")
         for key in ("curvature_x_per_m", "curvature_y_per_m")
     ]
-    rows.append(("all together", "", "", "", "", *joint))
-    head = (
-        "pose",
-        "turned by",
-        "camera to mirror, from outline and tape",
-        "adjusted",
-        "to the screen",
-        "outline",
-        "curvature in x",
-        "curvature in y",
-    )
+    rows.append(("all together", "", "", "", "", "", *joint))
+    head = ("pose", "turned", "to camera, stated", "found", "to screen", "outline", "1/(2 f) in x", "in y")
     return table(head, rows, numbers=tuple(range(1, 8)))

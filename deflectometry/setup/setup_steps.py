@@ -52,7 +52,7 @@ class WarpedScreen:
 
     def describe(self) -> str:
         """Return the screen in words."""
-        return f"{self.screen.describe()}, adjusted"
+        return f"{self.screen.describe()} as stated, size and shape adjusted"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
