@@ -85,10 +85,9 @@ def deflectometry(
     verbose: Verbose = False,
 ) -> None:
     """Draw fringe images of a screen seen in a mirror with known slope errors."""
-    from data_synth.fringes.dataset import DatasetOptions, write_dataset
+    from data_synth.fringes.dataset import DatasetOptions, PoseOptions, write_dataset, write_poses
     from data_synth.fringes.faults import Fault
     from data_synth.fringes.knowledge import Knowledge
-    from data_synth.fringes.poses import PoseOptions, write_poses
     from data_synth.fringes.presets import preset_scene
     from deflectometry.setup import make_pattern
     from heliogauge.running.terminal import terminal_progress

@@ -63,7 +63,7 @@ def measure_command(
     from deflectometry.pipeline.choices import Options
     from deflectometry.pipeline.measure import run
     from deflectometry.poses.keys import load_poses
-    from deflectometry.poses.measure import run as run_poses
+    from deflectometry.poses.pipeline.measure import run as run_poses
     from deflectometry.shape.smooth_shape import Align
     from heliogauge.errors import InputError
     from heliogauge.measurement.load import kind_of

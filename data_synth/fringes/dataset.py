@@ -1,14 +1,22 @@
-"""Measurement folders with known truth: images, measurement.toml, truth.json, truth.npz."""
+"""Measurement folders with known truth, also of several poses: images, measurement.toml, truth.json, truth.npz."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from data_synth.fringes.knowledge import Knowledge, measurement_content, response_table, screen_table
-from data_synth.fringes.scene import FringeScene, SyntheticFringes, render_fringes
+from data_synth.fringes.knowledge import (
+    Knowledge,
+    camera_section,
+    measurement_content,
+    response_table,
+    screen_section,
+    screen_table,
+)
+from data_synth.fringes.poses import MOST_POSES, posed_scene, with_sag
+from data_synth.fringes.scene import FringeScene, SyntheticFringes, render_fringes, scene_to_json
 from data_synth.fringes.truth import PIXEL_ARRAYS, FringeTruth, PixelTruth, facet_from_json
 from heliogauge.errors import InputError
 from heliogauge.files.arrays import read_arrays
@@ -93,3 +101,80 @@ def read_truth(folder: Path) -> FringeTruth:
 def _write_pixels(path: Path, pixels: PixelTruth) -> None:
     arrays: Mapping[str, Any] = {name: getattr(pixels, name) for name in ("facet_index", *PIXEL_ARRAYS)}
     np.savez_compressed(path, **arrays)
+
+
+#: Sigmas of camera and screen as a tape, a level and a calibration leave them; of the camera in focal lengths.
+_SIGMA_CAMERA = 5e-4
+_SIGMA_SAG_MM = 5.0
+STANDARD_KNOWLEDGE = Knowledge(
+    sigma_distance_mm=2.0,
+    sigma_screen_rotation_mrad=1.0,
+    sigma_screen_translation_mm=3.0,
+    sigma_width_mm=20.0,
+    sigma_height_mm=10.0,
+)
+
+
+@dataclass(frozen=True, slots=True)
+class PoseOptions(ShortRepr):
+    """How a scene becomes a measurement in several poses.
+
+    poses: Number of poses.
+    seed: Seed of all errors and noise.
+    width_error: Share by which the stated width of the screen is off, beyond what its sigma says.
+    force: Replace an earlier synthetic measurement.
+    InputError: A number of poses that is not drawn, or a width that is no error.
+    """
+
+    poses: int
+    seed: int = 0
+    width_error: float = 0.0
+    force: bool = False
+
+    def __post_init__(self) -> None:
+        if not 2 <= self.poses <= MOST_POSES:
+            raise InputError(f"poses: 2 to {MOST_POSES} are drawn, not {self.poses}")
+        if not abs(self.width_error) < 0.5:
+            raise InputError(f"width error: less than 50 % is needed, not {100 * self.width_error:g} %")
+
+
+def write_poses(folder: Path, scene: FringeScene, options: PoseOptions, progress: Progress | None = None) -> None:
+    """Draw a mirror in several poses and write a folder of measurement folders.
+
+    scene: The first pose; its screen must be flat, for its sag is one of the errors that are drawn.
+    InputError: The folder holds something, the screen is not flat, or a pose does not see the screen.
+
+    measurement.toml states camera and screen as they are in the scene, with errors of the stated sigmas that are the
+    same in all poses; the screen that is drawn has a sag of which the file knows nothing but its sigma.
+    """
+    if not scene.bench.wall.is_plain:
+        raise InputError(f"{scene.name}: its screen is curved; several poses are drawn before a flat one")
+    common_rng, *rngs = np.random.default_rng(options.seed).spawn(1 + options.poses)
+    sigma_px = _SIGMA_CAMERA * scene.bench.camera.focal_x_px
+    knowledge = replace(STANDARD_KNOWLEDGE, sigma_focal_px=sigma_px, sigma_center_px=sigma_px)
+    stated = {
+        "camera": camera_section(scene, knowledge, common_rng),
+        "screen": _stated_screen(scene, knowledge, common_rng, options.width_error),
+    }
+    scene = with_sag(scene, 1e-3 * _SIGMA_SAG_MM * common_rng.standard_normal(2))
+    names = [f"pose_{number}" for number in range(1, options.poses + 1)]
+    with WholeFolder(folder, SYNTHETIC, force=options.force) as working:
+        for number, (name, rng) in enumerate(zip(names, rngs, strict=True)):
+            seed = int(rng.integers(2**31))
+            known = replace(knowledge, roll_deg=90.0 * (number % 4))
+            write_dataset(working / name, posed_scene(scene, number), DatasetOptions(seed, known, stated), progress)
+        content = {
+            "kind": "deflectometry-poses",
+            "name": scene.name,
+            "notes": "Synthetic: drawn by heliogauge deflectometry synth.",
+            "pose": [{"folder": name} for name in names],
+        }
+        write_measurement(working, content, comment=f"Synthetic measurement, seed {options.seed}; see truth.json.")
+        write_json(working / TRUTH_FILE, {**scene_to_json(scene), "seed": options.seed, "poses": names})
+
+
+def _stated_screen(
+    scene: FringeScene, knowledge: Knowledge, rng: np.random.Generator, width_error: float
+) -> dict[str, Any]:
+    section = screen_section(scene, knowledge, rng)
+    return {**section, "width_m": section["width_m"] * (1 + width_error), "sigma_sag_mm": _SIGMA_SAG_MM}

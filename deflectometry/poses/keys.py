@@ -8,6 +8,7 @@ from pydantic import Field, model_validator
 
 from deflectometry.keys import DeflectometryMeasurement, EvaluationSection, load_deflectometry
 from heliogauge.errors import InputError
+from heliogauge.files.regular import read_regular
 from heliogauge.measurement.load import MEASUREMENT_FILE, read_measurement
 from heliogauge.measurement.models import MeasurementModel, Section, Text, repeated
 from heliogauge.short_repr import ShortRepr
@@ -113,4 +114,4 @@ def _with_contents(measurement: DeflectometryMeasurement, section: dict[str, Any
     """Put the content of a file in the place of its name: each pose may have its own copy."""
     if "file" not in section:
         return section
-    return section | {"file": measurement.path(section["file"]).read_bytes()}
+    return section | {"file": read_regular(measurement.path(section["file"]))}

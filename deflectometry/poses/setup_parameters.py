@@ -9,12 +9,8 @@ from deflectometry.poses.adjustment import JointSolution
 from deflectometry.setup.camera_and_screen import Setup
 from deflectometry.setup.setup_steps import SetupStep
 from heliogauge.camera.model import PARAMETER_NAMES
-from heliogauge.doubts import Doubt
-from heliogauge.reporting.notation import number_text
 from heliogauge.validate import FloatArray
 
-#: A parameter that poses put more than so many of its stated sigmas away was stated wrongly, or its sigma was.
-_MOST_SIGMAS = 3.0
 #: Below this share of its variance taken away the poses say nothing of a parameter: its sigma is a tenth smaller.
 LEAST_DETERMINED = 0.19
 
@@ -96,20 +92,6 @@ def _sizes_m(setup: Setup) -> FloatArray:
     """Return width and height of the displayed image along its middle lines."""
     ends = setup.screen.points_m(np.array([0.0, 1.0, 0.5, 0.5]), np.array([0.5, 0.5, 0.0, 1.0]))
     return np.asarray(np.linalg.norm(ends[[1, 3]] - ends[[0, 2]], axis=1))
-
-
-def doubts_of_setup(parameters: Sequence[SetupParameter]) -> Iterator[Doubt]:
-    """Yield each parameter that the poses put farther from its stated value than its sigma allows."""
-    for one in parameters:
-        if abs(one.sigmas) > _MOST_SIGMAS:
-            yield Doubt(
-                "stated_setup_contradicts_poses",
-                f"{one.name}: the poses give {number_text(one.found, one.sigma_found, one.unit)}, "
-                f"{abs(one.sigmas):.1f} of its stated sigmas from "
-                f"{number_text(one.stated, one.sigma_stated, one.unit)} in measurement.toml; the found value was used: "
-                "measure it again, and state what is right or how sure it really is",
-                {"off_sigmas_factor": abs(one.sigmas)},
-            )
 
 
 def words_of_setup(parameters: Sequence[SetupParameter]) -> str:

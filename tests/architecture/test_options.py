@@ -16,6 +16,7 @@ from tests.architecture.source_tree import PACKAGES, REPOSITORY
 #: Pipelines, whose Options must agree with the flags of an instrument's ``measure``.
 PIPELINES = {
     "deflectometry.pipeline.measure": "deflectometry",
+    "deflectometry.poses.pipeline.measure": "deflectometry",
     "photogrammetry.pipeline.measure": "photogrammetry",
     "observer.pipeline.measure": "observer",
     "calibration.screen.pipeline": "screen",

@@ -5,14 +5,13 @@ import json
 import numpy as np
 import pytest
 
-from data_synth.fringes.dataset import read_truth
-from data_synth.fringes.poses import PoseOptions, write_poses
+from data_synth.fringes.dataset import PoseOptions, read_truth, write_poses
 from data_synth.fringes.presets import preset_scene
 from deflectometry.keys import load_deflectometry
 from deflectometry.pipeline.choices import Options
 from deflectometry.pipeline.inputs import build_setup
 from deflectometry.poses.keys import load_poses
-from deflectometry.poses.measure import run
+from deflectometry.poses.pipeline.measure import run
 from heliogauge.errors import InputError
 from heliogauge.geometry.rigid import RigidTransform
 

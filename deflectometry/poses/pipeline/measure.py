@@ -13,9 +13,9 @@ from deflectometry.pipeline.measure import run as measure_frames
 from deflectometry.pipeline.result import Result
 from deflectometry.poses.adjustment import JointSolution, adjust_poses
 from deflectometry.poses.keys import PosesMeasurement
+from deflectometry.poses.pipeline.result import PoseRow, PosesResult, doubts_of_setup
 from deflectometry.poses.pose_maps import JointMaps, PoseMaps, combine_maps, keep_map, slopes_of_poses
-from deflectometry.poses.result import PoseRow, PosesResult
-from deflectometry.poses.setup_parameters import doubts_of_setup, setup_parameters
+from deflectometry.poses.setup_parameters import setup_parameters
 from deflectometry.setup.camera_and_screen import Setup
 from deflectometry.setup.setup_steps import SetupStep, moved_setup, principal_steps, setup_steps
 from deflectometry.shape.assemble import assemble_maps

@@ -1,6 +1,6 @@
 """What a measurement in several poses gave: its files, its summary, its lines on the terminal."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
@@ -15,6 +15,7 @@ from deflectometry.setup.camera_and_screen import Setup
 from deflectometry.setup.setup_steps import SetupStep
 from deflectometry.shape.facet_canting import CANTING_SIGN, FacetCanting
 from heliogauge.camera.model import Camera
+from heliogauge.doubts import Doubt
 from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.reporting.notation import number_text
 from heliogauge.results.folder import PhotoPose, Summary, write_cameras_json, write_slope_map, write_table_csv
@@ -23,6 +24,8 @@ from heliogauge.results.slope_map_file import ASSEMBLED
 from heliogauge.slopes.map import SlopeMap
 from heliogauge.validate import FloatArray
 
+#: A parameter that poses put more than so many of its stated sigmas away was stated wrongly, or its sigma was.
+_MOST_SIGMAS = 3.0
 #: Tables of a result.
 SETUP_FILE, POSES_FILE = "setup.csv", "poses.csv"
 #: Parameters that stand among the headline numbers: those that every measurement has, by their names in the table.
@@ -158,6 +161,20 @@ class PosesResult(InstrumentResult):
         """Return the camera as found, with the covariance that the poses leave it."""
         steps = np.array([one.camera for one in self.steps]).reshape(-1, 10)
         return self.setup.camera.with_covariance(steps.T @ self.solution.covariance_common @ steps)
+
+
+def doubts_of_setup(parameters: Sequence[SetupParameter]) -> Iterator[Doubt]:
+    """Yield each parameter that the poses put farther from its stated value than its sigma allows."""
+    for one in parameters:
+        if abs(one.sigmas) > _MOST_SIGMAS:
+            yield Doubt(
+                "stated_setup_contradicts_poses",
+                f"{one.name}: the poses give {number_text(one.found, one.sigma_found, one.unit)}, "
+                f"{abs(one.sigmas):.1f} of its stated sigmas from "
+                f"{number_text(one.stated, one.sigma_stated, one.unit)} in measurement.toml; the found value was used: "
+                "measure it again, and state what is right or how sure it really is",
+                {"off_sigmas_factor": abs(one.sigmas)},
+            )
 
 
 def setup_columns(parameters: Sequence[SetupParameter]) -> dict[str, list[Any]]:

@@ -1,0 +1,1 @@
+"""The stages of a measurement in several poses, in a row in `measure`."""
