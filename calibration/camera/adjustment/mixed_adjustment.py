@@ -83,10 +83,15 @@ class MixedAdjustment:
     def camera(self) -> Camera:
         """The camera with its covariance."""
         camera, columns = self.state.cameras[0], _columns(self.network.free)
-        own = slice(0, columns.size)
         jacobian = states.d_parameters_d_intrinsics(camera)[:, columns]
-        covariance = jacobian @ self.posterior.covariance[own, own] @ jacobian.T
+        covariance = jacobian @ self.covariance_intrinsics @ jacobian.T
         return camera.with_covariance(0.5 * (covariance + covariance.T))
+
+    @cached_property
+    def covariance_intrinsics(self) -> FloatArray:
+        """Covariance of the free intrinsics, sizes of effects that few photos hardly tell included, shape (k, k)."""
+        columns = np.arange(_columns(self.network.free).size)
+        return self.posterior.covariance_of(columns, np.array([_EFFECTS[name] for name in self.sizes.names]))
 
     @cached_property
     def residuals_px(self) -> FloatArray:
@@ -177,7 +182,7 @@ class MixedAdjustment:
         columns = _columns(self.network.free)
         values = states.intrinsics_of(self.state.cameras[0])[columns].tolist()
         labels = [("camera", states.INTRINSIC_NAMES[k]) for k in columns]
-        return statistics.examine_values(labels, values, self.posterior.covariance[: columns.size, : columns.size])
+        return statistics.examine_values(labels, values, self.covariance_intrinsics)
 
     @property
     def prior_sigma_m(self) -> FloatArray:

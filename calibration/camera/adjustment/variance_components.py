@@ -1,7 +1,7 @@
 """Variance components of a linear mixed model of photos of a board: which share of misfit comes from where."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -15,6 +15,10 @@ _LEAST_REDUNDANCY = 1e-3
 _LARGEST_STEP = 20.0
 #: Standard deviations are known to a few per cent at best: changes by one per cent end the iteration.
 _SETTLED, _MOST_ITERATIONS = 0.01, 30
+#: Standard deviations of an effect are looked at as far as their likelihood is above exp(-4) of the largest: 1 in 200.
+_UNLIKELY, _MOST_DOUBLINGS, _NODES = 4.0, 8, 6
+#: Where there is no effect the search for its upper limit begins with this share of its usual size.
+_UNSEEN_SHARE = 0.05
 #: A flat prior keeps this much weight, so that an undetermined direction shows as an immense variance.
 _FLAT = 1e-18
 
@@ -49,6 +53,12 @@ class Components:
     effects: FloatArray
     point: FloatArray
     noise: FloatArray
+
+    def with_effect(self, group: int, sigma: float) -> "Components":
+        """Return the same with another standard deviation of one group of effects."""
+        effects = self.effects.copy()
+        effects[group] = sigma
+        return replace(self, effects=effects)
 
 
 class MixedModel:
@@ -210,6 +220,44 @@ class Posterior:
     def crossed_with_steps(self, through: FloatArray) -> FloatArray:
         """Return the covariance of such points with the common unknowns, shape (3 m, k)."""
         return np.asarray((through - self._eliminated).reshape(-1, self.covariance.shape[0]) @ self.covariance)
+
+    def covariance_of(self, columns: IntArray, usual: FloatArray) -> FloatArray:
+        """Return the covariance of some common unknowns, with what the variances of the effects are not known.
+
+        columns (c,): Which of the common unknowns.
+        usual (g,): Size of each group's effects in other cases: where a group has none here, the search begins with a
+            part of it.
+        Returns (c, c): ``E[C] + E[(x - x0)(x - x0)^T]`` over the restricted likelihood of each group's standard
+            deviation with a flat prior (Gelman 2006, Bayesian Analysis 1, section 5.2), group by group.
+        """
+        place = np.ix_(columns, columns)
+        base = self.covariance[place]
+        total = base.copy()
+        for group, size in enumerate(usual):
+            moments, weights = [], []
+            for sigma, share in self._likely(group, float(size)):
+                other = self.model.solve(self.components.with_effect(group, sigma))
+                apart = (other.values - self.values)[columns]
+                moments.append(other.covariance[place] + np.outer(apart, apart))
+                weights.append(share * np.exp(other.log_likelihood - self.log_likelihood))
+            excess = np.average(moments, axis=0, weights=weights) - base
+            values, vectors = np.linalg.eigh(excess / np.sqrt(np.outer(np.diag(base), np.diag(base))))
+            # A smaller variance here is never taken as more certainty.
+            scaled = (vectors * np.maximum(values, 0.0)) @ vectors.T
+            total += scaled * np.sqrt(np.outer(np.diag(base), np.diag(base)))
+        return np.asarray(total)
+
+    def _likely(self, group: int, usual: float) -> list[tuple[float, float]]:
+        """Return places and weights of an integral over a group's standard deviation, as far as it is likely."""
+        least = 0.0 if self.model._least is None else float(self.model._least.effects[group])
+        largest = max(2 * float(self.components.effects[group]), _UNSEEN_SHARE * usual)
+        for _ in range(_MOST_DOUBLINGS):
+            other = self.model.solve(self.components.with_effect(group, largest))
+            if other.log_likelihood < self.log_likelihood - _UNLIKELY:
+                break
+            largest *= 2
+        nodes, weights = np.polynomial.legendre.leggauss(_NODES)
+        return list(zip((least + (largest - least) * 0.5 * (nodes + 1)).tolist(), weights.tolist(), strict=True))
 
     def updated(self) -> Components:
         """Return the variances that these unknowns speak for."""
