@@ -10,7 +10,8 @@ PACKAGES := heliogauge photogrammetry deflectometry observer calibration data_sy
 PIP_INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 # The tests run in two processes; one thread each leaves no core fought over and makes CPU times comparable.
 ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
-PYTEST := $(ONE_THREAD) $(BIN)/python -m pytest -n 2 --dist worksteal
+# Compiled modules are kept, whatever the environment says: tests start many commands.
+PYTEST := $(ONE_THREAD) PYTHONDONTWRITEBYTECODE= $(BIN)/python -m pytest -n 2 --dist worksteal
 
 # What open3d needs of the system: installed where apt and rights allow, otherwise named, and its tests skip.
 LIBRARIES := libusb-1.0-0 libgl1 libgomp1

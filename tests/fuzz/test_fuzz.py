@@ -44,6 +44,7 @@ class _Wrong(Target):
             running.time.sleep(len(bytes(range(256)) * (10**7)) * 0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "says"),
     [

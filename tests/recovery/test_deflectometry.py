@@ -22,6 +22,7 @@ def perfect(scene):
     return replace(scene, facets=tuple(replace(facet, errors=SurfaceErrors()) for facet in scene.facets))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SINGLE)
 def test_perfect_mirror_has_no_bias(tmp_path, name):
     """With the pose given, whatever the facet's place on its optic: asked are 0.01 mrad."""
@@ -81,6 +82,7 @@ def test_setup_that_is_off_by_its_sigmas_is_covered(tmp_path):
     assert 0.18 < np.mean(squares) < 2.75, squares
 
 
+@pytest.mark.slow
 def test_gamma_is_undone_by_the_response(tmp_path):
     scene = preset_scene("small")
     scene = replace(scene, lighting=replace(scene.lighting, gamma=2.2))
@@ -181,6 +183,7 @@ def test_mirror_without_outline_needs_only_the_distance(tmp_path):
     assert result.assembled.aperture.sum() * np.diff(result.assembled.x_m)[0] ** 2 == pytest.approx(1.44, rel=0.02)
 
 
+@pytest.mark.slow
 def test_mirror_without_outline_can_be_placed_by_known_points(tmp_path):
     scene = perfect(preset_scene("small"))
     measure(scene, tmp_path / "m")

@@ -55,6 +55,7 @@ def test_canting_is_that_of_the_facets_whatever_is_removed_from_the_maps(pair):
     assert "mrad" not in result.assembled.removed
 
 
+@pytest.mark.slow
 def test_the_last_facet_of_a_dark_ensemble_is_still_part_of_an_ensemble(pair, tmp_path):
     whole = run(load_deflectometry(pair))
     dark = whole.evaluation.facet_index == 1
@@ -78,6 +79,7 @@ def test_the_last_facet_of_a_dark_ensemble_is_still_part_of_an_ensemble(pair, tm
     assert list(stored.summary.facets) == ["facet_0_0"]
 
 
+@pytest.mark.slow
 def test_pose_sigma_of_a_facet_contains_the_turn_of_the_ensemble(pair, tmp_path):
     result = run(load_deflectometry(pair))
     result.write(tmp_path)

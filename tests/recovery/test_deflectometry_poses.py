@@ -75,6 +75,7 @@ def curvature_departures(folder, result):
     return np.array(found) / sigma
 
 
+@pytest.mark.slow
 def test_a_wrong_width_is_found_and_said(folder, result):
     width = next(one for one in result.parameters if one.name == "screen width")
     assert abs(width.found - 8.727) < 3 * width.sigma_found < 0.02
@@ -83,6 +84,7 @@ def test_a_wrong_width_is_found_and_said(folder, result):
     assert "poses_differ" not in {doubt.code for doubt in result.doubts}
 
 
+@pytest.mark.slow
 def test_focal_lengths_are_within_their_sigmas_and_surer(folder, result):
     assert (np.abs(curvature_departures(folder, result)) < 3.0).all()
     # 1 % of width in one pose: 50 to 100 sigma of what the poses leave together.
@@ -93,6 +95,7 @@ def test_focal_lengths_are_within_their_sigmas_and_surer(folder, result):
     )
 
 
+@pytest.mark.slow
 def test_all_parameters_are_within_their_sigmas(folder, result):
     assert np.sqrt(np.mean(departures(folder, result) ** 2)) < 1.6
     assert (np.abs(departures(folder, result)) < 4.0).all()

@@ -64,6 +64,7 @@ def test_slow_drift_is_seen_in_all_frames_together(tmp_path, share):
     assert float(found[1]) == pytest.approx(100 * share, rel=0.05)
 
 
+@pytest.mark.slow
 def test_right_response_is_not_accused(tmp_path):
     """A level is 0 to 1: the noise floor of 0.3 DN made 8 sets 'weak' and a frame 14 % brighter."""
     assert said(spoilt(tmp_path / "m", gamma=2.2)) == ()
@@ -76,6 +77,7 @@ def test_response_that_is_cut_off_is_named(tmp_path):
     assert "above the brightest one of the response" in refused(folder)
 
 
+@pytest.mark.slow
 def test_fence_post_steps_are_one_fault(tmp_path):
     """Four steps of 120 instead of 90 deg: 20 lines about swapped and stale frames came before."""
     text = refused(spoilt(tmp_path / "m", "wrong-step"))
@@ -101,6 +103,7 @@ def test_many_faults_are_shortened(folder):
     assert "order of the images" in text
 
 
+@pytest.mark.slow
 def test_frame_without_its_lower_third_is_damaged_not_stale(tmp_path):
     text = refused(spoilt(tmp_path / "m", "corrupt:3"))
     assert "frame 3" in text

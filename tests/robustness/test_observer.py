@@ -158,6 +158,7 @@ def test_one_photo(trough):
 # --- flagged --------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_good_photos_have_no_doubts(trough):
     """Sixteen bit, colour, one coordinate unknown."""
     files = photos_of(trough)

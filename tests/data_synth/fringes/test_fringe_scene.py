@@ -101,6 +101,7 @@ def test_phase_of_noiseless_images_is_the_truth(name):
             assert np.abs(miss).max() < 0.03
 
 
+@pytest.mark.slow
 def test_a_pixel_is_the_mean_over_its_area_and_blur():
     scene = small_scene()
     scene = replace(scene, lighting=replace(BARE, soiling=0.05, falloff=0.3, reflectivity=0.9), blur_sigma_px=0.5)

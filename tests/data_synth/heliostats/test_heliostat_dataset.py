@@ -197,6 +197,7 @@ def test_a_longer_flight_begins_like_a_shorter_one():
     np.testing.assert_array_equal(flights[0].measured_m, flights[1].measured_m)
 
 
+@pytest.mark.slow
 def test_photos_lie_beside_their_truth(tmp_path):
     rows, truth = made(tmp_path / "set", "images", observations=2, heliostats=1)
     assert load_heliostat(tmp_path / "set").model.images[0].target == "upper"

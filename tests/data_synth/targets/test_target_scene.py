@@ -21,6 +21,7 @@ from heliogauge.running.cli import app
 QUIET = Sensor(exposure=1.0, read_noise_dn=0.0)
 
 
+@pytest.mark.slow
 def test_points_of_the_panel_are_cheap_and_exact() -> None:
     scene = target_scene("panel")
     assert len(scene.views) == 40
@@ -32,6 +33,7 @@ def test_points_of_the_panel_are_cheap_and_exact() -> None:
     assert 6 < np.median(truth.diameter_px) < 15
 
 
+@pytest.mark.slow
 def test_every_target_of_the_panel_is_seen_often_and_from_all_sides() -> None:
     scene = target_scene("panel")
     seen = [name for view in scene.views for name in image_truth(scene, view).names]
@@ -116,6 +118,7 @@ def test_boards_are_in_the_image_and_cover_it(kind: str) -> None:
     assert height > 800
 
 
+@pytest.mark.slow
 def test_opencv_finds_the_corners_of_the_bent_board() -> None:
     scene = board_scene("charuco", n_photos=1).with_sensor(read_noise_dn=0.0).scaled(0.6)
     image, truth = render_photo(scene, scene.views[0], np.random.default_rng(0)), image_truth(scene, scene.views[0])

@@ -97,6 +97,7 @@ def test_maps_and_absorber_of_the_truth_are_those_of_the_scene(folder: Path) -> 
     assert pose["position_m"][0] < -2.5
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_files(folder: Path, tmp_path: Path) -> None:
     scene = trough_scene("small", TroughChoice(3, 2)).scaled(0.5)
     write_trough_dataset(tmp_path / "again", scene, TroughOptions(3))

@@ -100,6 +100,7 @@ def test_single_precision_moves_no_edge() -> None:
     assert np.nanmax(np.abs(error_px)) < 0.012
 
 
+@pytest.mark.slow
 def test_light_is_the_integral_over_each_pixel() -> None:
     # Everything at once: glass, support, panel gaps, slope errors, ground; against 16 x 16 rays for each pixel.
     design = ls2_panelled()

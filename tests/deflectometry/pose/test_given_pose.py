@@ -30,6 +30,7 @@ def test_blurred_edges_are_masked_though_the_pose_is_known(tmp_path, blur_px):
     assert np.sqrt((pulls**2).mean()) < 1.2
 
 
+@pytest.mark.slow
 def test_pose_that_the_image_contradicts_is_said(tmp_path):
     knowledge = Knowledge(pose_known=True)
     scene = preset_scene("small")

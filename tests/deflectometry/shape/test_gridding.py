@@ -53,6 +53,7 @@ def test_slopes_stay_where_they_are(step_m):
     assert np.abs(result.slope_y - 2e-3 * y + 1e-3 * x)[good].max() < 1e-12
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("step_m", [0.0037, 0.0093, 0.0213, 0.031, 0.0523])
 def test_sigma_of_a_node_is_its_scatter(step_m):
     rng = np.random.default_rng(5)

@@ -315,6 +315,7 @@ def png(width: int, height: int, data: bytes, depth: int = 8, colours: int = 0) 
 
 
 class TestImages:
+    @pytest.mark.slow
     def test_raster_of_a_gigapixel_in_a_small_file(self, tmp_path: Path) -> None:
         rows = zlib.compressobj(9)
         data = b"".join(rows.compress(bytes(30_001 * 100)) for _ in range(300)) + rows.flush()

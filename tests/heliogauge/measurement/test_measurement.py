@@ -227,6 +227,7 @@ class TestWriting:
             write_measurement(tmp_path / "new", template | {"mirror": {"design": "paraboloid"}})
         assert not (tmp_path / "new").exists()
 
+    @pytest.mark.slow
     @given(TABLES)
     def test_any_tables_come_back(self, content: Content) -> None:
         assert tomllib.loads(dump_toml(content)) == content

@@ -104,6 +104,7 @@ def test_init_writes_the_template_of_every_kind(kind: Kind, tmp_path: Path) -> N
     assert f'kind = "{kind.name}"' in (tmp_path / "m" / "measurement.toml").read_text(encoding="utf-8")
 
 
+@pytest.mark.slow
 def test_init_refuses_to_overwrite(tmp_path: Path) -> None:
     folder = tmp_path / "a b"
     assert run("deflectometry", "init", str(folder)).stdout.strip() == str(folder / "measurement.toml")

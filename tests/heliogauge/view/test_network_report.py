@@ -30,6 +30,7 @@ def test_verdict_numbers_and_scene_are_on_the_first_screen(open_page: Any, repor
     assert page.query_selector("h1").text_content() == NASTY
 
 
+@pytest.mark.slow
 def test_a_row_of_the_table_opens_its_photo(open_page: Any, report: Path) -> None:
     playwright = pytest.importorskip("playwright.sync_api")
     page = open_page.file(report)

@@ -155,6 +155,7 @@ def test_residuals_point_where_they_point_and_grow_with_the_slider(open_page: An
     assert page.locator(".view-bar output").text_content() != words
 
 
+@pytest.mark.slow
 def test_ninety_thousand_marks_are_small_and_found(open_page: Any) -> None:
     rng = np.random.default_rng(3)
     places = rng.uniform(0, 1, (90_000, 2)) * [5999, 3999]

@@ -105,6 +105,7 @@ def test_axes_carry_metres_that_can_be_read(open_page: Any) -> None:
             assert min(across, down) < 4
 
 
+@pytest.mark.slow
 def test_keys_and_drag_turn_and_zoom(open_page: Any) -> None:
     page = open_page.body(view())
     figure = start(page)

@@ -67,6 +67,7 @@ def heights_of(found: Reflector) -> tuple[np.ndarray, np.ndarray]:
     return found.unknowns.panel_heights_m(found.errors.common, found.errors.covariance_common)
 
 
+@pytest.mark.slow
 def test_heights_come_out_within_their_sigma_and_slopes_with_them():
     scene, heights, _ = raised_scene()
     ratios, gains = [], []

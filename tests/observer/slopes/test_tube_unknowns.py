@@ -145,6 +145,7 @@ def solved(rng: np.random.Generator, radius_m: float = 0.035) -> tuple[Reflector
     return reflector, start, AbsorberPath(y, x, z, covariance)
 
 
+@pytest.mark.slow
 def test_the_width_of_the_reflection_adds_to_where_the_tube_is_and_the_sigma_is_the_scatter() -> None:
     rng = np.random.default_rng(3)
     gains, normalised = [], []

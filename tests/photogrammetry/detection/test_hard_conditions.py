@@ -106,6 +106,7 @@ def test_mirrored_prints_are_recognised() -> None:
         assert found.mirrored == (code.name,)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(2))
 def test_busy_scenes_have_no_false_codes(seed: int) -> None:
     prints = PrintChoice(light_on_dark=seed % 2 == 1)

@@ -51,6 +51,7 @@ def named(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Result]:
     return folder, run(load_photogrammetry(folder))
 
 
+@pytest.mark.slow
 def test_listed_dots_keep_their_names(named: tuple[Path, Result]) -> None:
     folder, result = named
     names = result.solved.bundle.problem.observations.targets
@@ -64,6 +65,7 @@ def test_listed_dots_keep_their_names(named: tuple[Path, Result]) -> None:
     assert "rim.csv" in result.input_sha256
 
 
+@pytest.mark.slow
 def test_dots_have_honest_sigmas(named: tuple[Path, Result]) -> None:
     folder, result = named
     ratio, rank, _ = chi_square_per_rank(result, folder)

@@ -235,6 +235,7 @@ def test_features_beside_coded_targets(mixed: tuple[Result, Path]) -> None:
     assert any(one.name == "natural features" for one in result.refused)
 
 
+@pytest.mark.slow
 def test_dots_without_a_code_beside_features(mixed: tuple[Result, Path]) -> None:
     """They are matched as without features, with the sigmas of the coded targets, and texture makes none of its own."""
     result, folder = mixed
@@ -259,6 +260,7 @@ def share_of_sigma(result: Result) -> float:
     return float(np.median(sigma[dots]) / np.median(sigma[coded]))
 
 
+@pytest.mark.slow
 def test_poses_are_nearly_as_sure_as_said(mixed: tuple[Result, Path]) -> None:
     """Errors of features go together a little: up to 1.6 times the predicted sigma is what the page says."""
     result, folder = mixed

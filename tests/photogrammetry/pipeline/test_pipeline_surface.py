@@ -128,6 +128,7 @@ def test_facets_with_designs_of_their_own_are_placed_by_their_pose(adjusted, fol
         measured(adjusted, folder, facet=facets)
 
 
+@pytest.mark.slow
 def test_focal_length_of_one_half_is_recovered(adjusted, folder, truth) -> None:
     names = [name for name, place in truth.items() if place[1] < 0]
     found = measured(adjusted, folder, design="paraboloid", focal_length_m=1.7, fit="focal-length", targets=names)
@@ -137,6 +138,7 @@ def test_focal_length_of_one_half_is_recovered(adjusted, folder, truth) -> None:
     assert found.fit.rms_deviation_m < 5e-5
 
 
+@pytest.mark.slow
 def test_files_and_headline(folder: Path, truth, tmp_path: Path) -> None:
     content = tomllib.loads((folder / "measurement.toml").read_text())
     names = {side: [n for n, p in truth.items() if inside(*p[:2])] for side, inside in FACETS.items()}

@@ -143,6 +143,7 @@ def test_canting_of_a_steep_facet_is_the_angle_by_which_it_was_turned() -> None:
     np.testing.assert_allclose(found.canting, [1e-3, 0.0], rtol=1e-3, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_canting_sigma_is_the_scatter_alignment_included() -> None:
     # Four facets aligned together: an error of one facet's points also turns the frame of the others.
     surface, rng = design(paraboloid, 20.0), np.random.default_rng(8)

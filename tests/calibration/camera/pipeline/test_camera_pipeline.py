@@ -59,6 +59,7 @@ def test_chessboard_against_truth(chessboard: Result, boards: dict[str, Path]) -
     assert chessboard.kept_apart_px < 0.02
 
 
+@pytest.mark.slow
 def test_shape_of_the_board_against_truth(chessboard: Result, boards: dict[str, Path]) -> None:
     truth = json.loads((boards["chessboard"] / "truth.json").read_text(encoding="utf-8"))["points_m"]
     shape = chessboard.shape
@@ -85,6 +86,7 @@ def test_other_boards_against_truth(kind: str, board_photos: Callable[[str], Pat
     assert chi_square_share(result, folder) < 3.5
 
 
+@pytest.mark.slow
 def test_results_on_disk(chessboard: Result, tmp_path: Path) -> None:
     chessboard.write(tmp_path)
     cameras, poses = read_cameras_json(tmp_path / "cameras.json")
@@ -116,6 +118,7 @@ def spoiled(boards: dict[str, Path], tmp_path: Path) -> Path:
     return Path(shutil.copytree(boards["chessboard"], tmp_path / "spoiled"))
 
 
+@pytest.mark.slow
 def test_photos_that_fail_are_named_and_left_out(boards: dict[str, Path], tmp_path: Path) -> None:
     from heliogauge.images.photos import write_image
 

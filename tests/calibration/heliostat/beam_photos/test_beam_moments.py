@@ -12,6 +12,7 @@ from tests.calibration.beam_pictures import gaussian, grid_m
 X_M, Y_M = grid_m()[0][0], grid_m()[1][:, 0]
 
 
+@pytest.mark.slow
 @given(st.floats(-0.5, 0.5), st.floats(-0.5, 0.5), st.floats(0.5, 0.7), st.floats(0.2, 0.4), st.floats(-1.5, 1.5))
 def test_ellipse_of_a_gaussian(x: float, y: float, major: float, minor: float, direction: float) -> None:
     moments = beam_moments(gaussian((x, y), (major, minor), direction), X_M, Y_M)

@@ -145,6 +145,7 @@ def _accused(seeds, significance):
     return kinds
 
 
+@pytest.mark.slow
 def test_healthy_heliostats_are_not_accused():
     """No fault at all, and hints no more often than stated: 10 % of 40, three sigma above."""
     kinds = _accused(range(40), 0.1)
@@ -256,6 +257,7 @@ def test_south_counted_azimuth(healthy):
     assert "south, positive to the east" in finding.text
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("axis", [0, 1])
 def test_inverted_axis(healthy, axis):
     """An axis that runs the other way is named by its number."""
@@ -418,6 +420,7 @@ def test_repeats_and_constant_columns(healthy):
     assert judged(changed(observations, pointings=pointings)).kinds == ("constant_column",)
 
 
+@pytest.mark.slow
 def test_nothing_known_explains_it(healthy, rng):
     """Readings in no order at all: a fault without a name rather than a wrong one."""
     _, observations = healthy

@@ -24,6 +24,7 @@ def beam_rms_mrad(found, observations):
     return 1e3 * np.sqrt(np.mean(evaluate(found.design, found.values, observations).beam_angle_rad ** 2))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("free", "published"), [("4", (1.4, 2.3, 1.4, 2.6)), ("15", (0.9, 1.6, 1.2, 2.5))])
 def test_chronological_split_is_as_good_as_a_plain_fit(units, free, published):
     ratios, errors = [], []

@@ -226,6 +226,7 @@ class TestField:
         self.interrupt(folder, monkeypatch, 0)
         assert not (folder.parent / "out").exists()
 
+    @pytest.mark.slow
     def test_other_data_or_options_are_done_again(self, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         self.interrupt(folder, monkeypatch, 4)
         table = read_table_csv(folder / "observations.csv")
@@ -243,6 +244,7 @@ class TestField:
         journal.write_text(journal.read_text(encoding="utf-8")[:-40], encoding="utf-8")
         assert self.calibrate(folder).resumed == 3
 
+    @pytest.mark.slow
     def test_force(self, folder: Path) -> None:
         self.calibrate(folder)
         with pytest.raises(InputError, match="holds results already; choose another folder or give force=True"):
@@ -473,6 +475,7 @@ class TestWhatAFieldHasInCommon:
         few = run(load_heliostat(folder), Options(only="H1,H2,H3,H4", jobs=1))
         assert FIELD not in {one.free for one in few.heliostats}
 
+    @pytest.mark.slow
     def test_who_says_what_is_free_is_obeyed(self, folder: Path) -> None:
         told = run(load_heliostat(folder), Options(model="5", jobs=1))
         assert {one.free for one in told.heliostats} == {"5"}

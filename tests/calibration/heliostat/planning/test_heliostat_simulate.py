@@ -118,6 +118,7 @@ def test_without_noise_five_sightings_are_enough():
     assert not study.failed
 
 
+@pytest.mark.slow
 def test_sigmas_are_the_scatter():
     """All nine free, ranges mixed: with 20 trials all together are known to 5 %, each alone to 16 %."""
     study = monte_carlo(TRUE, NOMINAL.with_free("9"), sightings(50, (20.0, 90.0)), 20, 11)
@@ -148,6 +149,7 @@ def test_sigmas_of_beams_are_the_scatter():
     np.testing.assert_allclose(study.scatter_over_sigma[free], 1, atol=0.4)
 
 
+@pytest.mark.slow
 def test_mixed_ranges_beat_a_single_one_near_the_targets_distance():
     """Section 5 of the analysis: at 32 m, nearly the target's 29.5 m, the arm along the normal cannot be seen."""
     single = monte_carlo(TRUE, believed(priors()), sightings(80, (32.0, 32.0)), 8, 3, evaluate=tracking_mrad)
