@@ -62,8 +62,13 @@ class TestRegular:
 
     def test_drive_that_does_not_answer(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         released = threading.Event()
+
+        def hang(*_: object) -> int:
+            released.wait(20)
+            raise OSError  # a number would be taken for an open file, and closed
+
         monkeypatch.setattr(regular, "ANSWER_S", 0.05)
-        monkeypatch.setattr(regular.os, "open", lambda *_: released.wait(20))
+        monkeypatch.setattr(regular.os, "open", hang)
         try:
             with pytest.raises(InputError, match=r"the drive has not answered for 0 s; is it connected"):
                 read_text(tmp_path / "a.txt")
