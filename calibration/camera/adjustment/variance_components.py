@@ -234,12 +234,14 @@ class Posterior:
         base = self.covariance[place]
         total = base.copy()
         for group, size in enumerate(usual):
-            moments, weights = [], []
+            moments, shares, likelihoods = [], [], []
             for sigma, share in self._likely(group, float(size)):
                 other = self.model.solve(self.components.with_effect(group, sigma))
                 apart = (other.values - self.values)[columns]
                 moments.append(other.covariance[place] + np.outer(apart, apart))
-                weights.append(share * np.exp(other.log_likelihood - self.log_likelihood))
+                shares.append(share)
+                likelihoods.append(other.log_likelihood)
+            weights = np.array(shares) * np.exp(np.array(likelihoods) - max(likelihoods))
             excess = np.average(moments, axis=0, weights=weights) - base
             values, vectors = np.linalg.eigh(excess / np.sqrt(np.outer(np.diag(base), np.diag(base))))
             # A smaller variance here is never taken as more certainty.

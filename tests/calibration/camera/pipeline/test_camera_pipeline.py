@@ -230,9 +230,10 @@ def test_sigmas_are_the_scatter(kind: str, scenes: int, tmp_path: Path) -> None:
         # The rotation between both is a matter of the pose.
         found = compare(result.camera, true)
         ratios.append(found.rms_rad / found.expected_rad)
-    # 72 degrees of freedom: 1 +- 0.17.
-    assert 0.5 < np.mean(shares) < 1.6
-    assert 0.6 < np.sqrt(np.mean(np.square(ratios))) < 1.5
+    # 72 degrees of freedom: 1 +- 0.17. These scenes have none of the effects that photos share; the sigma contains
+    # that eight photos cannot exclude them, and is larger than the scatter by that.
+    assert 0.4 < np.mean(shares) < 1.6
+    assert 0.4 < np.sqrt(np.mean(np.square(ratios))) < 1.5
 
 
 @pytest.mark.slow
