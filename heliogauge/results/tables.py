@@ -283,7 +283,11 @@ def read_cameras_json(path: Path) -> tuple[dict[str, Camera], dict[str, PhotoPos
             if key not in content:
                 raise InputError(f"{path}: the key {key} is missing; a cameras.json written by heliogauge is needed")
         cameras = {name: _read_camera(path, camera) for name, camera in content["cameras"].items()}
-        return cameras, {name: _read_pose(path, pose) for name, pose in content["poses"].items()}
+        poses = {name: _read_pose(path, pose) for name, pose in content["poses"].items()}
+        for name, pose in poses.items():
+            if pose.camera not in cameras:
+                raise InputError(f"{path}: the camera {pose.camera!r} of photo {name} is not among the cameras")
+        return cameras, poses
 
 
 def _camera_content(camera: Camera) -> dict[str, Any]:

@@ -281,6 +281,10 @@ def test_cameras_and_poses_come_back(tmp_path: Path) -> None:
     stored = json.loads((tmp_path / "cameras.json").read_text())["poses"]["IMG_1.jpg"]
     assert stored["sigma_translation_m"] == pytest.approx([1e-3] * 3)
     assert_same_camera(read_camera_json(tmp_path / "cameras.json"), camera)
+    content = (tmp_path / "cameras.json").read_text().replace('"camera": "left"', '"camera": "right"')
+    (tmp_path / "other.json").write_text(content)
+    with pytest.raises(InputError, match=r"the camera 'right' of photo IMG_1\.jpg is not among the cameras"):
+        read_cameras_json(tmp_path / "other.json")
 
 
 def test_a_camera_file_comes_back_and_names_its_faults(tmp_path: Path) -> None:
