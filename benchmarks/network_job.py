@@ -69,6 +69,7 @@ def write_folder(folder: Path, n_photos: int, n_targets: int, share: float = 1.0
             "height_px": HEIGHT,
             "free": FREE,
             "residuals": "corrected",
+            "distortion_direction": "measured_to_ideal",
             "millimetres": {"form": "aicon", "pixel_mm": 0.006, "focal_mm": 33.0, "zero_radius_mm": 14.0},
         },
         "scale_bar": [{"a": "0", "b": "1", "length_m": length_m, "sigma_mm": 0.001}],

@@ -23,7 +23,6 @@ CAMERA_SCHEMA = 1
 _OWN = ("focal_x_px", "focal_y_px", "center_x_px", "center_y_px")
 _LENS = ("k1", "k2", "k3", "p1", "p2")
 _OPTIONAL = ("skew", *_LENS, "distortion_direction", "covariance", "schema_version", "parameter_order", "sigma")
-_POINT_COLUMNS = ("id", "x_m", "y_m", "z_m", "sigma_x_m", "sigma_y_m", "sigma_z_m", "n_rays", "flag")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -76,25 +75,32 @@ class PhotoPose:
         object.__setattr__(self, "covariance", covariance_matrix("pose covariance", self.covariance, 6))
 
 
-def write_points_csv(path: Path, points: PointTable) -> None:
-    """Write ``points.csv``; floats so that reading returns them bit for bit."""
+def write_points_csv(path: Path, points: PointTable, unit: str = "m") -> None:
+    """Write ``points.csv``; floats so that reading returns them bit for bit.
+
+    unit: With what the names of columns of lengths end, where these are in another unit than metres.
+    """
     columns: dict[str, Sequence[Any]] = {"id": points.ids}
     for index, axis in enumerate("xyz"):
-        columns[f"{axis}_m"] = points.xyz_m[:, index].tolist()
+        columns[f"{axis}_{unit}"] = points.xyz_m[:, index].tolist()
     for index, axis in enumerate("xyz"):
-        columns[f"sigma_{axis}_m"] = points.sigma_m[:, index].tolist()
+        columns[f"sigma_{axis}_{unit}"] = points.sigma_m[:, index].tolist()
     columns |= {"n_rays": points.n_rays.tolist(), "flag": points.flags.tolist()}
     write_table_csv(path, columns)
 
 
-def read_points_csv(path: Path) -> PointTable:
-    """Read ``points.csv``."""
+def read_points_csv(path: Path, unit: str = "m") -> PointTable:
+    """Read ``points.csv``.
+
+    unit: With what the names of columns of lengths end.
+    """
+    places, sigmas = ([f"{start}{axis}_{unit}" for axis in "xyz"] for start in ("", "sigma_"))
     with explain_faults(path, "a points.csv of heliogauge"):
-        texts, values = read_columns_csv(path, _POINT_COLUMNS[:1], _POINT_COLUMNS[1:])
+        texts, values = read_columns_csv(path, ("id",), (*places, *sigmas, "n_rays", "flag"))
         return PointTable(
             ids=tuple(texts["id"]),
-            xyz_m=np.column_stack([values["x_m"], values["y_m"], values["z_m"]]),
-            sigma_m=np.column_stack([values["sigma_x_m"], values["sigma_y_m"], values["sigma_z_m"]]),
+            xyz_m=np.column_stack([values[name] for name in places]),
+            sigma_m=np.column_stack([values[name] for name in sigmas]),
             n_rays=values["n_rays"].astype(np.int64),
             flags=values["flag"].astype(np.uint32),
         )
@@ -237,10 +243,13 @@ def write_camera_json(path: Path, camera: Camera) -> None:
     write_json(path, {"schema_version": CAMERA_SCHEMA, **_camera_content(camera)})
 
 
-def write_cameras_json(path: Path, cameras: Mapping[str, Camera], poses: Mapping[str, PhotoPose]) -> None:
+def write_cameras_json(
+    path: Path, cameras: Mapping[str, Camera], poses: Mapping[str, PhotoPose], unit: str = "m"
+) -> None:
     """Write cameras and the pose of each photo (``cameras.json``).
 
     poses: Poses by the name of the photo (or of the facet whose pose was measured).
+    unit: With what the names of lengths end, where these are in another unit than metres.
     InputError: A pose of a camera that is not given.
     """
     strangers = sorted({pose.camera for pose in poses.values()} - set(cameras))
@@ -249,7 +258,7 @@ def write_cameras_json(path: Path, cameras: Mapping[str, Camera], poses: Mapping
     content = {
         "schema_version": CAMERA_SCHEMA,
         "cameras": {name: _camera_content(camera) for name, camera in cameras.items()},
-        "poses": {name: _pose_content(pose) for name, pose in poses.items()},
+        "poses": {name: _pose_content(pose, unit) for name, pose in poses.items()},
     }
     write_json(path, content)
 
@@ -272,9 +281,10 @@ def read_camera_json(path: Path, name: str | None = None) -> Camera:
         return _read_camera(path, cameras[chosen])
 
 
-def read_cameras_json(path: Path) -> tuple[dict[str, Camera], dict[str, PhotoPose]]:
+def read_cameras_json(path: Path, unit: str = "m") -> tuple[dict[str, Camera], dict[str, PhotoPose]]:
     """Read ``cameras.json``.
 
+    unit: With what the names of lengths end.
     Returns: Cameras by name, poses by photo.
     """
     with explain_faults(path, "a cameras.json of heliogauge"):
@@ -283,7 +293,7 @@ def read_cameras_json(path: Path) -> tuple[dict[str, Camera], dict[str, PhotoPos
             if key not in content:
                 raise InputError(f"{path}: the key {key} is missing; a cameras.json written by heliogauge is needed")
         cameras = {name: _read_camera(path, camera) for name, camera in content["cameras"].items()}
-        poses = {name: _read_pose(path, pose) for name, pose in content["poses"].items()}
+        poses = {name: _read_pose(path, pose, unit) for name, pose in content["poses"].items()}
         for name, pose in poses.items():
             if pose.camera not in cameras:
                 raise InputError(f"{path}: the camera {pose.camera!r} of photo {name} is not among the cameras")
@@ -336,29 +346,29 @@ def _read_camera(path: Path, content: Mapping[str, Any]) -> Camera:
     return Camera(*sizes, *own, skew, distortion, covariance)
 
 
-def _pose_content(pose: PhotoPose) -> dict[str, Any]:
+def _pose_content(pose: PhotoPose, unit: str) -> dict[str, Any]:
     sigma = np.sqrt(np.diag(pose.covariance)).tolist()
     transform = pose.cam_from_world
     return {
         "camera": pose.camera,
         "cam_from_world": {
             "rotation_vector_rad": transform.rotation_vector_rad.tolist(),
-            "translation_m": transform.translation_m.tolist(),
+            f"translation_{unit}": transform.translation_m.tolist(),
         },
         "sigma_rotation_rad": sigma[:3],
-        "sigma_translation_m": sigma[3:],
-        "covariance_rad_m": pose.covariance.tolist(),
+        f"sigma_translation_{unit}": sigma[3:],
+        f"covariance_rad_{unit}": pose.covariance.tolist(),
         "residual_rms_px": pose.residual_rms_px,
     }
 
 
-def _read_pose(path: Path, content: Mapping[str, Any]) -> PhotoPose:
+def _read_pose(path: Path, content: Mapping[str, Any], unit: str) -> PhotoPose:
     try:
         transform = content["cam_from_world"]
         cam_from_world = RigidTransform.from_rotation_vector(
-            transform["rotation_vector_rad"], transform["translation_m"]
+            transform["rotation_vector_rad"], transform[f"translation_{unit}"]
         )
         residual = content["residual_rms_px"]
-        return PhotoPose(str(content["camera"]), cam_from_world, content["covariance_rad_m"], residual)
+        return PhotoPose(str(content["camera"]), cam_from_world, content[f"covariance_rad_{unit}"], residual)
     except (KeyError, TypeError) as error:
         raise InputError(f"{path}: a pose lacks {error}; a cameras.json written by heliogauge is needed") from error

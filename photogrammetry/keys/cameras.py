@@ -97,7 +97,7 @@ class NetworkCameraSection(Section):
         None, description="The camera as photogrammetric programs print it, in millimetres on the sensor."
     )
     distortion_direction: Literal["ideal_to_measured", "measured_to_ideal"] | None = Field(
-        None, description="Default: ideal to measured points; measured to ideal with millimetres."
+        None, description="What the lens's terms are added to; default: ideal_to_measured. Needed with millimetres."
     )
     residuals: Literal["measured", "corrected"] = Field(
         "measured", description="Where residuals are formed: in the measured image, or corrected for the lens (DBAT)."
@@ -121,6 +121,12 @@ class NetworkCameraSection(Section):
         if self.millimetres is not None and own:
             raise ValueError(
                 f"[camera.millimetres] gives the camera, and so does {', '.join(sorted(own))}; leave one of both out"
+            )
+        if self.millimetres is not None and self.distortion_direction is None:
+            raise ValueError(
+                'distortion_direction is needed with [camera.millimetres]: "measured_to_ideal" where the program corrects '
+                'measured points by its formula (AICON, DBAT, PhotoModeler), "ideal_to_measured" where it applies it to '
+                "ideal ones"
             )
         if self.focal_px is not None and self.focal_length_35mm is not None:
             raise ValueError("focal_px and focal_length_35mm say the same; leave one out")

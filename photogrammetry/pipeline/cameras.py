@@ -10,7 +10,6 @@ from heliogauge.adjust.least_squares import Prior
 from heliogauge.camera.distortion import BrownDistortion, DistortionDirection
 from heliogauge.camera.millimetres import LensForm, PrincipalOrigin, Sensor, SensorParameters
 from heliogauge.camera.model import Camera
-from heliogauge.doubts import Doubt, Severity
 from heliogauge.errors import InputError
 from heliogauge.files.regular import open_regular
 from heliogauge.images.exif import EXIF_BYTES, focal_length_35mm
@@ -168,12 +167,10 @@ def _beginning(path: Path) -> bytes:
 
 
 def _start_camera(section: NetworkCameraSection, size_px: tuple[int, int], film_mm: float | None) -> Camera:
-    said = section.distortion_direction
+    direction = DistortionDirection(section.distortion_direction or DistortionDirection.IDEAL_TO_MEASURED)
     if section.millimetres is not None:
-        way = DistortionDirection(said or DistortionDirection.MEASURED_TO_IDEAL)
-        return _from_millimetres(section.millimetres, size_px, way)
+        return _from_millimetres(section.millimetres, size_px, direction)
     guess = guessed_camera(*size_px, focal_length_35mm=film_mm)
-    direction = DistortionDirection(said or DistortionDirection.IDEAL_TO_MEASURED)
     lens = BrownDistortion(section.k1, section.k2, section.k3, section.p1, section.p2, direction)
     centers = (
         guess.center_x_px if section.center_x_px is None else section.center_x_px,
@@ -183,22 +180,6 @@ def _start_camera(section: NetworkCameraSection, size_px: tuple[int, int], film_
     values = intrinsics_of(camera)
     values[:2] = (section.focal_px or guess.focal_y_px), section.aspect
     return camera_with_intrinsics(camera, values)
-
-
-def assumed_directions(measurement: PhotogrammetryMeasurement) -> Doubt | None:
-    """Return a doubt where the direction of a lens in millimetres was not said."""
-    names = [
-        one.name for one in measurement.model.camera if one.millimetres is not None and one.distortion_direction is None
-    ]
-    if not names:
-        return None
-    return Doubt(
-        "lens_direction_assumed",
-        f"camera {', '.join(names)}: distortion_direction is not given, so its lens is taken to correct measured "
-        "points (measured_to_ideal); programs that apply the same formula to ideal points need ideal_to_measured",
-        {"cameras_count": len(names)},
-        Severity.NOTE,
-    )
 
 
 def sensors_of(measurement: PhotogrammetryMeasurement, cameras: NetworkCameras) -> dict[str, Sensor]:

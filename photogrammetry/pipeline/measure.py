@@ -22,7 +22,6 @@ from photogrammetry.networks.solve_network import Knowledge, NetworkCameras, Sol
 from photogrammetry.networks.solve_uncoded import add_dots
 from photogrammetry.networks.target_size import check_sizes
 from photogrammetry.pipeline.cameras import (
-    assumed_directions,
     build_cameras,
     refuse_camera_mismatches,
     sensors_of,
@@ -93,8 +92,7 @@ def run(
     with progress.stage("statistics"):
         lengths = state_length_errors(solved.bundle, checks, build_permissible_error(model))
         sizes = check_sizes(solved, measured.points, measured.ellipses_px2, stated_diameter_mm(model))
-        direction = assumed_directions(measurement)
-        doubts = gather_doubts(measured.doubts, direction, check_network(solved), check_lengths(lengths), sizes)
+        doubts = gather_doubts(measured.doubts, check_network(solved), check_lengths(lengths), sizes)
     surface = None
     if model.surface is not None:
         with progress.stage("surface"):

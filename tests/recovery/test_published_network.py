@@ -57,6 +57,7 @@ MILLIMETRES = {"form": "brown", "focal_mm": 7.5, "pixel_mm": PIXEL_MM, "principa
 def backward(shared_data, tmp_path_factory):
     folder = tmp_path_factory.mktemp("camcal")
     camera = {"residuals": "corrected", "free": ["focal_px", "aspect", *LENS], "millimetres": MILLIMETRES}
+    camera["distortion_direction"] = "measured_to_ideal"
     run(folder_of(shared_data, folder / "in", camera), folder / "out")
     return folder / "out"
 

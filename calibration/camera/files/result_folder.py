@@ -47,7 +47,8 @@ def write_tables(result: Result, folder: Path) -> None:
         photo.name: PhotoPose(result.camera_name, photo.cam_from_board, photo.covariance, photo.rms_px)
         for photo in result.photos
     }
-    write_cameras_json(folder / "cameras.json", {result.camera_name: result.camera}, poses)
+    unit = _unit(result.shape)
+    write_cameras_json(folder / "cameras.json", {result.camera_name: result.camera}, poses, unit)
     _write_other_formats(result.camera, folder)
     _write_board(result.shape, folder)
     _write_image_points(result, folder)
@@ -123,21 +124,19 @@ def _write_board(shape: BoardShape, folder: Path) -> None:
     every = shape.board.names
     names = tuple(every[i] for i in shape.seen)
     flags = np.zeros(len(names), dtype=np.uint32)
-    write_points_csv(
-        folder / "points.csv", PointTable(names, shape.points_m, shape.sigma_m, shape.n_rays.astype(np.int64), flags)
-    )
+    unit = _unit(shape)
+    table = PointTable(names, shape.points_m, shape.sigma_m, shape.n_rays.astype(np.int64), flags)
+    write_points_csv(folder / "points.csv", table, unit)
     drawn = shape.board.points_m[shape.seen]
-    unit = _suffix(shape)
     columns = {f"drawn_{axis}_{unit}": drawn[:, i] for i, axis in enumerate("xyz")}
     columns |= {f"departure_{axis}_{unit}": shape.departure_m[:, i] for i, axis in enumerate("xyz")}
     columns |= {f"sigma_{axis}_{unit}": shape.sigma_m[:, i] for i, axis in enumerate("xyz")}
-    units = [_METRES if shape.board.is_metric else _PITCHES] * len(names)
-    write_table_csv(folder / "board.csv", {"id": list(names), **columns, "unit": units})
+    write_table_csv(folder / "board.csv", {"id": list(names), **columns, "unit": [unit] * len(names)})
 
 
-def _suffix(shape: BoardShape) -> str:
-    """Return with what the names of columns of lengths end: metres, or the board's pitch where that is not known."""
-    return "m" if shape.board.is_metric else "pitch"
+def _unit(shape: BoardShape) -> str:
+    """Return with what the names of lengths end: metres, or the board's pitch where that is not known."""
+    return _METRES if shape.board.is_metric else _PITCHES
 
 
 def _write_image_points(result: Result, folder: Path) -> None:
@@ -170,7 +169,7 @@ def _write_photos(result: Result, folder: Path) -> None:
         "kept_apart_expected_px": [photo.kept_apart_expected_px for photo in result.photos],
         "tilt_deg": angles[:, 0].tolist(),
         "roll_deg": angles[:, 1].tolist(),
-        f"distance_{_suffix(result.shape)}": distances,
+        f"distance_{_unit(result.shape)}": distances,
     }
     for check in result.held_out:
         tilt, roll = np.degrees(tilt_and_roll(check.cam_from_board)).tolist()
@@ -189,10 +188,12 @@ def open_calibration(folder: str | Path = ".") -> Result:
     """
     folder = Path(folder)
     summary = read_summary(folder / "summary.json")
-    cameras, poses = read_cameras_json(folder / "cameras.json")
+    is_metric = _METRES in read_table_csv(folder / "board.csv", ("unit",))["unit"]
+    unit = _METRES if is_metric else _PITCHES
+    cameras, poses = read_cameras_json(folder / "cameras.json", unit)
     camera_name, camera = next(iter(cameras.items()))
     drawn_rms = summary.numbers.get("residual_rms_board_as_drawn_px")
-    shape = _read_shape(folder, summary.texts, has_drawing=drawn_rms is not None)
+    shape = _read_shape(folder, summary.texts, unit, has_drawing=drawn_rms is not None)
     needed = ("image", "use", "points", "rms_px", "kept_apart_px", "kept_apart_expected_px")
     photo_table = read_table_csv(folder / "photos.csv", needed)
     both = zip(*(_floats(photo_table[key]) for key in needed[4:]), strict=True)
@@ -235,14 +236,12 @@ def _floats(cells: list[str]) -> list[float]:
     return [float(cell) if cell else float("nan") for cell in cells]
 
 
-def _read_shape(folder: Path, texts: Mapping[str, str], *, has_drawing: bool) -> BoardShape:
-    points = read_points_csv(folder / "points.csv")
-    columns = read_table_csv(folder / "board.csv", ("id", "unit"))
-    is_metric = _METRES in columns["unit"]
-    names = [f"drawn_{axis}_{'m' if is_metric else 'pitch'}" for axis in "xyz"]
+def _read_shape(folder: Path, texts: Mapping[str, str], unit: str, *, has_drawing: bool) -> BoardShape:
+    points = read_points_csv(folder / "points.csv", unit)
+    names = [f"drawn_{axis}_{unit}" for axis in "xyz"]
     columns = read_table_csv(folder / "board.csv", ("id", *names))
     drawn = np.array([_floats(columns[name]) for name in names]).T
-    board = TargetField("", tuple(points.ids), drawn, is_metric=is_metric)
+    board = TargetField("", tuple(points.ids), drawn, is_metric=unit == _METRES)
     held = not points.sigma_m.any()
     return BoardShape(
         board,

@@ -11,6 +11,7 @@ from heliogauge.camera.model import Camera
 from heliogauge.errors import InputError
 from heliogauge.images.exif import focal_length_35mm
 from heliogauge.images.photos import write_image
+from heliogauge.measurement.writer import dump_toml
 from heliogauge.results.tables import read_cameras_json, read_table_csv, write_camera_json
 from photogrammetry.image_points import ImagePoints
 from photogrammetry.keys.cameras import NetworkCameraSection
@@ -185,15 +186,25 @@ def test_millimetres_in_are_millimetres_out(tmp_path, form):
     job = write_job(
         tmp_path / "in",
         points,
-        camera={"width_px": 6000, "height_px": 4000, "millimetres": said},
+        camera={**size(camera), "distortion_direction": "measured_to_ideal", "millimetres": said},
         scale_bar=[bar(truth, 0, 1)],
     )
     assert command(job, tmp_path / "out") == 0
     table = read_table_csv(tmp_path / "out" / "camera_millimetres.csv")
     assert tuple(table["name"]) == SENSOR_NAMES[LensForm(form)]
     np.testing.assert_allclose([float(cell) for cell in table["value"]], given, rtol=1e-9, atol=1e-15)
-    codes = [one["code"] for one in summary_of(tmp_path / "out")["doubts"]]
-    assert codes == ["lens_direction_assumed"]
+    assert summary_of(tmp_path / "out")["doubts"] == []
+
+
+def test_the_direction_of_a_lens_in_millimetres_is_asked_for(tmp_path, capsys):
+    """Before anything is measured: the job has no image points yet."""
+    said = {"form": "aicon", "pixel_mm": 0.006, "focal_mm": 33.0}
+    (tmp_path / "measurement.toml").write_text(
+        dump_toml({"kind": "photogrammetry", "name": "job", "camera": {**size(WIDE), "millimetres": said}})
+    )
+    assert command(tmp_path, tmp_path / "out") == 2
+    message = capsys.readouterr().err
+    assert all(word in message for word in ("distortion_direction", '"measured_to_ideal"', '"ideal_to_measured"'))
 
 
 def exif(focal, order="<"):

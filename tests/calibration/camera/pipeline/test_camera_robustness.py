@@ -1,8 +1,10 @@
 """What users do: odd files, photos held out, mirrored and repeated, odd names, a camera used by other commands."""
 
 import json
+import re
 import shutil
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -10,6 +12,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from calibration.camera.boards import TargetField
 from calibration.camera.cli import app
 from calibration.camera.files.result import Result
 from calibration.camera.files.result_folder import open_calibration
@@ -127,6 +130,21 @@ def test_results_are_read_as_they_were_written(good: Result, tmp_path: Path) -> 
         np.testing.assert_allclose(one.residuals_px, other.residuals_px, atol=1e-9)
     assert (
         (tmp_path / "cameras_colmap.txt").read_text(encoding="utf-8").splitlines()[-1].startswith("1 FULL_OPENCV 960")
+    )
+
+
+def test_lengths_in_pitches_are_never_called_metres(good: Result, tmp_path: Path) -> None:
+    board = TargetField("", good.shape.board.names, good.shape.board.points_m, is_metric=False)
+    replace(good, shape=replace(good.shape, board=board)).write(tmp_path)
+    for name in ("points.csv", "board.csv", "photos.csv"):
+        columns = (tmp_path / name).read_text(encoding="utf-8").splitlines()[0].split(",")
+        assert not [one for one in columns if one.endswith(("_m", "_mm"))], name
+    assert not re.search(r"\w+_m\b", (tmp_path / "cameras.json").read_text(encoding="utf-8"))
+    read = open_calibration(tmp_path)
+    assert not read.shape.board.is_metric
+    np.testing.assert_array_equal(read.shape.points_m, good.shape.points_m)
+    np.testing.assert_array_equal(
+        read.photos[0].cam_from_board.translation_m, good.photos[0].cam_from_board.translation_m
     )
 
 
