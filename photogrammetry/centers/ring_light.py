@@ -100,9 +100,10 @@ def _drawn(
     inverse = np.linalg.inv(center.ellipse.frame_px)
     u = inverse[0, 0] * dx + inverse[0, 1] * dy[:, None]
     v = inverse[1, 0] * dx + inverse[1, 1] * dy[:, None]
-    radius = np.hypot(u, v)
+    square = u * u + v * v
+    inked = (square >= ring.inner**2) & (square <= ring.outer**2)
     n = len(ring.sectors)
-    sector = np.floor((np.arctan2(v, u) - ring.turn_rad) % (2 * np.pi) * (n / (2 * np.pi))).astype(np.intp) % n
-    inked = (radius >= ring.inner) & (radius <= ring.outer) & np.array(ring.sectors)[sector]
+    turn = (np.arctan2(v[inked], u[inked]) - ring.turn_rad) * (n / (2 * np.pi))
+    inked[inked] = np.array(ring.sectors)[np.floor(turn).astype(np.intp) % n]
     fine = inked.reshape(rows.size, _SUBPIXELS, columns.size, _SUBPIXELS)
     return np.asarray(fine.mean(axis=(1, 3)), dtype=np.float32)

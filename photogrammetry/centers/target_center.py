@@ -1,6 +1,6 @@
 """What is known of the centre of one target, and why there is none."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -37,8 +37,8 @@ class TargetCenter(ShortRepr):
     blur_px: Width of the edge as the standard deviation of a Gaussian, without the pixel's own width [px].
     residual_dn: Rms of what the model leaves, per degree of freedom [DN].
     n_samples: Pixels used; 0 for the centre of an outline, which has neither blur nor residual.
-    correlation: Variance of the centre by residuals that may be alike within sections of the outline, over that by
-        residuals that are independent; one target tells it to a half, the median of a photo to a few percent.
+    edge_powers (4,): Power of the residuals in harmonics of the outline, over that of independent ones: see
+        `photogrammetry.centers.edge_noise`; empty for the centre of an outline.
     """
 
     ellipse: Ellipse
@@ -48,7 +48,7 @@ class TargetCenter(ShortRepr):
     blur_px: float
     residual_dn: float
     n_samples: int
-    correlation: float = 1.0
+    edge_powers: FloatArray = field(default_factory=lambda: np.zeros(0))
 
     @property
     def center_px(self) -> FloatArray:

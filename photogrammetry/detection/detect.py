@@ -120,7 +120,8 @@ def find_in_pyramid(pyramid: Pyramid, asked: SearchLimits) -> tuple[Candidate, .
     spots = _joined(parts)
     every = np.arange(len(spots.shapes))
     chunks = (every[first : first + _SPOTS_AT_ONCE] for first in range(0, len(every), _SPOTS_AT_ONCE))
-    return _apart([one for rows in chunks for one in _uniform(pyramid, spots.chosen(rows), asked)])
+    found = _Found.joined([_uniform(pyramid, spots.chosen(rows), asked) for rows in chunks])
+    return found.candidates(_apart(found))
 
 
 # --- spots: vectorised over all of a scale --------------------------------------------------------------------------
@@ -144,6 +145,38 @@ def _joined(parts: Sequence[_Spots]) -> _Spots:
         np.concatenate([np.empty((0, 2)), *(part.centers for part in parts)]),
         np.concatenate([np.empty(0, dtype=np.bool_), *(part.dark for part in parts)]),
     )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Found:
+    """Spots (n) that may be targets, and what `Candidate` says of them."""
+
+    spots: _Spots
+    inside_dn: FloatArray
+    outside_dn: FloatArray
+    rms_px: FloatArray
+
+    @classmethod
+    def joined(cls, parts: Sequence["_Found"]) -> "_Found":
+        levels = [
+            [part.inside_dn for part in parts],
+            [part.outside_dn for part in parts],
+            [one.rms_px for one in parts],
+        ]
+        return cls(_joined([part.spots for part in parts]), *(np.concatenate([np.empty(0), *own]) for own in levels))
+
+    def candidates(self, rows: IntArray) -> tuple[Candidate, ...]:
+        polarities = (Polarity.WHITE_ON_BLACK, Polarity.BLACK_ON_WHITE)
+        return tuple(
+            Candidate(
+                Ellipse(self.spots.centers[k], self.spots.shapes[k]),
+                float(self.inside_dn[k]),
+                float(self.outside_dn[k]),
+                float(self.rms_px[k]),
+                polarities[int(self.spots.dark[k])],
+            )
+            for k in rows.tolist()
+        )
 
 
 def _spots_on_level(image: Bytes, level: int, asked: SearchLimits) -> list[_Spots]:
@@ -252,7 +285,7 @@ def _semi_axes(shapes: FloatArray) -> tuple[FloatArray, FloatArray]:
     return np.sqrt(middle + reach), np.sqrt(np.maximum(middle - reach, 1e-6))
 
 
-def _uniform(pyramid: Pyramid, spots: _Spots, asked: SearchLimits) -> list[Candidate]:
+def _uniform(pyramid: Pyramid, spots: _Spots, asked: SearchLimits) -> _Found:
     """Keep the ellipses that are even inside, even in a ring around, differ from it, and have an elliptic edge."""
     kept, inside, outside = _judge(pyramid, spots, asked, uneven=2 * _MOST_UNEVEN)
     spots = spots.chosen(kept)
@@ -270,17 +303,7 @@ def _uniform(pyramid: Pyramid, spots: _Spots, asked: SearchLimits) -> list[Candi
     )
     spots, rms = spots.chosen(fits), rms[fits]
     kept, inside, outside = _judge(pyramid, spots, asked, uneven=_MOST_UNEVEN)
-    polarities = (Polarity.WHITE_ON_BLACK, Polarity.BLACK_ON_WHITE)
-    return [
-        Candidate(
-            Ellipse(spots.centers[k], spots.shapes[k]),
-            float(inside[k]),
-            float(outside[k]),
-            float(rms[k]),
-            polarities[int(spots.dark[k])],
-        )
-        for k in np.flatnonzero(kept)
-    ]
+    return _Found(spots.chosen(kept), inside[kept], outside[kept], rms[kept])
 
 
 def _inside(size_px: tuple[int, int], shapes: FloatArray, centers: FloatArray) -> BoolArray:
@@ -332,21 +355,25 @@ def _on_rings(pyramid: Pyramid, spots: _Spots, radii: Sequence[float]) -> Float3
     return pyramid.around(spots.centers, spots.shapes, circle)
 
 
-def _apart(spots: list[Candidate]) -> tuple[Candidate, ...]:
-    """Keep of spots at one place and of one size the one with the cleanest edge; sort from top to bottom.
+def _apart(found: _Found) -> IntArray:
+    """Return of spots at one place and of one size the one with the cleanest edge, from top to bottom.
 
     Scales overlap, and so do the stripes of one scale.
     """
-    kept: list[Candidate] = []
-    places = np.empty((len(spots), 3))
-    for spot in sorted(spots, key=lambda spot: spot.edge_rms_px):
-        x, y = spot.ellipse.center_px
-        radius = spot.ellipse.radius_px
+    centers = found.spots.centers
+    radii = np.sqrt(np.sqrt(np.linalg.det(found.spots.shapes)))
+    kept: list[int] = []
+    places = np.empty((len(centers), 3))
+    order = np.argsort(found.rms_px, kind="stable").tolist()
+    for k, (x, y), radius in zip(order, centers[order].tolist(), radii[order].tolist(), strict=True):
         taken = places[: len(kept)]
-        off = np.hypot(taken[:, 0] - x, taken[:, 1] - y)
-        near = off < 0.5 * np.minimum(taken[:, 2], radius)
-        if (near & (np.abs(np.log(taken[:, 2] / radius)) < 0.5)).any():
+        # Those farther than half of this spot's own radius are not near, whatever theirs.
+        beside = taken[np.abs(taken[:, 1] - y) < 0.5 * radius]
+        off = np.hypot(beside[:, 0] - x, beside[:, 1] - y)
+        near = off < 0.5 * np.minimum(beside[:, 2], radius)
+        if (near & (np.abs(np.log(beside[:, 2] / radius)) < 0.5)).any():
             continue
         places[len(kept)] = x, y, radius
-        kept.append(spot)
-    return tuple(sorted(kept, key=lambda spot: (spot.ellipse.center_px[1], spot.ellipse.center_px[0])))
+        kept.append(k)
+    chosen = np.array(kept, dtype=np.intp)
+    return np.asarray(chosen[np.lexsort((centers[chosen, 0], centers[chosen, 1]))])

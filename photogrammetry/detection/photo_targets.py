@@ -10,6 +10,7 @@ from heliogauge.errors import EstimationError
 from heliogauge.flags import SampleFlag
 from heliogauge.short_repr import ShortRepr
 from heliogauge.validate import FlagArray, FloatArray, freeze
+from photogrammetry.centers.edge_noise import variance_factor
 from photogrammetry.centers.ellipse import Ellipse, NamedEllipses
 from photogrammetry.centers.measured_centers import centers_near, measure_center, measure_centers
 from photogrammetry.centers.pyramid import make_pyramid
@@ -24,8 +25,6 @@ from photogrammetry.targets.ring_codes import VENDOR_RADII, RingRadii
 
 #: Level of dot or ground, as a share of the largest number of the file, from which some of its pixels are cut off.
 _CLIPPED_SHARE = 0.99
-#: Centres of a photo from which it is known how much neighbouring pixels err alike.
-_FEWEST_ALIKE = 4
 #: Passes in which the rings' light is taken away: the dot's blur and size are truer each time.
 _RING_PASSES = 3
 #: Least sigma of the centre of an outline: that of a dot of 6 px with a sharp edge, which the steps of its pixels
@@ -310,8 +309,7 @@ def _detections(
 ) -> Detections:
     n = len(centers)
     # Neighbouring pixels may err alike (moire, JPEG, demosaicing): by how much is the same all over a photo.
-    fitted = [center.correlation for center in centers if not center.is_coarse]
-    alike = max(1.0, float(np.median(fitted))) if len(fitted) >= _FEWEST_ALIKE else 1.0
+    alike = variance_factor(np.array([center.edge_powers for center in centers if not center.is_coarse]))
     inside = np.array([center.inside_dn for center in centers])
     contrast = np.array([center.contrast_dn for center in centers])
     coarse = np.array([SampleFlag.COARSE_CENTER * center.is_coarse for center in centers], dtype=np.uint32)

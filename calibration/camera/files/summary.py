@@ -88,7 +88,9 @@ def texts(result: Result) -> dict[str, str]:
     """Return what must be known beside the numbers: board, datum, units, meaning of sigma."""
     board = result.shape.board
     held = "estimated, smooth departures and each point's own" if result.shape.prior_sigma_m.any() else "held as drawn"
-    unit = "metres" if board.is_metric else "squares (pitches) of the board, which the names of lengths end with in cameras.json and points.csv"
+    unit = (
+        "metres" if board.is_metric else "squares (pitches) of the board: names of lengths in the files end with pitch"
+    )
     return {
         "board": f"{board.describe()}; its shape is {held}",
         "datum": _datum_text(result),

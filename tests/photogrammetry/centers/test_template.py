@@ -168,5 +168,6 @@ def test_all_at_once_is_one_by_one() -> None:
     for start, found in zip(starts[:3], together[:3], strict=True):
         alone = measure_center(image, start)
         assert isinstance(found, TargetCenter)
-        assert found.center_px == pytest.approx(alone.center_px, abs=1e-9)
-        assert found.covariance_px2 == pytest.approx(alone.covariance_px2, rel=1e-9)
+        # Pixels are in single precision, whose sums depend on how many there are.
+        assert found.center_px == pytest.approx(alone.center_px, abs=1e-5)
+        assert found.covariance_px2 == pytest.approx(alone.covariance_px2, rel=1e-4)
