@@ -138,7 +138,8 @@ class FringeSetSection(Section):
     axis: Literal["x", "y"] = Field(
         description="Direction in which the fringes change: x from left to right, y from top to bottom."
     )
-    periods: Positive = Field(description="Number of fringe periods over the displayed image.")
+    # No display shows a period on a tenth of a pixel, or tells a hundredth of one from flat light.
+    periods: Positive = Field(ge=0.01, le=1e5, description="Number of fringe periods over the displayed image.")
     steps_deg: Annotated[tuple[Number, ...], Field(min_length=3)] = Field(
         description="Phase step of each frame of the set, three or more [deg]."
     )

@@ -15,6 +15,7 @@ from deflectometry.pose.find_pose import MirrorInput
 from deflectometry.setup.camera_and_screen import RectangularScreen, Setup
 from deflectometry.setup.patterns import Axis, FringePattern, FringeSet
 from deflectometry.shape.assemble import assemble_maps
+from heliogauge.camera.distortion import DistortionDirection
 from heliogauge.doubts import Doubt
 from heliogauge.errors import EstimationError, InputError
 from heliogauge.running.progress import SilentProgress
@@ -26,6 +27,7 @@ _CONTRADICTIONS = (
     "slopes_of_no_surface",
     "slopes_too_far_off_design",
     "distance_contradicts_image",
+    "lens_contradicts_outline",
 )
 #: Whatever the distribution of errors, 20 sigma are exceeded at most once in 400 times (Chebyshev's inequality).
 _IMPOSSIBLE_SIGMAS = 20.0
@@ -111,6 +113,12 @@ def _exchanges(observation: Observation, setup: Setup) -> Iterator[_Exchange]:
     if isinstance(screen, RectangularScreen):
         turned = replace(setup, screen=RectangularScreen(screen.height_m, screen.width_m))
         yield _Exchange("width_m and height_m of [screen] are exchanged", observation, turned)
+    lens = setup.camera.distortion
+    if not lens.is_zero:
+        other = next(one for one in DistortionDirection if one != lens.direction)
+        camera = replace(setup.camera, distortion=replace(lens, direction=other))
+        words = f"distortion_direction of [camera] is {str(other)!r}"
+        yield _Exchange(words, observation, replace(setup, camera=camera))
 
 
 def _mirrored(one: FringeSet) -> FringeSet:

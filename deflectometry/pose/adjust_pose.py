@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from deflectometry.pose.lens_check import check_lens
 from deflectometry.pose.mirror_outline import lit_share
 from deflectometry.pose.mirrors_in_image import find_mirrors
 from deflectometry.pose.outline_edges import OutlineEdges, OutlineFit, OutlineSearch, edge_margin_px
@@ -79,7 +80,7 @@ class MirrorPose:
     residuals_px (n_points, 2): Projected outline (or point) minus measured; of an edge point the part across the
         side [px].
     observations: What the pose was adjusted to.
-    doubts: A distance contradicts the image, two tilts fit equally well, or facets are not seen.
+    doubts: A distance or the lens contradicts the image, two tilts fit equally well, or facets are not seen.
     """
 
     cam_from_mirror: RigidTransform
@@ -236,6 +237,9 @@ def _finish(best: OutlineFit, camera: Camera, knowledge: Knowledge, share: Float
         final = observations.adjust(camera, image_only.state).require("mirror pose")
     rms = [float(np.sqrt((edges.rows(camera, pose)[0] ** 2).mean())) for pose in (image_only.state, final.state)]
     tests = tuple(_test_distance(distance, image_only, final.state) for distance in knowledge.distances)
+    agreeing = tuple(
+        one for one, test in zip(knowledge.distances, tests, strict=True) if test.probability >= MIN_PROBABILITY
+    )
     n_rejected = int((~best.used).sum())
     rejected = None
     if n_rejected > MAX_REJECTED_SHARE * best.used.size:
@@ -260,7 +264,9 @@ def _finish(best: OutlineFit, camera: Camera, knowledge: Knowledge, share: Float
         points_px=freeze(edges.image_px),
         residuals_px=freeze(edges.rows(camera, final.state)[0][:, None] * edges.normals),
         observations=observations,
-        doubts=gather_doubts(_doubts(tests, share, rms), rejected),
+        doubts=gather_doubts(
+            _doubts(tests, share, rms), rejected, check_lens(edges, camera, image_only.state, side_px, agreeing)
+        ),
     )
 
 

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
+from heliogauge.errors import EstimationError
 from heliogauge.flags import FLAG_TEXTS, REJECTED, SampleFlag, count_flags
 from heliogauge.reporting.html import FirstScreen, Html, Shown, join, table, wrap
 from heliogauge.reporting.notation import number_text
@@ -202,7 +203,11 @@ def statistics_table(slope_map: SlopeMap, known: "Sequence[Removals]" = ()) -> H
     ready = {part.removal: part.statistics for one in known for part in one.parts}
     rows = []
     for removal in Removal:
-        result = ready.get(removal) or statistics(slope_map, removed=removal)
+        try:
+            result = ready.get(removal) or statistics(slope_map, removed=removal)
+        except EstimationError as error:  # too few nodes, or all on a line
+            rows.append((str(removal), str(error).partition("; ")[0], "", "", ""))
+            continue
         pairs = ((result.sdx_rad, result.sigma_sdx_rad), (result.sdy_rad, result.sigma_sdy_rad))
         cells = [number_text(value, sigma, "rad") for value, sigma in (*pairs, (result.sd_rad, result.sigma_sd_rad))]
         more = result.removed.removeprefix(slope_map.removed).strip("; ").removeprefix("then ")

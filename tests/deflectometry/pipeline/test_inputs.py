@@ -50,3 +50,9 @@ def test_nonsense_is_refused(content: dict[str, Any], key: str, value: float, wa
     content["mirror"][key] = value
     with pytest.raises(InputError, match=wanted):
         parse_measurement(content, Path("measurement.toml"))
+
+
+def test_periods_that_no_display_shows_are_refused(content: dict[str, Any]) -> None:
+    content["pattern"]["set"][0]["periods"] = 1e200
+    with pytest.raises(InputError, match=r"periods = 1e\+200: "):
+        parse_measurement(content, Path("measurement.toml"))

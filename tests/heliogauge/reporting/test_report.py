@@ -270,5 +270,16 @@ def test_the_table_of_removals_says_what_was_removed_before_once() -> None:
     assert text.count("<tr>") == 5
 
 
+def test_what_the_nodes_do_not_determine_is_said_in_its_row() -> None:
+    whole = make_map()
+    flags = np.where(np.arange(whole.flags.shape[0])[:, None] == 30, whole.flags, np.uint32(SampleFlag.SATURATED))
+    line = replace(
+        whole, flags=flags, **{name: np.where(flags, np.nan, getattr(whole, name)) for name in ("slope_x", "slope_y")}
+    )
+    text = page.statistics_table(line).text
+    assert text.count("<tr>") == 5
+    assert "lie on a line" in text
+
+
 def test_tables_escape_what_they_show() -> None:
     assert "<b>" not in page.table(("a",), [("<b>",)]).text
