@@ -115,9 +115,9 @@ def _exchanges(observation: Observation, setup: Setup) -> Iterator[_Exchange]:
         yield _Exchange("width_m and height_m of [screen] are exchanged", observation, turned)
     lens = setup.camera.distortion
     if not lens.is_zero:
-        other = next(one for one in DistortionDirection if one != lens.direction)
-        camera = replace(setup.camera, distortion=replace(lens, direction=other))
-        words = f"distortion_direction of [camera] is {str(other)!r}"
+        direction = next(one for one in DistortionDirection if one != lens.direction)
+        camera = replace(setup.camera, distortion=replace(lens, direction=direction))
+        words = f"distortion_direction of [camera] is {str(direction)!r}"
         yield _Exchange(words, observation, replace(setup, camera=camera))
 
 

@@ -92,8 +92,9 @@ def _estimate(outline: _Sides, camera: Camera, pose: RigidTransform, name: str, 
         changed = camera.with_parameters(camera.parameters + total * one)
         # What a side has in common is counted by itself.
         series = edges.along_sides(edges.rows(changed, pose)[0])
-        series -= np.nanmean(series, axis=1, keepdims=True)
-        scatter_px = max(robust_scale(series[np.isfinite(series)], upper=True), edges.floor_px)
+        seen = np.isfinite(series)
+        series -= (np.nansum(series, axis=1) / np.maximum(seen.sum(axis=1), 1))[:, None]
+        scatter_px = max(robust_scale(series[seen], upper=True), edges.floor_px)
         sigma_px = scatter_px * float(np.sqrt(max(correlation_points(series), _SHARED_POINTS)))
         whitened, by_pose = edges.whitened(changed, pose, sigma_px, sides_px)
         ahead = camera.with_parameters(changed.parameters + step * one)

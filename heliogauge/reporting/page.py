@@ -201,12 +201,12 @@ def statistics_table(slope_map: SlopeMap, known: "Sequence[Removals]" = ()) -> H
     known: Removals of a view of the same map, whose statistics need not be formed again.
     """
     ready = {part.removal: part.statistics for one in known for part in one.parts}
-    rows = []
+    rows: list[tuple[str, ...]] = []
     for removal in Removal:
         try:
             result = ready.get(removal) or statistics(slope_map, removed=removal)
         except EstimationError as error:  # too few nodes, or all on a line
-            rows.append((str(removal), str(error).partition("; ")[0], "", "", ""))
+            rows.append((removal.value, str(error).partition("; ")[0], "", "", ""))
             continue
         pairs = ((result.sdx_rad, result.sigma_sdx_rad), (result.sdy_rad, result.sigma_sdy_rad))
         cells = [number_text(value, sigma, "rad") for value, sigma in (*pairs, (result.sd_rad, result.sigma_sd_rad))]
