@@ -55,13 +55,16 @@ def check_lens(
         k1 = camera.distortion.k1
         other = next(one for one in DistortionDirection if one != camera.distortion.direction)
         reversed_too = abs(bend.change + 2 * k1) < 3 * bend.sigma and k1 != 0
+        # What the change moves at the point of the outline that is farthest from the principal point.
+        farthest_px = float(np.hypot(*(edges.image_px - [camera.center_x_px, camera.center_y_px]).T).max())
+        per_k1_px = farthest_px * (farthest_px / camera.focal_x_px) ** 2
         hint = f" (about what distortion_direction = {str(other)!r} would do)" if reversed_too else ""
         yield Doubt(
             "lens_contradicts_outline",
             f"the sides of the mirror are bent in the image as by k1 = {k1 + bend.change:.3f} +- {bend.sigma:.3f}"
             f"{hint} where the camera has {k1:.3f}: check k1, k2, p1, p2 and distortion_direction of [camera]; a "
             "mirror whose sides are not straight needs the corners of its true outline in outline_m",
-            {"k1_found": k1 + bend.change, "k1": k1, "sigma_k1": bend.sigma},
+            {"distortion_missing_px": bend.change * per_k1_px, "sigma_distortion_px": bend.sigma * per_k1_px},
         )
     aspect = _estimate(outline, camera, pose, "focal_x_px", _STEP_PX)
     if aspect.probability < _MIN_PROBABILITY:

@@ -1,6 +1,7 @@
 """Lens and aspect against the outline: the truth is not accused, what is wrong is named with its size."""
 
 import importlib.util
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -59,7 +60,11 @@ def test_the_true_lens_is_not_accused() -> None:
 @pytest.mark.parametrize("seed", [0, 1])
 def test_distortion_left_out_or_in_the_other_direction_is_named_with_its_size(seed: int) -> None:
     none = doubts(seed, replace(CAMERA, distortion=BrownDistortion()))["lens_contradicts_outline"]
-    assert abs(none.numbers["k1_found"] + 0.14) < 3 * none.numbers["sigma_k1"]
+    found, sigma = (float(one) for one in re.findall(r"k1 = (-?[\d.]+) \+- ([\d.]+)", none.text)[0])
+    assert abs(found + 0.14) < 3 * sigma
+    assert none.numbers["distortion_missing_px"] / none.numbers["sigma_distortion_px"] == pytest.approx(
+        found / sigma, rel=0.05
+    )
     assert "distortion_direction =" not in none.text
     lens = replace(CAMERA.distortion, direction=DistortionDirection.MEASURED_TO_IDEAL)
     turned = doubts(seed, replace(CAMERA, distortion=lens))["lens_contradicts_outline"]
