@@ -28,6 +28,7 @@ from calibration.heliostat.keys import HeliostatMeasurement, HeliostatTargetSect
 from calibration.heliostat.kinematic_model.design import PlaneTarget
 from calibration.heliostat.observations.plant import Plant
 from calibration.heliostat.observations.rows import NUMBER_COLUMNS, TEXT_COLUMNS, check_header, split_line
+from heliogauge.doubts import Doubt
 from heliogauge.errors import InputError
 from heliogauge.files.regular import open_regular
 from heliogauge.files.texts import read_text
@@ -69,11 +70,12 @@ class HeliostatTask:
 
 
 class Source(Protocol):
-    """Where heliostats come from."""
+    """Where heliostats come from; ``doubts`` are about rows that belong to none of them."""
 
     plant: Plant
     names: tuple[str, ...]
     files: tuple[Path, ...]
+    doubts: tuple[Doubt, ...]
 
     def tasks(self, names: tuple[str, ...]) -> Iterator[HeliostatTask]:
         """Yield the task of each of these heliostats."""
@@ -108,19 +110,16 @@ class _TableSource:
         self.plant = Plant(origin, _site(site), {one.name: _target(one) for one in model.target})
         self.files = measurement.input_files
         self._observations = measurement.path(model.observations.file)
-        self._cells = _read_heliostats(measurement.path(model.heliostats.file))
+        self._cells, self._repeated = _read_heliostats(measurement.path(model.heliostats.file))
+        only = next(iter(self._cells)) if len(self._cells) == 1 else None
+        self._index, nameless = _index_lines(self._observations, self.header, only)
         self.names = tuple(dict.fromkeys((*self._cells, *self._index)))
+        self.doubts = _doubts_of_nameless(self._observations, nameless)
 
     @cached_property
     def header(self) -> tuple[str, ...]:
         """Columns of the table of observations."""
         return _read_header(self._observations)
-
-    @cached_property
-    def _index(self) -> "dict[str, array[int]]":
-        """Where the lines of each heliostat begin, and their numbers: two entries for each line."""
-        only = next(iter(self._cells)) if len(self._cells) == 1 else None
-        return _index_lines(self._observations, self.header, only)
 
     def tasks(self, names: tuple[str, ...]) -> Iterator[HeliostatTask]:
         with open_regular(self._observations, "a CSV file") as file:
@@ -130,7 +129,9 @@ class _TableSource:
                 for offset, number in zip(places[::2], places[1::2], strict=True):
                     file.seek(offset)
                     records.append((str(number), file.readline().decode("utf-8", "replace").rstrip("\r\n")))
-                fault = "" if name in self._cells else "it has observations, but no row in the table of heliostats"
+                fault = self._repeated.get(name, "")
+                if name not in self._cells:
+                    fault = "it has observations, but no row in the table of heliostats"
                 yield HeliostatTask(
                     name, self._cells.get(name, {}), header=self.header, records=tuple(records), fault=fault
                 )
@@ -148,7 +149,8 @@ def _target(section: HeliostatTargetSection) -> PlaneTarget:
     )
 
 
-def _read_heliostats(file: Path) -> dict[str, dict[str, str]]:
+def _read_heliostats(file: Path) -> tuple[dict[str, dict[str, str]], dict[str, str]]:
+    """Return the row of each heliostat, and why some cannot be used: they are listed twice."""
     table = read_table_csv(file, ("heliostat",))
     if not any(all(name in table for name in names) for names in (_POSITION, _GEODETIC)):
         raise InputError(
@@ -156,17 +158,22 @@ def _read_heliostats(file: Path) -> dict[str, dict[str, str]]:
             f"{', '.join(table)}"
         )
     found: dict[str, dict[str, str]] = {}
+    lines: dict[str, list[int]] = {}
     for line, row in enumerate(zip(*table.values(), strict=True), start=2):
         cells = dict(zip(table, row, strict=True))
         name = cells.pop("heliostat")
         if not name:
             raise InputError(f"{file}, line {line}: the heliostat's name is missing")
-        if name in found:
-            raise InputError(f"{file}, line {line}: heliostat {name!r} is listed twice; keep one row")
-        found[name] = cells
+        found.setdefault(name, cells)
+        lines.setdefault(name, []).append(line)
     if not found:
         raise InputError(f"{file}: no heliostat is listed")
-    return found
+    repeated = {
+        name: f"{file}: it is listed {len(own)} times, in lines {', '.join(map(str, own))}; keep one row"
+        for name, own in lines.items()
+        if len(own) > 1
+    }
+    return found, repeated
 
 
 def _read_header(file: Path) -> tuple[str, ...]:
@@ -200,38 +207,58 @@ def _read_header(file: Path) -> tuple[str, ...]:
     return header
 
 
-def _index_lines(file: Path, header: tuple[str, ...], only: str | None) -> "dict[str, array[int]]":
+def _index_lines(
+    file: Path, header: tuple[str, ...], only: str | None
+) -> "tuple[dict[str, array[int]], dict[int, str]]":
+    """Return where the lines of each heliostat begin and their numbers, two entries for each line.
+
+    Returns: Why other lines belong to no heliostat, by their numbers: cut off, too long, unreadable.
+    """
     if "heliostat" not in header and only is None:
         raise InputError(f"{file}: the column heliostat is missing; there are several heliostats")
     column = header.index("heliostat") if "heliostat" in header else -1
     index: dict[str, array[int]] = {}
+    nameless: dict[int, str] = {}
     offset = 0
     with open_regular(file, "a CSV file") as opened:
         lines = iter(lambda: opened.readline(_LONGEST_LINE), b"")
         for number, line in enumerate(lines, start=1):
-            if len(line) == _LONGEST_LINE:
-                raise InputError(f"{file}, line {number}: longer than {_LONGEST_LINE} bytes; is it a CSV file?")
-            if number > 1 and line.strip():
-                name = str(only) if column < 0 else _cell(line, column, file, number)
-                index.setdefault(name, array("Q")).extend((offset, number))
-            offset += len(line)
-    return index
+            length = len(line)
+            if length == _LONGEST_LINE:
+                nameless[number] = f"longer than {_LONGEST_LINE} bytes"
+                while line and not line.endswith(b"\n"):
+                    line = opened.readline(_LONGEST_LINE)  # the rest of the same line
+                    length += len(line)
+            elif number > 1 and line.strip():
+                name = str(only) if column < 0 else _cell(line, column)
+                if name:
+                    index.setdefault(name, array("Q")).extend((offset, number))
+                else:
+                    nameless[number] = "the heliostat's name is missing or no UTF-8"
+            offset += length
+    return index, nameless
 
 
-def _cell(line: bytes, column: int, file: Path, number: int) -> str:
+def _cell(line: bytes, column: int) -> str:
+    """Return a cell; empty where the line is cut off before it or is no text."""
     try:
         if b'"' not in line:
             cells = line.split(b",", column + 1)
-            name = cells[column].decode("utf-8").strip()
-        else:
-            name = split_line(line.decode("utf-8"))[column].strip()
-    except UnicodeDecodeError:
-        raise InputError(f"{file}, line {number}: not UTF-8; save the file as UTF-8 text") from None
-    except IndexError:
-        name = ""
-    if not name:
-        raise InputError(f"{file}, line {number}: the heliostat's name is missing")
-    return name
+            return cells[column].decode("utf-8").strip()
+        return split_line(line.decode("utf-8"))[column].strip()
+    except (UnicodeDecodeError, IndexError):
+        return ""
+
+
+def _doubts_of_nameless(file: Path, nameless: dict[int, str]) -> tuple[Doubt, ...]:
+    if not nameless:
+        return ()
+    first = next(iter(nameless))
+    text = (
+        f"{file.name}: {len(nameless)} rows belong to no heliostat and are left out, the first: line {first}: "
+        f"{nameless[first]}"
+    )
+    return (Doubt("rows_without_heliostat", text, {"left_out_count": len(nameless)}),)
 
 
 # --- PAINT ------------------------------------------------------------------------------------------------------------
@@ -245,6 +272,7 @@ class _PaintSource:
         folder = measurement.path(paint.folder if paint is not None else ".")
         self._units = {unit.name: unit for unit in find_units(folder, () if paint is None else paint.heliostats)}
         self.names = tuple(self._units)
+        self.doubts: tuple[Doubt, ...] = ()
         file = find_beside(folder, TOWER_FILES) if paint is None or paint.tower is None else folder / paint.tower
         if file is None:
             raise InputError(
@@ -259,15 +287,16 @@ class _PaintSource:
         if len(self._units) == 1:
             # Of many, each heliostat's own hash shows what it was made from.
             (unit,) = self._units.values()
-            self.files = (*self.files, unit.properties, *unit.calibrations)
+            own = () if unit.fault else (unit.properties,)
+            self.files = (*self.files, *own, *unit.calibrations)
 
     def tasks(self, names: tuple[str, ...]) -> Iterator[HeliostatTask]:
         for name in names:
             yield self._task(self._units[name])
 
     def _task(self, unit: PaintUnit) -> HeliostatTask:
-        faults: list[str] = []
-        properties = _text(unit.properties, faults)
+        faults = [unit.fault] if unit.fault else []
+        properties = "" if unit.fault else _text(unit.properties, faults)
         # A record that cannot be read is a row that cannot be used, not the end of its heliostat.
         records = tuple((_number(file), _text(file, [])) for file in unit.calibrations)
         times = tuple(self._times.get(f"{unit.name}_{number}", "") for number, _ in records)

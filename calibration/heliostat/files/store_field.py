@@ -89,10 +89,12 @@ def field_summary(
     *,
     durations_s: Mapping[str, float],
     input_sha256: Mapping[str, str],
+    of_field: Sequence[Doubt] = (),
 ) -> Summary:
     """Return the summary of a field.
 
     shared: What all heliostats share.
+    of_field: What concerns the field as a whole.
     durations_s: Time of each stage [s].
     input_sha256: Hashes of what was read.
     """
@@ -115,7 +117,8 @@ def field_summary(
         if not known:
             missing[f"median_{key}"] = "no heliostat has it"
     worst = [row for row in good if row.get("beam_test_rms_mrad") is not None]
-    doubts = [
+    doubts = [*of_field]
+    doubts += [
         Doubt("heliostat_failed", f"{row['heliostat']} failed: {row['reason']}")
         for row in rows
         if row["status"] == "failed"

@@ -7,7 +7,7 @@ and ``first_joint_translation_e``, ``axis_1_motor_position`` and ``Axis1MotorPos
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -59,11 +59,13 @@ class PaintUnit:
     """Files of one heliostat.
 
     calibrations: Its calibration records, in the order of their numbers.
+    fault: Why it cannot be calibrated; empty where its files are as they should be.
     """
 
     name: str
     properties: Path
     calibrations: tuple[Path, ...]
+    fault: str = ""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -108,15 +110,24 @@ def find_units(folder: Path, names: Sequence[str] = ()) -> tuple[PaintUnit, ...]
     """Find the heliostats of a folder.
 
     names: Only these heliostats.
-    Returns: Heliostats in natural order; those without calibration records too, so that they can be named.
+    Returns: Heliostats in natural order; those without calibration records or without properties, and those that
+        are there twice, too, so that they can be named.
     InputError: No heliostat, or none of a name that is asked for.
     """
     units: dict[str, PaintUnit] = {}
     for file in properties_files(folder):
         name = _unit_name(file)
-        units.setdefault(name, PaintUnit(name, file, _calibrations(file)))
+        first = units.setdefault(name, PaintUnit(name, file, _calibrations(_home(file))))
+        if first.properties != file and not first.fault:
+            units[name] = replace(first, fault=f"it is there twice, {first.properties} and {file}: keep one")
     if not units:
         raise InputError(f"{folder}: no heliostat's properties (*_properties.json) are here or in a folder below")
+    homes = {_home(unit.properties).resolve() for unit in units.values()}
+    for place in _homes_of_records(folder):
+        if place.resolve() not in homes and place.name not in units:
+            stated = place / f"{place.name}_properties.json"
+            fault = f"no properties (*_properties.json) beside its calibration records in {place}"
+            units[place.name] = PaintUnit(place.name, stated, _calibrations(place), fault)
     missing = [name for name in names if name not in units]
     if missing:
         raise InputError(f"{folder}: no heliostat {missing[0]!r}; there are {', '.join(list(units)[:8])}")
@@ -128,12 +139,21 @@ def _unit_name(file: Path) -> str:
     name = re.sub(r"[-_]?(heliostat[-_])?properties$", "", file.stem, flags=re.IGNORECASE)
     if name:
         return name
-    home = file.parent.parent if file.parent.name == "Properties" else file.parent
-    return home.resolve().name
+    return _home(file).resolve().name
 
 
-def _calibrations(properties: Path) -> tuple[Path, ...]:
-    home = properties.parent.parent if properties.parent.name == "Properties" else properties.parent
+def _home(properties: Path) -> Path:
+    return properties.parent.parent if properties.parent.name == "Properties" else properties.parent
+
+
+def _homes_of_records(folder: Path) -> tuple[Path, ...]:
+    """Return the folders, this one or below, that have a folder with calibration records."""
+    found = [place.parent for pattern in ("calibration", "*/calibration") for place in sorted(folder.glob(pattern))]
+    found += [place.parent for pattern in ("Calibration", "*/Calibration") for place in sorted(folder.glob(pattern))]
+    return tuple(place for place in dict.fromkeys(found) if place.is_dir())
+
+
+def _calibrations(home: Path) -> tuple[Path, ...]:
     for place in ("calibration", "Calibration", "."):
         found = [
             file for file in (home / place).glob("*calibration*propert*.json") if "stac" not in file.name.casefold()

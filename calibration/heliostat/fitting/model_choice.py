@@ -8,7 +8,7 @@ import numpy as np
 from calibration.heliostat.fitting.fit_model import FitModel, descend
 from calibration.heliostat.fitting.fit_result import FitOptions, HeliostatFit
 from calibration.heliostat.fitting.prediction import sky_blocks
-from calibration.heliostat.fitting.priors import PARTS, prior_sigma, with_bending, with_priors
+from calibration.heliostat.fitting.priors import ASKED_FOR, PARTS, prior_sigma, with_bending, with_priors
 from calibration.heliostat.fitting.robust_fit import fit
 from calibration.heliostat.kinematic_model.design import POSITION, HeliostatDesign
 from calibration.heliostat.observations.observations import Observations
@@ -86,7 +86,8 @@ def usual_candidates(design: HeliostatDesign) -> tuple[Candidate, ...]:
         ("bending", ("sag_1", "sag_2")),
         ("parts", PARTS),
     )
-    sigmas: dict[str, float] = {}
+    # What was asked for of the drives is no choice.
+    sigmas = {name: prior_sigma(design, name) for name in ASKED_FOR if name in design.parameters.names}
     found: list[Candidate] = []
     for name, parameters in steps:
         new = {one: prior_sigma(design, one) for one in parameters if one in design.parameters.names}

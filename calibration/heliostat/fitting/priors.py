@@ -1,6 +1,6 @@
 """What is known of a heliostat before anything is measured: sigmas of its numbers, with where each comes from."""
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
 from calibration.heliostat.kinematic_model.design import HeliostatDesign, LinearActuator
@@ -28,6 +28,9 @@ _HEIGHT = PriorSigma(2.0, "which point of the post was surveyed, and above which
 _PART = PriorSigma(3e-4, "general tolerance ISO 2768-m of parts from 120 to 400 mm: 0.5 mm at most")
 _WEIGHT = PriorSigma(3e-3, "frames of some square metres bend by a few milliradians under their weight")
 _ARM = PriorSigma(0.01, "mirror glued and screwed to its arm: a centimetre")
+_WORM = PriorSigma(2e-3, "data sheets of slew drives state a tracking precision of 0.1 degree")
+_PLAY = PriorSigma(4e-3, "data sheets of slew drives state a backlash of 0.1 to 0.2 degree")
+_RATIO = PriorSigma(1e-3, "teeth are counted; what is left of a ratio is rounded numbers and the encoder's scale")
 
 #: Prior sigmas by the names that the presets give.
 PRIORS: Mapping[str, PriorSigma] = {
@@ -42,7 +45,13 @@ PRIORS: Mapping[str, PriorSigma] = {
         (f"{part}_{axis}" for part in ("initial_stroke", "offset", "pivot_radius") for axis in (1, 2)), _PART
     ),
     **dict.fromkeys(("arm_normal", "arm_up"), _ARM),
+    **dict.fromkeys((f"worm_{part}_{axis}" for part in ("sin", "cos", "sin2", "cos2") for axis in (1, 2)), _WORM),
+    **dict.fromkeys(("backlash_1", "backlash_2"), _PLAY),
+    **dict.fromkeys(("scale_1", "scale_2"), _RATIO),
 }
+
+#: Errors of the drives that a heliostat has only where they are asked for: then they are free.
+ASKED_FOR = tuple(name for name, prior in PRIORS.items() if prior in (_WORM, _PLAY, _RATIO))
 
 #: Parts of the drives: free only where the observations prove that they must be.
 PARTS = ("initial_angle_2", *(name for name, prior in PRIORS.items() if prior in (_PART, _ARM)))
@@ -82,3 +91,14 @@ def with_bending(design: HeliostatDesign) -> HeliostatDesign:
         return design
     # The mirror stands upright where the first axis is at 0: there its weight has the longest lever.
     return with_drive_terms(design, 0, ("sag",), sag_zero_rad=0.0)
+
+
+def with_terms_free(design: HeliostatDesign, names: Collection[str]) -> HeliostatDesign:
+    """Return the same heliostat with errors of its drives free within their priors.
+
+    names: Those that were asked for; of these what is free already keeps its sigma, and what the design does not
+        have is passed over.
+    """
+    parameters = design.parameters
+    held = [name for name in names if name in parameters.names and parameters.sigma(name) == 0]
+    return design.with_parameters(parameters.with_sigmas({name: PRIORS[name].sigma for name in held}))

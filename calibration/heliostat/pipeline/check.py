@@ -21,6 +21,7 @@ def find_faults(measurement: HeliostatMeasurement, findings: Findings) -> None:
     campaign = findings.attempt(Options().choose, measurement)
     if campaign is None:
         return
+    findings.add(campaign.source.doubts)
     for task in campaign.source.tasks(campaign.names):
         try:
             rows = _read(task, campaign.shared, findings)

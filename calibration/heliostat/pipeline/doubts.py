@@ -52,9 +52,9 @@ def collect_doubts(
 
 
 def refused_rows(rows: Rows) -> Iterator[Doubt]:
-    """Yield which rows were left out for each reason; a few are only good to know.
+    """Yield which rows were left out for each reason; a few are only good to know, unless they cannot be read.
 
-    rows: As they were read.
+    rows: As they were read. A row that is cut off or unreadable shows that something happened to the file.
     """
     refused = [flag for flag in rows.flags if flag]
     for flag in dict.fromkeys(refused):
@@ -63,7 +63,7 @@ def refused_rows(rows: Rows) -> Iterator[Doubt]:
             "rows_left_out",
             f"{count} of {len(rows)} rows left out ({flag}), the first: {rows.ids[first]}: {rows.reasons[first]}",
             {"left_out_count": count, "rows_count": len(rows)},
-            Severity.DOUBT if count > _FEW_REFUSED * len(rows) else Severity.NOTE,
+            Severity.DOUBT if flag == "unreadable" or count > _FEW_REFUSED * len(rows) else Severity.NOTE,
         )
 
 

@@ -164,7 +164,12 @@ def _fill(
     resumed = sum(folder.finished[name] is folder.before.get(name) for name in campaign.names)
     with progress.stage("write results"):
         summary = field_summary(
-            measurement.model.name, rows, campaign.shared, durations_s=dict(progress.durations_s), input_sha256=hashes
+            measurement.model.name,
+            rows,
+            campaign.shared,
+            durations_s=dict(progress.durations_s),
+            input_sha256=hashes,
+            of_field=campaign.source.doubts,
         )
         write_field(folder.path, rows)
         write_summary(folder.path / "summary.json", summary)

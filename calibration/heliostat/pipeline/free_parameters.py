@@ -8,11 +8,11 @@ from calibration.heliostat.files.result import FIELD, Shared
 from calibration.heliostat.fitting.fit_result import FitOptions, HeliostatFit
 from calibration.heliostat.fitting.model_choice import ModelChoice, choose_model
 from calibration.heliostat.fitting.population import with_population
-from calibration.heliostat.fitting.priors import with_priors
+from calibration.heliostat.fitting.priors import with_priors, with_terms_free
 from calibration.heliostat.fitting.robust_fit import fit
 from calibration.heliostat.kinematic_model.design import HeliostatDesign
 from calibration.heliostat.observations.observations import Observations
-from calibration.heliostat.pipeline.nominal_design import frees_parameters
+from calibration.heliostat.pipeline.nominal_design import asked_terms, frees_parameters
 
 AUTO = "auto"
 #: A median farther from the best fit than this is no matter of which parameters are free [rad of the beam].
@@ -45,7 +45,8 @@ def choose_free_parameters(
         free = kinematics.free
         return FreeParameters(nominal, free if isinstance(free, str) else "as in measurement.toml")
     if shared.free != AUTO:
-        return FreeParameters(nominal.with_free(shared.free), shared.free)
+        chosen = nominal.with_free(shared.free)
+        return FreeParameters(with_terms_free(chosen, asked_terms(chosen, kinematics)), shared.free)
     known = FreeParameters(with_priors(nominal), "all with priors")
     if not shared.thorough:
         return known

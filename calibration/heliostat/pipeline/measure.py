@@ -1,6 +1,6 @@
 """Observations of heliostats to tracking models one can trust: read, fit each, try it out, write."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -20,6 +20,7 @@ from calibration.heliostat.keys import HeliostatMeasurement
 from calibration.heliostat.pipeline.campaign import WORTH, Campaign, choose, with_field
 from calibration.heliostat.pipeline.one_heliostat import calibrate_one
 from calibration.heliostat.pipeline.writing import write_heliostat_files, write_result
+from heliogauge.doubts import Doubt
 from heliogauge.errors import EstimationError
 from heliogauge.results.folder import Summary, hash_files
 from heliogauge.results.frame import InstrumentResult
@@ -82,6 +83,8 @@ class Result(InstrumentResult):
         Those that could be calibrated, in the order of the measurement.
     failures : dict of str to Failure
         Why the others could not.
+    of_field : tuple of Doubt
+        What concerns the field as a whole.
     name : str
         Name of the measurement.
     doubts : tuple of Doubt
@@ -96,6 +99,7 @@ class Result(InstrumentResult):
     shared: Shared
     heliostats: tuple[HeliostatResult, ...]
     failures: dict[str, Failure]
+    of_field: tuple[Doubt, ...] = ()
 
     @property
     def only_one(self) -> HeliostatResult | None:
@@ -113,7 +117,9 @@ class Result(InstrumentResult):
         durations, hashes = self.durations_s, self.input_sha256
         if self.only_one is not None:
             return heliostat_summary(self.only_one, durations_s=durations, input_sha256=hashes)
-        return field_summary(self.name, self.rows, self.shared, durations_s=durations, input_sha256=hashes)
+        return field_summary(
+            self.name, self.rows, self.shared, durations_s=durations, input_sha256=hashes, of_field=self.of_field
+        )
 
     def write_files(self, folder: Path) -> None:
         """Write one heliostat, or a folder for each and ``field.csv``, into an existing folder."""
@@ -173,14 +179,17 @@ def run(measurement: HeliostatMeasurement, options: Options | None = None, progr
     if not heliostats:
         refuse_all(failures)
     durations = dict(progress.durations_s)
+    of_field = campaign.source.doubts
     if len(heliostats) == 1 and not failures:
-        doubts = heliostats[0].doubts
+        doubts = (*of_field, *heliostats[0].doubts)
+        heliostats = (replace(heliostats[0], doubts=doubts),)
     else:
-        doubts = tuple(doubt.prefixed(one.name) for one in heliostats for doubt in one.doubts)
+        doubts = (*of_field, *(doubt.prefixed(one.name) for one in heliostats for doubt in one.doubts))
     return Result(
         campaign.shared,
         heliostats,
         failures,
+        of_field,
         name=measurement.model.name,
         doubts=doubts,
         durations_s=durations,

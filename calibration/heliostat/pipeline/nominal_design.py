@@ -7,9 +7,10 @@ import numpy as np
 
 from calibration.heliostat.files.sources import HeliostatTask, position_of
 from calibration.heliostat.files.store_paint import PaintProperties, parse_properties
+from calibration.heliostat.fitting.priors import with_terms_free
 from calibration.heliostat.keys import KinematicsSection
-from calibration.heliostat.kinematic_model.design import HeliostatDesign
-from calibration.heliostat.kinematic_model.parameters import FREE
+from calibration.heliostat.kinematic_model.design import HeliostatDesign, RotaryDrive
+from calibration.heliostat.kinematic_model.parameters import FREE, HELD
 from calibration.heliostat.kinematic_model.presets import (
     ActuatorNumbers,
     azimuth_elevation,
@@ -140,8 +141,20 @@ def _with_knowledge(
     design = design.with_value({**shared, **own})
     if kinematics.free is not None:
         design = design.with_free(kinematics.free)
+    design = with_terms_free(design, asked_terms(design, kinematics))
     sigmas = {name: one.sigma for name, one in kinematics.parameters.items() if one.sigma is not None}
     return design.with_parameters(design.parameters.with_sigmas(sigmas))
+
+
+def asked_terms(design: HeliostatDesign, kinematics: KinematicsSection) -> tuple[str, ...]:
+    """Return the parameters of the drives' errors that measurement.toml asks for and does not hold."""
+    if not kinematics.terms:
+        return ()
+    held = {name for name, one in kinematics.parameters.items() if one.sigma == HELD}
+    scales = [drive.scale for drive in design.drives if isinstance(drive, RotaryDrive) and drive.scale is not None]
+    return tuple(
+        name for name in (*scales, *(n for drive in design.drives for n in drive.terms.names)) if name not in held
+    )
 
 
 def frees_parameters(kinematics: KinematicsSection) -> bool:

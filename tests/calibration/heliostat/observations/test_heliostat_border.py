@@ -179,7 +179,6 @@ class TestColumns:
             ("e_m", "east", r"position is missing: columns e_m, n_m, u_m"),
             ("\nH1,", "\nH1,nan,2,3\nH2,", "e_m = 'nan': a finite number is needed for its position"),
             ("\nH1,", "\nH1,,2,3\nH2,", "e_m = '': a finite number is needed for its position"),
-            ("\nH1,", "\nH1,1,2,3\nH1,", "line 3: heliostat 'H1' is listed twice"),
         ],
     )
     def test_table_of_heliostats(self, tmp_path: Path, old: str, new: str, wanted: str) -> None:
