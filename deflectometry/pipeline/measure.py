@@ -21,6 +21,7 @@ from deflectometry.pipeline.inputs import (
 )
 from deflectometry.pipeline.plausibility import implausible, refuse_impossible, size_doubt
 from deflectometry.pipeline.result import Result
+from deflectometry.pipeline.setup_test import setup_doubt
 from deflectometry.setup.camera_and_screen import Setup
 from deflectometry.setup.screen_table import check_beyond_table
 from deflectometry.shape.assemble import assemble_maps
@@ -105,6 +106,8 @@ def run(
         doubt_of_canting(cantings),
         implausible(numbers, numbers_by_facet, evaluation),
     )
+    if not any(doubt.code == "slopes_of_no_surface" for doubt in doubts):
+        doubts = gather_doubts(doubts, setup_doubt(setup, evaluation))
     with progress.stage("check result"):
         by_code = {doubt.code: doubt for doubt in doubts}
         refuse_contradictions(observation, setup, mirror, evaluation, by_code)

@@ -1,13 +1,13 @@
 """The share of the uncertainty that a whole slope map has in common: pose, screen and camera."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from deflectometry.pose.pose_observations import UncertainPose
 from deflectometry.setup.camera_and_screen import Setup
-from deflectometry.setup.setup_steps import moved_setup, principal_steps, setup_steps
+from deflectometry.setup.setup_steps import SetupStep, moved_setup, principal_steps, setup_steps
 from deflectometry.shape.facet_pixels import PixelSamples, trace_samples
 from deflectometry.shape.smooth_shape import FacetSamples, RoundLimits, ShapeSolution, slopes_at, solve_shape
 from heliogauge.geometry.rigid import RigidTransform
@@ -43,6 +43,24 @@ def common_modes(
     is independent of theirs. (With the pose held in place, a focal length off by 0.15 % and a distance that gave way
     to it would count five times too much, a principal point in y half of its true share.)
     """
+    return modes_of_inputs(
+        setup, samples, solution, lambda cam_from_mirror: _perturbations(setup, cam_from_mirror, located), align=align
+    )
+
+
+def modes_of_inputs(
+    setup: Setup,
+    samples: Sequence[PixelSamples],
+    solution: ShapeSolution,
+    inputs: Callable[[RigidTransform], Iterable["MovedInput"]],
+    *,
+    align: bool,
+) -> list[CommonModes]:
+    """Return what other inputs do to the slopes of each facet: one mode for each.
+
+    solution, align: As in `common_modes`.
+    inputs: Makes them from the pose of the mirror.
+    """
     # The base must be at rest on these very samples, or the first step would move it too.
     start = solve_shape(
         trace_samples(setup, samples), solution.cam_from_mirror, align=align, start=solution, rounds=RoundLimits(30, 1)
@@ -51,7 +69,7 @@ def common_modes(
     sources: list[str] = []
     changes: list[list[FloatArray]] = []
     rounds = RoundLimits(2, 1, must_settle=False)
-    for one in _perturbations(setup, start.cam_from_mirror, located):
+    for one in inputs(start.cam_from_mirror):
         traced = trace_samples(one.setup, samples)
         shape = solve_shape(traced, one.cam_from_mirror, align=align, start=start, rounds=rounds)
         sources.append(one.source)
@@ -76,22 +94,27 @@ def _departures(
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Perturbed:
-    """Inputs of which one was moved by one sigma, and the name of its source."""
+class MovedInput:
+    """Inputs of which one was moved, and the name of its source."""
 
     source: str
     setup: Setup
     cam_from_mirror: RigidTransform
 
 
-def _perturbations(setup: Setup, cam_from_mirror: RigidTransform, located: UncertainPose) -> Iterator[_Perturbed]:
+def _perturbations(setup: Setup, cam_from_mirror: RigidTransform, located: UncertainPose) -> Iterator[MovedInput]:
     """Yield the inputs moved by one sigma along each principal direction of each covariance."""
     for step in principal_steps(located.covariance):
-        yield _Perturbed(MIRROR_POSE, setup, cam_from_mirror.moved(step))
+        yield MovedInput(MIRROR_POSE, setup, cam_from_mirror.moved(step))
     for one in setup_steps(setup):
-        moved = moved_setup(setup, (one,), np.ones(1))
-        follows = cam_from_mirror if one.warp is not None else located.following(moved, cam_from_mirror)
-        yield _Perturbed(one.source, moved, follows)
+        yield moved_input(setup, cam_from_mirror, located, one)
+
+
+def moved_input(setup: Setup, cam_from_mirror: RigidTransform, located: UncertainPose, step: SetupStep) -> MovedInput:
+    """Return the inputs after one step of camera or screen, which the pose follows."""
+    moved = moved_setup(setup, (step,), np.ones(1))
+    follows = cam_from_mirror if step.warp is not None else located.following(moved, cam_from_mirror)
+    return MovedInput(step.source, moved, follows)
 
 
 def _as_modes(sources: list[str], changes: list[FloatArray], points_m: FloatArray, sample: PixelSamples) -> CommonModes:

@@ -1,5 +1,7 @@
 """Input that every step swallows and that makes a wrong result: refused, or said in the warnings."""
 
+import re
+
 import cv2
 import numpy as np
 import pytest
@@ -163,3 +165,26 @@ def test_damaged_hdf5_of_opencsp(tmp_path):
     file.write_bytes(b"\x89HDF\r\n\x1a\n" + b"0" * 50)
     with pytest.raises(InputError, match=r"not a readable HDF5 .* or damaged"):
         read_opencsp_file(file)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("change", "named"),
+    [
+        ((r"(?m)^translation_m = \[([^,]*),", 0.02), "moved along its x axis"),
+        ((r"(?m)^center_x_px = (.*)()$", 3.0), "principal point moved along x"),
+    ],
+    ids=["screen moved by 20 mm", "principal point off by 3 px"],
+)
+def test_setup_that_no_surface_allows_is_named(folder, change, named):
+    """Neither shows in the outline, nor in the curl of single points."""
+    pattern, amount = change
+    file = folder / "measurement.toml"
+    text = file.read_text()
+    found = re.search(pattern, text)
+    moved = text[: found.start(1)] + repr(float(found[1]) + amount) + text[found.end(1) :]
+    file.write_text(re.sub(r"(?m)^\[mirror.distance\]\n.*\n.*\n", "", moved))
+    doubts = {one.code: one for one in run(load_deflectometry(folder)).doubts}
+    assert "setup_contradicts_slopes" in doubts
+    assert named in doubts["setup_contradicts_slopes"].text
+    assert doubts["setup_contradicts_slopes"].numbers["unexplained_ratio"] < 2.5
