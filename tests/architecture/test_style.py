@@ -3,9 +3,7 @@
 import ast
 from collections.abc import Iterator
 
-import pytest
-
-from tests.architecture.source_tree import Module, all_modules, is_numeric
+from tests.architecture.source_tree import all_modules, is_numeric
 
 
 def habits(tree: ast.Module, *, numeric: bool) -> Iterator[tuple[int, str]]:
@@ -24,15 +22,18 @@ def habits(tree: ast.Module, *, numeric: bool) -> Iterator[tuple[int, str]]:
             yield node.lineno, f"numeric module: no {node.func.id}(); files and terminals are the border's"
 
 
-@pytest.mark.parametrize("module", all_modules(), ids=str)
-def test_habits(module: Module) -> None:
-    found = [f"{module.path}:{line}: {why}" for line, why in habits(module.tree, numeric=is_numeric(module.name))]
+def test_habits() -> None:
+    found = [
+        f"{module.path}:{line}: {why}"
+        for module in all_modules()
+        for line, why in habits(module.tree, numeric=is_numeric(module.name))
+    ]
     assert not found, "\n".join(found)
 
 
-@pytest.mark.parametrize("module", all_modules(), ids=str)
-def test_every_module_says_what_it_is_for(module: Module) -> None:
-    assert ast.get_docstring(module.tree), f"{module.path}: the first line says what the module is for"
+def test_every_module_says_what_it_is_for() -> None:
+    silent = [module.path for module in all_modules() if not ast.get_docstring(module.tree)]
+    assert not silent, f"the first line says what the module is for: {', '.join(silent)}"
 
 
 def test_the_habits_themselves() -> None:
