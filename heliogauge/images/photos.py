@@ -12,10 +12,11 @@ import os
 import re
 import struct
 import zlib
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -138,24 +139,25 @@ def read_frames(
         raise InputError("images: at least one file is needed")
     threads = jobs or min(os.cpu_count() or 1, 8)
     _check_sum(paths)
-    images: list[Image] = []
+    stack = _Stack(len(paths))
     orientations: list[int] = []
     with (progress or SilentProgress()).stage(stage, len(paths)) as running, ThreadPoolExecutor(threads) as pool:
-        waiting = [pool.submit(_read_with_orientation, path) for path in paths]
         try:
-            for future in waiting:
-                image, orientation = future.result()
-                images.append(image)
+            # No more of them side by side as they are decoded than the threads need.
+            rest = iter(paths)
+            waiting = deque(pool.submit(_read_with_orientation, path) for path in islice(rest, 2 * threads))
+            while waiting:
+                image, orientation = waiting.popleft().result()
+                waiting.extend(pool.submit(_read_with_orientation, path) for path in islice(rest, 1))
+                stack.add(image)
                 orientations.append(orientation)
                 running.advance()
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
             raise
-    _refuse_mixture(paths, [_size_text(image) for image in images], "size")
-    depths = [_full_scale(path, image) for path, image in zip(paths, images, strict=True)]
-    _refuse_mixture(paths, [f"{depth.bit_length()} bit" for depth in depths], "depth")
-    stack = _stack([_grey(image) for image in images])
-    return Frames(stack, depths[0], tuple(paths), tuple(_orientation_doubts(paths, orientations)))
+    _refuse_mixture(paths, stack.sizes, "size")
+    _refuse_mixture(paths, [f"{depth.bit_length()} bit" for depth in stack.depths_dn], "depth")
+    return Frames(stack.images_dn, stack.depths_dn[0], tuple(paths), tuple(_orientation_doubts(paths, orientations)))
 
 
 def _check_sum(paths: Sequence[Path]) -> None:
@@ -164,10 +166,10 @@ def _check_sum(paths: Sequence[Path]) -> None:
         return
     header = image_header(_read_bytes(paths[0]))
     if header is not None:
-        # As they are decoded, and once more in one array.
-        each = header.pixels * (header.depth_bytes if header.channels == 1 else 3 * header.depth_bytes + 4)
+        # In one array, and a few as they are decoded.
+        each = header.pixels * (header.depth_bytes if header.channels == 1 else 4)
         what = f"{len(paths)} images of {header.width_px} x {header.height_px} px"
-        refuse_large(str(paths[0].parent), 2 * len(paths) * each, what)
+        refuse_large(str(paths[0].parent), len(paths) * each + 4 * header.pixels * _bytes_per_pixel(header), what)
 
 
 def _orientation_doubts(paths: Sequence[Path], orientations: Sequence[int]) -> Iterator[Doubt]:
@@ -293,12 +295,34 @@ def _grey(image: npt.NDArray[Any]) -> Image:
     return np.asarray(luminance, dtype=np.float32)
 
 
-def _stack(images: list[Image]) -> Image:
-    dtype = np.float32 if any(image.dtype == np.float32 for image in images) else images[0].dtype
-    stack = np.empty((len(images), *images[0].shape), dtype=dtype)
-    for k, image in enumerate(images):
-        stack[k] = image
-    return stack
+class _Stack:
+    """Grey values of photographs in one array, put there one after the other.
+
+    images_dn (count, height, width): What was added, as long as it is of one size and depth [DN].
+    sizes, depths_dn: Size in words and largest value of each photograph.
+    """
+
+    __slots__ = ("_count", "depths_dn", "images_dn", "sizes")
+
+    def __init__(self, count: int) -> None:
+        self._count = count
+        self.images_dn: Image = np.empty((0, 0, 0), dtype=np.uint8)
+        self.sizes: list[str] = []
+        self.depths_dn: list[int] = []
+
+    def add(self, image: npt.NDArray[Any]) -> None:
+        """Add a photograph as it was decoded."""
+        place = len(self.sizes)
+        self.sizes.append(_size_text(image))
+        self.depths_dn.append(int(np.iinfo(image.dtype).max))
+        if self.sizes[-1] != self.sizes[0] or self.depths_dn[-1] != self.depths_dn[0]:
+            return
+        grey = _grey(image)
+        if not place:
+            self.images_dn = np.empty((self._count, *grey.shape), dtype=grey.dtype)
+        elif grey.dtype == np.float32 != self.images_dn.dtype:
+            self.images_dn = self.images_dn.astype(np.float32)
+        self.images_dn[place] = grey
 
 
 # --- what does not belong together ----------------------------------------------------------------------------------
