@@ -13,8 +13,11 @@ from deflectometry.pose.adjust_pose import MirrorPose
 from deflectometry.setup.camera_and_screen import Setup
 from deflectometry.setup.patterns import FringePattern
 from deflectometry.shape.facet_canting import CANTING_FILE, CANTING_SIGN, MOUNTS_FILE, FacetCanting
+from deflectometry.shape.pixel_slopes import bounding_box
+from heliogauge.flags import SampleFlag
 from heliogauge.geometry.rigid import skew
 from heliogauge.results.folder import (
+    CutOut,
     PhotoPose,
     Summary,
     write_cameras_json,
@@ -104,7 +107,8 @@ class Result(InstrumentResult):
             maps[ASSEMBLED] = self.assembled
         attributes = {"name": self.name, "input_sha256": self.input_sha256, "pose": evaluation.located.source}
         write_slope_map(folder / "slope_map.nc", maps, attributes)
-        write_pixels(folder / "pixels.nc", _pixel_arrays(evaluation), {"name": self.name})
+        pixels = _pixels(evaluation)
+        write_pixels(folder / "pixels.nc", pixels.arrays, {"name": self.name}, cut_out=pixels.cut_out)
         write_cameras_json(folder / "cameras.json", {"camera": self.setup.camera}, _facet_poses(evaluation))
         if evaluation.located.evidence is not None:
             write_table_csv(folder / "outline.csv", _outline_columns(evaluation.located.evidence))
@@ -183,14 +187,24 @@ def _pattern_words(pattern: FringePattern) -> str:
     return f"{pattern.n_frames} frames: {listed}"
 
 
-def _pixel_arrays(evaluation: Evaluation) -> dict[str, npt.NDArray[Any]]:
-    """Put the pixels of all facets into images of the camera's size."""
+@dataclass(frozen=True, slots=True, eq=False)
+class _Pixels:
+    """What the pixels saw, in the part of the image that holds the mirror."""
+
+    arrays: dict[str, npt.NDArray[Any]]
+    cut_out: CutOut
+
+
+def _pixels(evaluation: Evaluation) -> _Pixels:
+    """Put the pixels of all facets together."""
     screen_map = evaluation.screen_map
-    shape = screen_map.flags.shape
-    # As precise as the file keeps them: seven images of 2 million pixels are 56 MB less.
+    outside = np.uint32(SampleFlag.OUTSIDE_MIRROR)
+    part = bounding_box(screen_map.flags != outside)
+    top, left = (one.start for one in part)
+    flags = screen_map.flags[part].copy()
+    # As precise as the file keeps them.
     names = ("x", "y", "z", "slope_x", "slope_y", "sigma_x", "sigma_y")
-    arrays = {name: np.full(shape, np.nan, dtype=np.float32) for name in names}
-    flags = screen_map.flags.copy()
+    arrays: dict[str, npt.NDArray[Any]] = {name: np.full(flags.shape, np.nan, dtype=np.float32) for name in names}
     surfaces = dict(zip(evaluation.images, evaluation.solution.surfaces, strict=True))
     for name, image in evaluation.images.items():
         index = [facet.name for facet in evaluation.located.facets].index(name)
@@ -206,16 +220,18 @@ def _pixel_arrays(evaluation: Evaluation) -> dict[str, npt.NDArray[Any]]:
             "sigma_x": image.sigma_x,
             "sigma_y": image.sigma_y,
         }
+        # The part of a facet lies in that of all of them.
+        target = slice(rows.start - top, rows.stop - top), slice(columns.start - left, columns.stop - left)
         for key, value in values.items():
-            arrays[key][rows, columns][own] = value[own]
-        flags[rows, columns][own] = image.flags[own]
-    return {
-        **arrays,
-        "u": screen_map.u,
-        "v": screen_map.v,
-        "sigma_u": screen_map.sigma_u,
-        "sigma_v": screen_map.sigma_v,
-        "modulation_dn": screen_map.modulation_dn,
-        "facet": (evaluation.facet_index + 1).astype(np.int16),
+            np.copyto(arrays[key][target], value, where=own, casting="same_kind")
+        np.copyto(flags[target], image.flags, where=own)
+    arrays |= {
+        "u": screen_map.u[part],
+        "v": screen_map.v[part],
+        "sigma_u": screen_map.sigma_u[part],
+        "sigma_v": screen_map.sigma_v[part],
+        "modulation_dn": screen_map.modulation_dn[part],
+        "facet": (evaluation.facet_index[part] + 1).astype(np.int16),
         "flag": flags,
     }
+    return _Pixels(arrays, CutOut(screen_map.flags.shape, top, left, {"flag": int(outside)}))

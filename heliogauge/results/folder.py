@@ -16,6 +16,7 @@ from heliogauge.files.regular import open_regular
 from heliogauge.results.json_file import read_json, write_json
 from heliogauge.results.slope_map_file import (
     ASSEMBLED,
+    CutOut,
     facet_names,
     read_pixels,
     read_slope_map,
@@ -41,6 +42,7 @@ from heliogauge.results.whole_folder import FolderKind, WholeFolder
 __all__ = [
     "ASSEMBLED",
     "SUMMARY_FILE",
+    "CutOut",
     "PhotoPose",
     "PointTable",
     "ResultFolder",

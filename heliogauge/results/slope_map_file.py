@@ -10,6 +10,7 @@ import io
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +28,9 @@ from heliogauge.slopes.map import CommonModes, SlopeMap, no_common_modes
 SLOPE_MAP_SCHEMA = 1
 #: Name of the map at the root of a file that also holds one group for each facet.
 ASSEMBLED = ""
+
+#: Side of the squares that a variable of which a part is blank is stored in.
+_CHUNK_PIXELS = 128
 
 # HDF5 keeps an attribute in the object header, which ends at 64 KiB: the hashes of some 600 files.
 _LONGEST_ATTRIBUTE = 60_000
@@ -140,14 +144,34 @@ def read_slope_map_attributes(path: Path) -> dict[str, Any]:
         return {name: plain_value(value) for name, value in file.attrs.items() if not name.startswith("_")}
 
 
+@dataclass(frozen=True, slots=True)
+class CutOut:
+    """The part of an image that arrays hold; around it are only blank pixels.
+
+    image_shape: Rows and columns of the whole image.
+    first_row, first_column: Place of the part's first pixel in it [px].
+    blanks: What stands around it, by variable; NaN or 0 for the rest.
+    """
+
+    image_shape: tuple[int, int]
+    first_row: int
+    first_column: int
+    blanks: Mapping[str, int]
+
+
 def write_pixels(
-    path: Path, arrays: Mapping[str, npt.NDArray[Any]], attributes: Mapping[str, Any] | None = None
+    path: Path,
+    arrays: Mapping[str, npt.NDArray[Any]],
+    attributes: Mapping[str, Any] | None = None,
+    *,
+    cut_out: CutOut | None = None,
 ) -> None:
     """Write what each camera pixel saw, dims (row, column).
 
     arrays (n_rows, n_columns): Some of `PIXEL_VARIABLES`; floating values are stored as float32.
     attributes: Global attributes. ``first_row``, ``first_column`` place a cut-out, ``step`` a decimated one, in the
         image [px].
+    cut_out: Place of the arrays in an image that is stored whole: only the part that they hold takes space in the file.
     InputError: Unknown variable, differing shapes, or the file cannot be written.
 
     float32 keeps 0.2 um on a 3 m facet and 1e-5 of a sigma: below every measured noise, at half the bytes.
@@ -159,17 +183,18 @@ def write_pixels(
             f"pixels: arrays of one shape (rows, columns) with names from {', '.join(PIXEL_VARIABLES)} are needed, "
             f"not {', '.join(unknown) or 'shapes ' + str(sorted(shapes))}"
         )
-    rows, columns = next(iter(shapes))
+    rows, columns = next(iter(shapes)) if cut_out is None else cut_out.image_shape
     with written_at_once(path) as file:
         write_global_attributes(file, attributes or {})
         scales = [_write_bare_dimension(file, name, size) for name, size in (("row", rows), ("column", columns))]
         for name, array in arrays.items():
             labels = dict(zip(("units", "long_name"), PIXEL_VARIABLES[name], strict=True))
             if name == "flag":
-                _write_flags(file, array, scales)
+                _write_flags(file, array, scales, cut_out)
             else:
                 is_float = np.issubdtype(array.dtype, np.floating)
-                write_variable(file, name, array.astype(np.float32, copy=False) if is_float else array, scales, labels)
+                values = array.astype(np.float32, copy=False) if is_float else array
+                write_variable(file, name, values, scales, labels, cut_out)
 
 
 def read_pixels(path: Path) -> dict[str, npt.NDArray[Any]]:
@@ -287,23 +312,40 @@ def _write_map(group: Any, slope_map: SlopeMap) -> None:
 
 
 def write_variable(
-    group: Any, name: str, values: npt.NDArray[Any], scales: Sequence[Any], attributes: Mapping[str, Any]
+    group: Any,
+    name: str,
+    values: npt.NDArray[Any],
+    scales: Sequence[Any],
+    attributes: Mapping[str, Any],
+    cut_out: CutOut | None = None,
 ) -> None:
     """Write one variable with its dimensions.
 
     values: Its values; NaN is missing.
     scales: One dimension scale for each axis.
     attributes: Unit, long name and the like.
+    cut_out: Place of the values, where they are a part of the variable.
     """
     is_float = np.issubdtype(values.dtype, np.floating)
     fill = values.dtype.type(np.nan) if is_float else None
-    variable = group.create_dataset(name, data=values, fillvalue=fill, track_order=True)
+    if cut_out is None:
+        variable = group.create_dataset(name, data=values, fillvalue=fill, track_order=True)
+    else:
+        # Of a chunked variable HDF5 stores the chunks that were written; what it reads elsewhere is the fill value.
+        blank = values.dtype.type(cut_out.blanks.get(name, 0)) if fill is None else fill
+        shape = cut_out.image_shape
+        chunks = tuple(min(size, _CHUNK_PIXELS) for size in shape)
+        variable = group.create_dataset(
+            name, shape=shape, dtype=values.dtype, chunks=chunks, fillvalue=blank, track_order=True
+        )
+        row, column = cut_out.first_row, cut_out.first_column
+        variable[row : row + values.shape[0], column : column + values.shape[1]] = values
     for dimension, scale in zip(variable.dims, scales, strict=True):
         dimension.attach_scale(scale)
     _write_attributes(variable, {"_FillValue": np.array([fill]), **attributes} if is_float else attributes)
 
 
-def _write_flags(group: Any, flags: npt.NDArray[Any], scales: Sequence[Any]) -> None:
+def _write_flags(group: Any, flags: npt.NDArray[Any], scales: Sequence[Any], cut_out: CutOut | None = None) -> None:
     attributes = {
         "units": "1",
         "long_name": "why a sample is missing or doubtful; 0 is good",
@@ -311,7 +353,7 @@ def _write_flags(group: Any, flags: npt.NDArray[Any], scales: Sequence[Any]) -> 
         "flag_meanings": " ".join(str(flag.name).lower() for flag in SampleFlag),
         "flag_texts": "; ".join(FLAG_TEXTS[flag] for flag in SampleFlag),
     }
-    write_variable(group, "flag", flags.astype(np.uint32), scales, attributes)
+    write_variable(group, "flag", flags.astype(np.uint32, copy=False), scales, attributes, cut_out)
 
 
 def _write_common_modes(group: Any, common: CommonModes) -> None:

@@ -19,6 +19,7 @@ from heliogauge.errors import InputError
 from heliogauge.flags import SampleFlag
 from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.results.folder import (
+    CutOut,
     PhotoPose,
     PointTable,
     ResultFolder,
@@ -198,6 +199,24 @@ def test_pixels_come_back_as_float32_and_open_in_xarray(tmp_path: Path) -> None:
         write_pixels(tmp_path / "pixels.nc", {"phase": np.zeros((2, 2))})
     with pytest.raises(InputError, match="shape"):
         write_pixels(tmp_path / "pixels.nc", {"x": np.zeros((2, 2)), "y": np.zeros((2, 3))})
+
+
+def test_cut_out_reads_as_the_whole_image_and_takes_its_own_space(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    part = {"u": rng.random((40, 50)).astype(np.float32), "facet": np.ones((40, 50), np.int16)}
+    part["flag"] = np.arange(2000, dtype=np.uint32).reshape(40, 50)
+    whole = {"u": np.full((700, 900), np.nan, np.float32), "facet": np.zeros((700, 900), np.int16)}
+    whole["flag"] = np.full((700, 900), 7, np.uint32)
+    for name, values in part.items():
+        whole[name][600:640, 850:] = values
+    write_pixels(tmp_path / "part.nc", part, cut_out=CutOut((700, 900), 600, 850, {"flag": 7}))
+    back = read_pixels(tmp_path / "part.nc")
+    with xarray.open_dataset(tmp_path / "part.nc", engine="h5netcdf") as data:
+        for name, values in whole.items():
+            np.testing.assert_array_equal(back[name], values, strict=True)
+            np.testing.assert_array_equal(data[name], values)
+    # 4 squares of 128 px a side and 10 bytes a pixel are 0.66 MB, the whole is 6.3 MB.
+    assert (tmp_path / "part.nc").stat().st_size < 1e6
 
 
 def make_summary(**changes: object) -> Summary:
