@@ -86,4 +86,4 @@ def test_height_is_the_direct_solution_of_the_normal_equations(shape):
     # The least of all solutions has mean zero in each connected part.
     truth = np.linalg.lstsq(np.array(rows), np.array(targets), rcond=None)[0]
     # Slopes within 1e-7; parts that hang on single nodes have a height that is less sure, by a factor of about ten.
-    assert np.abs(integrate_slopes(*slopes, step)[known] - truth).max() < 3e-6 * truth.std()
+    assert np.abs(integrate_slopes(*slopes, step)[known] - truth).max() < 1e-5 * truth.std()
