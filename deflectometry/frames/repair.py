@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from deflectometry.frames.frame_content import FrameSample, fit_sets, sample_frames
+from deflectometry.frames.frame_content import fit_sets
 from deflectometry.frames.frame_model import FrameModel, Oddity, OddityKind, estimate_frames
 from deflectometry.frames.light_checks import FaultKind, FrameFault, saturation_limit
-from deflectometry.frames.sequence_checks import check_frames, light_noise
+from deflectometry.frames.sequence_checks import SampledFrames, check_sampled
 from deflectometry.frames.set_motion import moved_sets
 from deflectometry.fringes.fringe_orders import search_orders
 from deflectometry.fringes.phase import TURN_RAD, LightResponse
@@ -59,17 +59,30 @@ class RepairedFrames:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _State:
-    """A sequence on the way: frames, pattern, and which image each frame was."""
+    """A sequence on the way: frames with their sample, pattern, and which image each frame was."""
 
-    frames: npt.NDArray[Any]
     pattern: FringePattern
     numbers: tuple[int, ...]
     original: FringePattern
-    response: LightResponse | None
-    saturation_dn: float
+    sampled: SampledFrames
     repairs: tuple[Doubt, ...] = ()
     sigma_periods: FloatArray = field(default_factory=lambda: np.zeros(2))
     stands_still: bool = False
+
+    @property
+    def frames(self) -> npt.NDArray[Any]:
+        """The frames, shape (n, h, w) [DN]."""
+        return self.sampled.frames
+
+    @property
+    def response(self) -> LightResponse | None:
+        """Makes readings linear."""
+        return self.sampled.response
+
+    def with_frames(self, frames: npt.NDArray[Any], **changes: Any) -> "_State":
+        """Return the sequence with other frames."""
+        sampled = SampledFrames(frames, self.response, self.sampled.saturation_dn)
+        return replace(self, sampled=sampled, **changes)
 
     def describe(self, frame: int) -> str:
         """Say which frame of the measurement this one is."""
@@ -107,10 +120,10 @@ def repair_frames(
     estimated (`deflectometry.frames.frame_model`) and used. Every repair is a doubt. What is left as an error is not
     mended, and then nothing is.
     """
-    given = _State(frames, pattern, tuple(range(len(frames))), pattern, response, saturation_dn)
-    first = _check(given)
+    given = _State(pattern, tuple(range(len(frames))), pattern, SampledFrames(frames, response, saturation_dn))
+    first = check_sampled(given.sampled, pattern)
     state = _without_unresolved(given)
-    faults = first if state is given else _check(state)
+    faults = first if state is given else check_sampled(state.sampled, state.pattern)
     for _ in range(_MOST_REPAIRS):
         errors = [fault for fault in faults if fault.severity == "error"]
         if any(fault.kind in (FaultKind.FRAME_COUNT, FaultKind.NOT_FINITE, FaultKind.SATURATION) for fault in errors):
@@ -119,15 +132,11 @@ def repair_frames(
         if mended is None:
             break
         state = mended
-        faults = _check(state)
+        faults = check_sampled(state.sampled, state.pattern)
     found = tuple(fault for fault in first if fault.severity == "error")
     if any(fault.severity == "error" for fault in faults):
         return RepairedFrames(frames, pattern, found or tuple(faults), found)
     return RepairedFrames(state.frames, state.pattern, tuple(faults), found, state.repairs, state.sigma_periods)
-
-
-def _check(state: _State) -> list[FrameFault]:
-    return check_frames(state.frames, state.pattern, response=state.response, saturation_dn=state.saturation_dn)
 
 
 def _mended(state: _State, errors: list[FrameFault]) -> _State | None:
@@ -170,15 +179,13 @@ def _without_unresolved(state: _State) -> _State:
     pattern = state.pattern
     if len(state.frames) != pattern.n_frames:
         return state
-    sample = sample_frames(state.frames, None, state.response)
+    sample = state.sampled.sample
     if sample.light.shape[1] < 30 or not np.isfinite(sample.light).all():
         return state
-    good = sample.readings.max(axis=0) < saturation_limit(state.frames.dtype, state.saturation_dn)
-    light = sample.light[:, good]
+    light = state.sampled.unsaturated.light
     if light.shape[1] < 30:
         return state
-    lit = FrameSample(sample.readings[:, good], light, sample.raw)
-    noise = light_noise(lit, pattern, state.frames.dtype, state.response)
+    noise = state.sampled.noise(pattern)
     fit = fit_sets(light, pattern)
     weak = []
     for index, fringes in enumerate(pattern.sets):
@@ -221,7 +228,7 @@ def _without_frames(state: _State, frames: Sequence[int]) -> _State | None:
         except EstimationError:
             return None
     numbers = tuple(state.numbers[k] for k in kept)
-    return replace(state, frames=state.frames[kept], pattern=FringePattern(tuple(sets)), numbers=numbers)
+    return state.with_frames(state.frames[kept], pattern=FringePattern(tuple(sets)), numbers=numbers)
 
 
 def _enough(steps_rad: FloatArray) -> bool:
@@ -271,10 +278,8 @@ def _reordered(state: _State, shows: Mapping[int, int | None], faults: list[Fram
             f"frame {state.numbers[frames[0]]}): put into the order of the pattern; check how the images were named",
             {"moved_count": len(frames), "frames_count": state.original.n_frames},
         )
-        numbers = tuple(state.numbers[k] for k in order)
-        result = state.with_doubt(doubt, frames=state.frames[order], numbers=numbers)
-        # Names are those of the frames that the content belongs to.
-        result = replace(result, numbers=state.numbers)
+        # Names stay those of the frames that the content belongs to.
+        result = state.with_frames(state.frames[order]).with_doubt(doubt)
     if lost:
         kind = next((one.kind for one in faults if set(one.frames) & set(lost)), FaultKind.CORRUPT)
         return _left_out(result, lost, _WHY.get(kind, "is damaged"), kind)
@@ -347,7 +352,7 @@ def _standing_still(state: _State) -> _State | None:
         "between the sets: fix both, and take the sequence again"
     )
     doubt = _moved_doubt(text, total[farthest])
-    return state.with_doubt(doubt, frames=frames, stands_still=True)
+    return state.with_frames(frames).with_doubt(doubt, stands_still=True)
 
 
 # --- what the frames have beside their fringes ----------------------------------------------------------------------
@@ -355,11 +360,10 @@ def _standing_still(state: _State) -> _State | None:
 
 def _modelled(state: _State) -> FrameModel | None:
     """Estimate what frames have beside their fringes, if enough pixels show them."""
-    sample = sample_frames(state.frames, None, state.response)
-    if sample.light.shape[1] < 100:
+    if state.sampled.sample.light.shape[1] < 100:
         return None
-    limit = saturation_limit(state.frames.dtype, state.saturation_dn)
-    noise = light_noise(sample, state.pattern, state.frames.dtype, state.response)
+    limit = saturation_limit(state.frames.dtype, state.sampled.saturation_dn)
+    noise = state.sampled.noise(state.pattern)
     return estimate_frames(state.frames, state.pattern, noise, response=state.response, saturation_dn=limit)
 
 
@@ -393,7 +397,10 @@ def _with_model(state: _State, model: FrameModel) -> _State | None:
     others = [one for one in model.oddities if one.kind not in (OddityKind.OFFSET, OddityKind.GAIN)]
     said = (*(_say_light(state, group) for group in same), *(_say(state, one) for one in others))
     doubts = (*state.repairs, *said)
-    return replace(state, frames=frames, pattern=FringePattern(tuple(sets)), repairs=doubts)
+    pattern = FringePattern(tuple(sets))
+    if frames is state.frames:
+        return replace(state, pattern=pattern, repairs=doubts)
+    return state.with_frames(frames, pattern=pattern, repairs=doubts)
 
 
 def _with_places(state: _State, model: FrameModel, moved: list[Oddity]) -> _State | None:

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -47,7 +48,7 @@ from deflectometry.setup.patterns import Axis, FringePattern, FringeSet
 from heliogauge.adjust.robust_scale import robust_scale
 from heliogauge.validate import BoolArray, FloatArray
 
-__all__ = ["FaultKind", "FrameFault", "check_frames", "light_noise", "shorten_faults"]
+__all__ = ["FaultKind", "FrameFault", "SampledFrames", "check_frames", "check_sampled", "shorten_faults"]
 
 #: A step error of this size moves the phase by as much as 1 DN of noise at a modulation of 100 DN with 4 frames.
 _STEP_TOLERANCE_RAD = math.radians(0.5)
@@ -77,9 +78,56 @@ def check_frames(
     matters. Wrong steps: from five frames within a set; with three or four frames only where a finer set of the axis
     gives the position. With one set for an axis its frames can only be compared with each other.
     """
+    return check_sampled(SampledFrames(frames, response, saturation_dn, region), pattern)
+
+
+class SampledFrames:
+    """Pixels of a sequence that the checks look at, and their noise, each found once.
+
+    frames (n, h, w): Frames in the order of a pattern [DN].
+    response: Makes readings linear.
+    saturation_dn: Reading that counts as saturated.
+    region (h, w): Where to look.
+    """
+
+    def __init__(
+        self,
+        frames: npt.NDArray[Any],
+        response: LightResponse | None,
+        saturation_dn: float,
+        region: BoolArray | None = None,
+    ) -> None:
+        self.frames = frames
+        self.response = response
+        self.saturation_dn = saturation_dn
+        self._region = region
+        self._noise: tuple[FringePattern, NoiseModel] | None = None
+
+    @cached_property
+    def sample(self) -> FrameSample:
+        """Pixels that show fringes, thinned out."""
+        return sample_frames(self.frames, self._region, self.response)
+
+    @cached_property
+    def unsaturated(self) -> FrameSample:
+        """The same without saturated pixels: their clipped sinusoids would pass for other faults."""
+        sample = self.sample
+        good = sample.readings.max(axis=0) < saturation_limit(self.frames.dtype, self.saturation_dn)
+        return FrameSample(sample.readings[:, good], sample.light[:, good], sample.raw)
+
+    def noise(self, pattern: FringePattern) -> NoiseModel:
+        """Return the noise of linear light in unsaturated pixels."""
+        if self._noise is None or self._noise[0] is not pattern:
+            self._noise = pattern, light_noise(self.unsaturated, pattern, self.frames.dtype, self.response)
+        return self._noise[1]
+
+
+def check_sampled(sampled: SampledFrames, pattern: FringePattern) -> list[FrameFault]:
+    """Look for faults of the frames as `check_frames` does, where their sample is at hand."""
+    frames, response, saturation_dn = sampled.frames, sampled.response, sampled.saturation_dn
     if len(frames) != pattern.n_frames:
         return [_frame_count(len(frames), pattern)]
-    sample = sample_frames(frames, region, response)
+    sample = sampled.sample
     faults = list(check_finite(sample))
     if _errors(faults):
         return faults
@@ -90,8 +138,7 @@ def check_frames(
         faults += check_response_range(sample, response)
     if _errors(faults):
         return faults
-    sample = _unsaturated(sample, frames.dtype, saturation_dn)
-    noise = light_noise(sample, pattern, frames.dtype, response)
+    sample, noise = sampled.unsaturated, sampled.noise(pattern)
     fit = fit_sets(sample.light, pattern)
     scatter = [math.sqrt(2.0 / fringes.n_frames) for fringes in pattern.sets]
     strength = float(np.median(np.median(fit.modulation / np.sqrt(noise.variance(fit.offset)), axis=1) / scatter))
@@ -113,12 +160,6 @@ def check_frames(
 
 def _errors(faults: list[FrameFault]) -> list[FrameFault]:
     return [fault for fault in faults if fault.severity == "error"]
-
-
-def _unsaturated(sample: FrameSample, dtype: np.dtype[Any], saturation_dn: float) -> FrameSample:
-    """Leave out saturated pixels: their clipped sinusoids would pass for other faults."""
-    good = sample.readings.max(axis=0) < saturation_limit(dtype, saturation_dn)
-    return FrameSample(sample.readings[:, good], sample.light[:, good], sample.raw)
 
 
 def _sequence_faults(sample: FrameSample, pattern: FringePattern, noise: NoiseModel) -> list[FrameFault]:

@@ -7,7 +7,7 @@ import numpy.typing as npt
 
 from deflectometry.fringes.phase import solve_steps
 from deflectometry.setup.patterns import FringePattern
-from heliogauge.adjust.robust_scale import robust_scale
+from heliogauge.adjust.robust_scale import quantile, robust_scale
 from heliogauge.validate import FloatArray
 
 #: Pixels looked at; the edges of a mirror that fills 800 x 800 px are 5000 of 50 000.
@@ -31,20 +31,16 @@ def sets_shifts(frames: npt.NDArray[Any], pattern: FringePattern) -> tuple[Float
     stride = max(1, int(np.sqrt(height * width / _PIXELS)))
     rows, columns = (part.ravel() for part in np.mgrid[1 : height - 1 : stride, 1 : width - 1 : stride])
     around = ((0, 0), (0, -1), (0, 1), (-1, 0), (1, 0))
-    light = np.stack([frames[:, rows + down, columns + right] for down, right in around], axis=2).astype(np.float32)
-    means = np.stack(
-        [
-            (solve_steps(one.steps_rad).estimate[0].astype(np.float32) @ light[where].reshape(one.n_frames, -1))
-            .reshape(-1, 5)
-            .T
-            for one, where in zip(pattern.sets, pattern.frame_slices, strict=True)
-        ]
-    ).astype(np.float64)
+    means = np.empty((len(pattern.sets), 5, rows.size))
+    for number, (one, where) in enumerate(zip(pattern.sets, pattern.frame_slices, strict=True)):
+        weights = solve_steps(one.steps_rad).estimate[0].astype(np.float32)
+        for place, (down, right) in enumerate(around):
+            means[number, place] = weights @ frames[where, rows + down, columns + right].astype(np.float32)
     usual = np.median(means, axis=0)
     # Where light changes little from pixel to pixel there is no edge, and fringes that are left weigh more.
     along = np.stack([0.5 * (usual[2] - usual[1]), 0.5 * (usual[4] - usual[3])])
     steep = np.hypot(*along)
-    chosen = steep > 0.2 * np.quantile(steep, 0.995)
+    chosen = steep > 0.2 * quantile(steep, 0.995)
     shifts, sigmas = np.zeros((2, len(means), 2))
     if np.count_nonzero(chosen) < 50 or not np.isfinite(usual).all():
         return shifts, sigmas + np.inf
