@@ -11,6 +11,8 @@ from heliogauge.validate import BoolArray, Float32Array
 
 #: Share of the region's pixels, in lengths of its side, from which a line of edge pixels is no accident: a tenth.
 _LEAST_LINE = 0.1
+#: Differences of neighbours whose median is taken: 50,000 give it to half a per cent.
+_MEDIAN_PIXELS = 50_000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,29 +53,44 @@ def flag_display_edge(screen_map: ScreenMap, region: BoolArray, margin_px: float
 
     How far a display point moves from pixel to pixel follows from the measured points themselves.
     """
-    at_edge = np.zeros(region.shape, dtype=np.bool_)
-    names, count = [], max(int(np.count_nonzero(region)), 1)
-    for place, low, high in ((screen_map.u, "left", "right"), (screen_map.v, "upper", "lower")):
-        reach = margin_px * _per_pixel(place)
-        good = region & (screen_map.flags == 0)
+    box = _box(region)
+    inside, at_edge = region[box], np.zeros(region[box].shape, dtype=np.bool_)
+    good = inside & (screen_map.flags[box] == 0)
+    names, count = [], max(int(np.count_nonzero(inside)), 1)
+    for place, low, high in ((screen_map.u[box], "left", "right"), (screen_map.v[box], "upper", "lower")):
+        per_pixel = _per_pixel(place)
+        reach = margin_px * per_pixel
         # An outline that was put where the screen ends keeps its own margin: a line beyond that is seen as well.
-        line = 2 * reach + _per_pixel(place)
+        line = 2 * reach + per_pixel
         for name, off in ((low, place), (high, 1 - place)):
             at_edge |= good & (off < reach)
             if np.count_nonzero(good & (off < line)) > _LEAST_LINE * np.sqrt(count):
                 names.append(name)
-    flags = screen_map.flags | np.where(at_edge, np.uint32(SampleFlag.OFF_SCREEN), np.uint32(0))
-    u, v, sigma_u, sigma_v = (
-        np.where(at_edge, np.float32(np.nan), one)
-        for one in (screen_map.u, screen_map.v, screen_map.sigma_u, screen_map.sigma_v)
-    )
-    flagged = replace(screen_map, u=u, v=v, sigma_u=sigma_u, sigma_v=sigma_v, flags=flags.astype(np.uint32))
-    return DisplayEdge(flagged if at_edge.any() else screen_map, tuple(names), int(np.count_nonzero(at_edge)))
+    if not at_edge.any():
+        return DisplayEdge(screen_map, tuple(names), 0)
+    flags = screen_map.flags.copy()
+    flags[box][at_edge] |= np.uint32(SampleFlag.OFF_SCREEN)
+    values = []
+    for one in (screen_map.u, screen_map.v, screen_map.sigma_u, screen_map.sigma_v):
+        values.append(one.copy())
+        values[-1][box][at_edge] = np.nan
+    u, v, sigma_u, sigma_v = values
+    flagged = replace(screen_map, u=u, v=v, sigma_u=sigma_u, sigma_v=sigma_v, flags=flags)
+    return DisplayEdge(flagged, tuple(names), int(np.count_nonzero(at_edge)))
+
+
+def _box(region: BoolArray) -> tuple[slice, slice]:
+    """Return the rows and columns that hold the region; all of them where it is empty."""
+    rows, columns = np.flatnonzero(region.any(axis=1)), np.flatnonzero(region.any(axis=0))
+    if not rows.size:
+        return slice(None), slice(None)
+    return slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
 
 
 def _per_pixel(values: Float32Array) -> float:
-    """Return how far the display point moves from pixel to pixel, the median over the image."""
-    across, down = np.diff(values, axis=1), np.diff(values, axis=0)
+    """Return how far the display point moves from pixel to pixel, the median over some of the image's rows."""
+    step = max(1, values.size // _MEDIAN_PIXELS)
+    across, down = np.diff(values[::step], axis=1), values[1::step] - values[: values.shape[0] - 1 : step]
     steps = [np.abs(one[np.isfinite(one)]) for one in (across, down)]
     usual = [float(np.median(one)) if one.size else 0.0 for one in steps]
     return float(np.hypot(usual[0], usual[1]))
