@@ -17,7 +17,7 @@ from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.geometry.surfaces import Facet
 from heliogauge.slopes.integration import integrate_slopes
 from heliogauge.slopes.map import CommonModes, SlopeMap
-from heliogauge.validate import BoolArray, FlagArray, FloatArray, IntArray
+from heliogauge.validate import BoolArray, FlagArray, Float32Array, FloatArray, IntArray
 
 #: Larger maps cost more to store and draw than they show.
 MOST_NODES = 1_000_000
@@ -132,35 +132,38 @@ def grid_slopes(
         raise EstimationError(
             f"grid: no node of a {step_m * 1e3:g} mm grid lies on facet {facet.name}; use a finer step"
         )
-    nodes = np.stack([grid_x[aperture], grid_y[aperture]])
-    points = np.stack([*nodes, surface.height(*nodes)], axis=-1)
-    pixels = camera.project(cam_from_facet.apply(points)) - np.array([image.column, image.row])
+    nodes = grid_x[aperture], grid_y[aperture]
+    height_m = surface.height(*nodes)
+    pixels = camera.project(cam_from_facet.apply(np.stack([*nodes, height_m], axis=-1)))
+    pixels -= np.array([image.column, image.row])
     sample = _sample(image, surface, pixels, int(max(1, round(step_m / image.footprint_m))))
-    smooth = np.stack(surface.gradient(*nodes))
-    design = np.stack(surface.design.gradient(*nodes))
-    fields = np.full((7, *aperture.shape), np.nan)
-    fields[:, aperture] = np.concatenate([smooth + sample.residual, design, sample.sigma, surface.height(*nodes)[None]])
-    flags = np.full(aperture.shape, SampleFlag.OUTSIDE_MIRROR, dtype=np.uint32)
-    flags[aperture] = sample.flags
     if not np.isfinite(sample.residual).any():
         raise EstimationError(f"grid: no pixel of facet {facet.name} has a slope; see the flags of pixels.nc")
-    remainder = np.full((2, *aperture.shape), np.nan)
-    remainder[:, aperture] = sample.residual
+    design, more = surface.design.gradient(*nodes), surface.correction_gradient(*nodes)
+
+    def on_grid(values: FloatArray | Float32Array) -> FloatArray:
+        whole = np.full(aperture.shape, np.nan)
+        whole[aperture] = values
+        return whole
+
+    flags = np.full(aperture.shape, SampleFlag.OUTSIDE_MIRROR, dtype=np.uint32)
+    flags[aperture] = sample.flags
     doubts: tuple[Doubt, ...] = ()
     try:
-        height = fields[6] + integrate_slopes(remainder[0], remainder[1], (step_m, step_m))
+        height = integrate_slopes(on_grid(sample.residual[0]), on_grid(sample.residual[1]), (step_m, step_m))
+        height += on_grid(height_m)
     except EstimationError as error:
         text = f"facet {facet.name} has slopes but no height map: {error}"
         doubts, height = (Doubt("facet_without_heights", text),), np.full(aperture.shape, np.nan)
     slope_map = SlopeMap(
         x_m=x_m,
         y_m=y_m,
-        slope_x=fields[0],
-        slope_y=fields[1],
-        design_slope_x=fields[2],
-        design_slope_y=fields[3],
-        sigma_random_x=fields[4],
-        sigma_random_y=fields[5],
+        slope_x=on_grid(design[0] + more[0] + sample.residual[0]),
+        slope_y=on_grid(design[1] + more[1] + sample.residual[1]),
+        design_slope_x=on_grid(design[0]),
+        design_slope_y=on_grid(design[1]),
+        sigma_random_x=on_grid(sample.sigma[0]),
+        sigma_random_y=on_grid(sample.sigma[1]),
         noise_correlation=_noise_correlation(image, sample.sigma),
         common=common,
         height_m=height,
@@ -176,42 +179,45 @@ def grid_slopes(
 class _NodeSample(NamedTuple):
     """Slopes minus the smooth shape's (2, n) at nodes, their sigma (2, n), and the flag of the nearest pixel (n,)."""
 
-    residual: FloatArray
-    sigma: FloatArray
+    residual: Float32Array
+    sigma: Float32Array
     flags: FlagArray
 
 
 class _WeightedSums(NamedTuple):
     """Sums over the pixels beside each node: weights (n,), weighted differences and squared-weight variances (2, n)."""
 
-    weight: FloatArray
-    residual: FloatArray
-    variance: FloatArray
+    weight: Float32Array
+    residual: Float32Array
+    variance: Float32Array
 
 
 def _sample(image: SlopeImage, surface: FittedSurface, pixels: FloatArray, width: int) -> _NodeSample:
-    """Interpolate the pixels' differences from the smooth shape at positions in the image (n, 2)."""
+    """Interpolate the pixels' differences from the smooth shape at positions in the image (n, 2).
+
+    Single precision keeps 1e-10 rad of a difference of 1 mrad.
+    """
     smooth_x, smooth_y = surface.gradient(image.x_m, image.y_m)
     usable = np.isfinite(image.slope_x) & np.isfinite(image.slope_y)
-    weight = usable.astype(np.float64)
-    planes = [
-        np.where(usable, plane, 0.0)
-        for plane in (image.slope_x - smooth_x, image.slope_y - smooth_y, image.sigma_x**2.0, image.sigma_y**2.0)
-    ]
+    weight = usable.astype(np.float32)
+    planes: list[Float32Array] = []
+    for plane in (image.slope_x - smooth_x, image.slope_y - smooth_y, image.sigma_x**2, image.sigma_y**2):
+        planes.append(plane.astype(np.float32, copy=False))
+        planes[-1][~usable] = 0.0
     if width > 1:
         count = _box_sum(weight, width)
-        planes = [_box_sum(plane, width) for plane in planes]
-        planes = [plane / np.maximum(count, 1) for plane in planes[:2]] + [
-            plane / np.maximum(count, 1) ** 2 for plane in planes[2:]
-        ]
         # Half a cell must be seen for its mean to stand for it.
-        weight = (count >= 0.5 * width * width).astype(np.float64)
-        planes = [plane * weight for plane in planes]
+        weight = (count >= 0.5 * width * width).astype(np.float32)
+        share = (weight / np.maximum(count, 1)).astype(np.float32)
+        powers = (share, share, share**2, share**2)
+        planes = [np.multiply(_box_sum(plane, width), power) for plane, power in zip(planes, powers, strict=True)]
     rows, columns = weight.shape
-    # OpenCV anchors an even box half a pixel past its middle.
-    at = pixels + (0.5 if width % 2 == 0 else 0.0)
     nearest, inside = _nearest(pixels, (rows, columns))
-    nearest_box, inside_box = _nearest(at, (rows, columns))
+    # OpenCV anchors an even box half a pixel past its middle.
+    at, nearest_box, inside_box = pixels, nearest, inside
+    if width % 2 == 0:
+        at = pixels + 0.5
+        nearest_box, inside_box = _nearest(at, (rows, columns))
     flags = np.where(inside, image.flags.ravel()[nearest], np.uint32(SampleFlag.NOT_SEEN)).astype(np.uint32)
     usable_node = inside & inside_box & (weight.ravel()[nearest_box] > 0)
     # A node whose nearest pixel was rejected has no value, whatever its other neighbours say.
@@ -219,8 +225,9 @@ def _sample(image: SlopeImage, surface: FittedSurface, pixels: FloatArray, width
     flags[~usable_node & (flags == 0)] = np.uint32(SampleFlag.NOT_SEEN)
     sums = _interpolate(at, weight, planes, width)
     with np.errstate(invalid="ignore", divide="ignore"):
-        residual = np.where(usable_node, sums.residual / sums.weight, np.nan)
-        sigma = np.where(usable_node, np.sqrt(sums.variance) / sums.weight, np.nan)
+        residual: Float32Array = np.divide(sums.residual, sums.weight, dtype=np.float32)
+        sigma: Float32Array = np.divide(np.sqrt(sums.variance), sums.weight, dtype=np.float32)
+    residual[:, ~usable_node] = sigma[:, ~usable_node] = np.nan
     return _NodeSample(residual, sigma, flags)
 
 
@@ -231,57 +238,70 @@ def _nearest(pixels: FloatArray, shape: tuple[int, int]) -> tuple[IntArray, Bool
     return np.where(inside, row * shape[1] + column, 0), np.asarray(inside)
 
 
-def _box_sum(plane: FloatArray, width: int) -> FloatArray:
-    return np.asarray(cv2.boxFilter(plane, cv2.CV_64F, (width, width), normalize=False, borderType=cv2.BORDER_CONSTANT))
+def _box_sum(plane: Float32Array, width: int) -> Float32Array:
+    summed = cv2.boxFilter(plane, cv2.CV_32F, (width, width), normalize=False, borderType=cv2.BORDER_CONSTANT)
+    return np.asarray(summed, dtype=np.float32)
 
 
-def _interpolate(pixels: FloatArray, weight: FloatArray, planes: list[FloatArray], width: int) -> _WeightedSums:
+def _interpolate(pixels: FloatArray, weight: Float32Array, planes: list[Float32Array], width: int) -> _WeightedSums:
     """Sum the neighbours of each position.
 
     Cubic where all 16 neighbours are there, linear over the ones of the 4 that are there elsewhere. Neighbours that
     are means over `width` pixels share most of them: their noise adds up, it does not average out.
     """
     rows, columns = weight.shape
-    block = _box_sum(weight, 4)
+    block = _box_sum(weight, 4).ravel()
     apart = np.abs(np.subtract.outer(np.arange(4), np.arange(4)))
-    shared = np.maximum(1.0 - apart / width, 0.0)
+    shared = np.maximum(1.0 - apart / width, 0.0).astype(np.float32)
     # A border of two pixels without weight: every tap reads within the image.
     wide = columns + 4
     padded = [np.pad(plane, 2).ravel() for plane in (weight, *planes)]
-    total, residual, variance = np.zeros(len(pixels)), np.zeros((2, len(pixels))), np.zeros((2, len(pixels)))
+    total = np.ones(len(pixels), dtype=np.float32)
+    residual, variance = np.zeros((2, 2, len(pixels)), dtype=np.float32)
     for start in range(0, len(pixels), _BLOCK):
         part = slice(start, start + _BLOCK)
-        left = np.clip(np.floor(pixels[part, 0]), -1, columns - 1).astype(np.intp)
-        top = np.clip(np.floor(pixels[part, 1]), -1, rows - 1).astype(np.intp)
-        to_right, down = pixels[part, 0] - left, pixels[part, 1] - top
+        place = np.floor(pixels[part])
+        left = np.clip(place[:, 0], -1, columns - 1).astype(np.intp)
+        top = np.clip(place[:, 1], -1, rows - 1).astype(np.intp)
+        to_right = (pixels[part, 0] - left).astype(np.float32)
+        down = (pixels[part, 1] - top).astype(np.float32)
         inner = (left >= 1) & (left < columns - 2) & (top >= 1) & (top < rows - 2)
         # OpenCV anchors an even box one pixel past its middle: the 4 x 4 block from (-1, -1) ends at (+2, +2).
         cubic = inner & (block.take(np.where(inner, (top + 1) * columns + left + 1, 0)) > 15.5)
         along_x, along_y = _tap_weights(to_right, cubic), _tap_weights(down, cubic)
         noise_x, noise_y = along_x * (shared @ along_x), along_y * (shared @ along_y)
         first = (top + 1) * wide + left + 1
+        # The weights of a cubic add up to 1.
+        all_there = bool(cubic.all())
+        if not all_there:
+            total[part] = 0.0
         for tap_x, tap_y in np.ndindex(4, 4):
             at = first + (tap_y * wide + tap_x)
             share, noise = along_x[tap_x] * along_y[tap_y], noise_x[tap_x] * noise_y[tap_y]
-            total[part] += share * padded[0].take(at)
+            if not all_there:
+                total[part] += share * padded[0].take(at)
             for axis in (0, 1):
                 residual[axis, part] += share * padded[1 + axis].take(at)
                 variance[axis, part] += noise * padded[3 + axis].take(at)
     return _WeightedSums(total, residual, variance)
 
 
-def _tap_weights(fraction: FloatArray, cubic: BoolArray) -> FloatArray:
+def _tap_weights(fraction: Float32Array, cubic: BoolArray) -> Float32Array:
     """Return the weights of the pixels at -1, 0, 1, 2: Catmull and Rom's cubic, or linear, shape (4, n)."""
-    t = fraction
-    linear = np.stack([np.zeros_like(t), 1 - t, t, np.zeros_like(t)])
-    curved = 0.5 * np.stack([-t + 2 * t**2 - t**3, 2 - 5 * t**2 + 3 * t**3, t + 4 * t**2 - 3 * t**3, -(t**2) + t**3])
-    return np.where(cubic, curved, linear)
+    t, rest = fraction, 1 - fraction
+    weights = np.stack(
+        [-0.5 * t * rest * rest, 1 + t * t * (1.5 * t - 2.5), t * (0.5 + t * (2 - 1.5 * t)), -0.5 * t * t * rest]
+    )
+    if not cubic.all():
+        linear = ~cubic
+        weights[:, linear] = np.stack([np.zeros_like(t), rest, t, np.zeros_like(t)])[:, linear]
+    return weights
 
 
-def _noise_correlation(image: SlopeImage, sigma: FloatArray) -> float:
+def _noise_correlation(image: SlopeImage, sigma: Float32Array) -> float:
     """Compare the variance of the mean over pixels with that over nodes taken as independent."""
     usable = np.isfinite(image.sigma_x)
     pixel_variance = float(np.mean(image.sigma_x[usable].astype(np.float64) ** 2)) / np.count_nonzero(usable)
     finite = np.isfinite(sigma[0])
-    node_variance = float(np.mean(sigma[0][finite] ** 2)) / np.count_nonzero(finite)
+    node_variance = float(np.mean(sigma[0][finite].astype(np.float64) ** 2)) / np.count_nonzero(finite)
     return max(1.0, pixel_variance / node_variance) if node_variance > 0 else 1.0

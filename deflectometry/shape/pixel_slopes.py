@@ -16,6 +16,8 @@ from heliogauge.validate import AnyFloatArray, BoolArray, FlagArray, Float32Arra
 BLOCK_PIXELS = 16384
 #: Pixels kept around a facet: an edge blurred over 8 pixels is flagged as edge, not as unseen.
 BORDER_PIXELS = 4
+#: Pixels whose median spacing is taken.
+_SPACED_PIXELS = 50_000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,9 +43,11 @@ class SlopeImage:
 
     @property
     def footprint_m(self) -> float:
-        """Mean spacing of the pixels on the mirror [m]."""
-        across = np.hypot(np.diff(self.x_m, axis=1), np.diff(self.y_m, axis=1))
-        down = np.hypot(np.diff(self.x_m, axis=0), np.diff(self.y_m, axis=0))
+        """Mean spacing of the pixels on the mirror, of large images in some of their rows [m]."""
+        step = max(1, self.x_m.size // _SPACED_PIXELS)
+        low, high = slice(0, self.x_m.shape[0] - 1, step), slice(1, None, step)
+        across = np.hypot(np.diff(self.x_m[::step], axis=1), np.diff(self.y_m[::step], axis=1))
+        down = np.hypot(self.x_m[high] - self.x_m[low], self.y_m[high] - self.y_m[low])
         return float(np.sqrt(np.nanmedian(across) * np.nanmedian(down)))
 
 
