@@ -15,7 +15,7 @@ from heliogauge.results.folder import Summary, unit_of
 from heliogauge.slopes.grid import curl
 from heliogauge.slopes.map import SlopeMap
 from heliogauge.slopes.mounts import LEAST_SHARE
-from heliogauge.slopes.removal import Removal
+from heliogauge.slopes.removal import MeasuredNodes, Removal, measured_nodes
 from heliogauge.slopes.statistics import Canting, SlopeStatistics, common_rms, fit_quadratic, statistics_of_removals
 from heliogauge.validate import FloatArray
 
@@ -42,16 +42,17 @@ def facet_numbers(slope_map: SlopeMap, as_measured: SlopeMap) -> Numbers:
     Returns: Numbers by name with the unit at the end, each sigma beside its number.
     """
     numbers: Numbers = {}
-    for view, found in zip(VIEWS, statistics_of_removals(slope_map, list(VIEWS.values())), strict=True):
+    nodes = measured_nodes(slope_map)
+    for view, found in zip(VIEWS, statistics_of_removals(slope_map, list(VIEWS.values()), nodes), strict=True):
         numbers.update(_deviation_numbers(found, view))
-    fit = fit_quadratic(as_measured)
+    fit = fit_quadratic(as_measured, nodes if as_measured is slope_map else None)
     numbers |= {
         **_focus_numbers("x", fit.curvature_x_per_m, fit.sigma_curvature_x_per_m),
         **_focus_numbers("y", fit.curvature_y_per_m, fit.sigma_curvature_y_per_m),
         "twist_per_m": float(fit.coefficients[4]),
         "sigma_twist_per_m": float(np.sqrt(fit.covariance[4, 4])),
     }
-    numbers |= _uncertainty_numbers(slope_map)
+    numbers |= _uncertainty_numbers(slope_map, nodes)
     numbers["measured_share"] = slope_map.measured_share
     numbers["valid_nodes_count"] = int(np.count_nonzero(slope_map.valid))
     return numbers
@@ -153,11 +154,11 @@ def _deviation_numbers(deviation: SlopeStatistics, view: str) -> Numbers:
     return numbers
 
 
-def _uncertainty_numbers(slope_map: SlopeMap) -> Numbers:
+def _uncertainty_numbers(slope_map: SlopeMap, nodes: MeasuredNodes) -> Numbers:
     """Return the shares of the uncertainty: random, and each common source, as RMS over the map."""
     valid = slope_map.valid
-    random = [_rms(sigma[valid]) for sigma in (slope_map.sigma_random_x, slope_map.sigma_random_y)]
-    shares = common_rms(slope_map)
+    random = np.sqrt(nodes.variance.mean(axis=1)).tolist()
+    shares = common_rms(slope_map, nodes)
     numbers: Numbers = {
         "sigma_slope_x_rms_rad": float(np.linalg.norm([random[0], *(x for x, _ in shares.values())])),
         "sigma_slope_y_rms_rad": float(np.linalg.norm([random[1], *(y for _, y in shares.values())])),

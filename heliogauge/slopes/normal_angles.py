@@ -34,25 +34,34 @@ def normal_angles(
     slope_y: FloatArray,
     design_slope_x: FloatArray,
     design_slope_y: FloatArray,
-    *,
-    across: tuple[FloatArray, FloatArray, FloatArray] | None = None,
 ) -> FloatArray:
     """Return the components in x and y of the angles from design to measured normals, shape (2, ...) [rad].
 
     Shapes: slopes (...).
-    across: `across_normal` of the design, where it is at hand.
 
     The angle is ``atan2(|n x m|, n.m)`` from the differences of the slopes: arccos would lose all below 1e-8 rad.
     """
     p, q = design_slope_x, design_slope_y
-    dp, dq = slope_x - p, slope_y - q
+    return angles_of_errors(slope_x - p, slope_y - q, p, q, across_normal(p, q))
+
+
+def angles_of_errors(
+    error_x: FloatArray,
+    error_y: FloatArray,
+    design_slope_x: FloatArray,
+    design_slope_y: FloatArray,
+    across: tuple[FloatArray, FloatArray, FloatArray],
+) -> FloatArray:
+    """Return what `normal_angles` does, from slope errors (measured minus design) and `across_normal` of the design."""
+    p, q, dp, dq = design_slope_x, design_slope_y, error_x, error_y
     # n = (-p, -q, 1) and m = n - (dp, dq, 0), not of unit length
     cross = np.sqrt(dp**2 + dq**2 + (p * dq - q * dp) ** 2)
-    angle = np.arctan2(cross, 1 + p * slope_x + q * slope_y)
-    along_x, mixed, along_y = across_normal(p, q) if across is None else across
+    angle = np.arctan2(cross, 1 + p * (p + dp) + q * (q + dq))
+    along_x, mixed, along_y = across
     direction = np.stack([along_x * dp + mixed * dq, mixed * dp + along_y * dq])
     length = np.sqrt(direction[0] ** 2 + direction[1] ** 2)
-    return np.asarray(direction * (angle / np.maximum(length, np.finfo(np.float64).tiny)))
+    direction *= angle / np.maximum(length, np.finfo(np.float64).tiny)
+    return direction
 
 
 def d_angles_d_slopes(slope_x: FloatArray, slope_y: FloatArray) -> FloatArray:

@@ -105,6 +105,12 @@ _TAKEN: dict[Removal, list[int]] = {
 }
 
 
+#: Share of each part of `Patterns.basis` in each pattern's slopes in x and in y, shape (6, 2, 5).
+PATTERN_SHARES = np.zeros((6, 2, 5))
+for _pattern, _axis, _part in ((0, 0, 0), (1, 1, 0), (2, 0, 3), (2, 1, 4), (3, 0, 1), (4, 1, 2), (5, 0, 2), (5, 1, 1)):
+    PATTERN_SHARES[_pattern, _axis, _part] = 1.0
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Patterns:
     """The slope patterns that removals take out: tilt in x and y, focus, curvature in x and y, twist.
@@ -127,13 +133,23 @@ class Patterns:
 
     def at(self, x_m: FloatArray, y_m: FloatArray, design: FloatArray) -> FloatArray:
         """Return all six patterns at places (...) with design slopes (2, ...), shape (6, 2, ...)."""
-        x, y = x_m - self.middle_m[0], y_m - self.middle_m[1]
-        patterns = np.zeros((6, 2, *x.shape))
-        patterns[0, 0] = patterns[1, 1] = 1.0
-        patterns[2] = (0.5 * x, 0.5 * y) if self.is_flat else (design.T - self.middle_design).T
-        patterns[3, 0], patterns[4, 1] = x, y
-        patterns[5] = y, x
-        return patterns
+        return np.asarray(np.tensordot(PATTERN_SHARES, self.basis(x_m, y_m, design), axes=1))
+
+    def basis(self, x_m: FloatArray, y_m: FloatArray, design: FloatArray) -> FloatArray:
+        """Return what the patterns are made of, `PATTERN_SHARES` of each: 1, x, y, and the focus in x and in y.
+
+        Shapes: as in `at`, result (5, ...).
+        """
+        basis = np.empty((5, *x_m.shape))
+        basis[0] = 1.0
+        np.subtract(x_m, self.middle_m[0], out=basis[1])
+        np.subtract(y_m, self.middle_m[1], out=basis[2])
+        for axis in (0, 1):
+            if self.is_flat:
+                np.multiply(0.5, basis[1 + axis], out=basis[3 + axis])
+            else:
+                np.subtract(design[axis], self.middle_design[axis], out=basis[3 + axis])
+        return basis
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -150,9 +166,9 @@ class RemovalFit:
     amounts: FloatArray
     inverse: FloatArray
 
-    def change(self, patterns: FloatArray) -> FloatArray:
-        """Return the slopes that the removal takes out where `Patterns.at` gives these patterns, shape (2, ...)."""
-        return np.asarray(np.tensordot(self.amounts, patterns[self.taken], axes=1))
+    def change(self, basis: FloatArray) -> FloatArray:
+        """Return the slopes that the removal takes out where `Patterns.basis` gives this, shape (2, ...)."""
+        return np.asarray(np.tensordot(np.tensordot(self.amounts, PATTERN_SHARES[self.taken], axes=1), basis, axes=1))
 
 
 def fit_removals(nodes: MeasuredNodes, patterns: Patterns, removals: Iterable[Removal]) -> list[RemovalFit]:
@@ -160,11 +176,13 @@ def fit_removals(nodes: MeasuredNodes, patterns: Patterns, removals: Iterable[Re
 
     EstimationError: The nodes do not determine the patterns of one of them.
     """
-    products, contained = np.zeros((6, 6)), np.zeros(6)
+    squares, errors = np.zeros((5, 5)), np.zeros((2, 5))
     for part in nodes.blocks():
-        block = patterns.at(nodes.x_m[part], nodes.y_m[part], nodes.design[:, part]).reshape(6, -1)
-        products += block @ block.T
-        contained += block @ nodes.errors[:, part].reshape(-1)
+        basis = patterns.basis(nodes.x_m[part], nodes.y_m[part], nodes.design[:, part])
+        squares += basis @ basis.T
+        errors += nodes.errors[:, part] @ basis.T
+    products = np.einsum("kci,ij,lcj->kl", PATTERN_SHARES, squares, PATTERN_SHARES)
+    contained = np.einsum("kci,ci->k", PATTERN_SHARES, errors)
     return [
         RemovalFit(removal, taken, inverse @ contained[taken], inverse)
         for removal in removals
@@ -204,7 +222,7 @@ def remove(slope_map: SlopeMap, removal: Removal) -> SlopeMap:
     (fit,) = fit_removals(nodes, patterns, [removal])
     grid = np.meshgrid(slope_map.x_m, slope_map.y_m)
     change_x, change_y = fit.change(
-        patterns.at(grid[0], grid[1], np.stack([slope_map.design_slope_x, slope_map.design_slope_y]))
+        patterns.basis(grid[0], grid[1], np.stack([slope_map.design_slope_x, slope_map.design_slope_y]))
     )
     return replace(
         slope_map,

@@ -11,8 +11,15 @@ from typing import NamedTuple
 import numpy as np
 
 from heliogauge.slopes.map import SlopeMap
-from heliogauge.slopes.normal_angles import across_normal, d_angles_d_slopes, normal_angles, tangents
+from heliogauge.slopes.normal_angles import (
+    across_normal,
+    angles_of_errors,
+    d_angles_d_slopes,
+    normal_angles,
+    tangents,
+)
 from heliogauge.slopes.removal import (
+    PATTERN_SHARES,
     MeasuredNodes,
     Patterns,
     Removal,
@@ -187,12 +194,15 @@ def statistics(slope_map: SlopeMap, *, removed: Removal = Removal.NOTHING) -> Sl
     return statistics_of_removals(slope_map, [removed])[0]
 
 
-def statistics_of_removals(slope_map: SlopeMap, removals: Sequence[Removal]) -> list[SlopeStatistics]:
+def statistics_of_removals(
+    slope_map: SlopeMap, removals: Sequence[Removal], nodes: MeasuredNodes | None = None
+) -> list[SlopeStatistics]:
     """Form `statistics` with one removal after the other, from one set of nodes.
 
+    nodes: The map's `measured_nodes`, where they are at hand.
     EstimationError: As there.
     """
-    nodes = measured_nodes(slope_map)
+    nodes = nodes or measured_nodes(slope_map)
     patterns = Patterns.of(nodes)
     fits = fit_removals(nodes, patterns, removals)
     every = _PatternSums.zero(nodes.common.coefficients.shape[2])
@@ -200,10 +210,15 @@ def statistics_of_removals(slope_map: SlopeMap, removals: Sequence[Removal]) -> 
     mean = np.zeros(2)
     for part in nodes.blocks():
         block = _Block.of(nodes, patterns, part)
-        mean += normal_angles(*(block.design + block.errors), *block.design, across=block.across_design).sum(axis=1)
+        angles = block.angles(block.errors)
+        mean += angles.sum(axis=1)
         every.add(block)
         for fit, sums in zip(fits, sums_of_fits, strict=True):
-            sums.add(block, fit)
+            if fit.taken:
+                left = block.errors - fit.change(block.basis)
+                sums.add(block, left, block.angles(left))
+            else:
+                sums.add(block, block.errors, angles)
     mean /= nodes.count
     found = []
     for fit, sums in zip(fits, sums_of_fits, strict=True):
@@ -232,39 +247,58 @@ def statistics_of_removals(slope_map: SlopeMap, removals: Sequence[Removal]) -> 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Block:
-    """Some of the nodes: design slopes, errors and variance (2, b), all patterns (6, 2, b), monomials (n_terms, b)."""
+    """Some of the nodes: design slopes, errors and variance (2, b).
+
+    across: `across_normal` of the design.
+    both (5 + n_terms, b): Parts of the patterns, then monomials.
+    """
 
     design: FloatArray
     errors: FloatArray
     variance: FloatArray
-    patterns: FloatArray
-    weighted_patterns: FloatArray
-    terms: FloatArray
-    across_design: tuple[FloatArray, FloatArray, FloatArray]
+    across: tuple[FloatArray, FloatArray, FloatArray]
+    both: FloatArray
 
     @classmethod
     def of(cls, nodes: MeasuredNodes, patterns: Patterns, part: slice) -> "_Block":
         design, variance = nodes.design[:, part], nodes.variance[:, part]
-        at = patterns.at(nodes.x_m[part], nodes.y_m[part], design)
-        return cls(
-            design, nodes.errors[:, part], variance, at, at * variance, nodes.terms(part), across_normal(*design)
-        )
+        both = np.concatenate([patterns.basis(nodes.x_m[part], nodes.y_m[part], design), nodes.terms(part)])
+        return cls(design, nodes.errors[:, part], variance, across_normal(*design), both)
+
+    @property
+    def basis(self) -> FloatArray:
+        return self.both[:5]
+
+    def angles(self, errors: FloatArray) -> FloatArray:
+        """Return the angles (2, b) that slope errors make."""
+        return angles_of_errors(errors[0], errors[1], self.design[0], self.design[1], self.across)
 
 
 @dataclass(slots=True, eq=False)
 class _PatternSums:
-    """Sums over the nodes of patterns times patterns times variance (6, 6), and of patterns times monomials."""
+    """Sums over the nodes of the patterns' parts: times parts times variance in x and in y, and times monomials."""
 
-    squares: FloatArray
-    moments: FloatArray
+    squares_of_parts: FloatArray
+    moments_of_parts: FloatArray
 
     @classmethod
     def zero(cls, n_terms: int) -> "_PatternSums":
-        return cls(np.zeros((6, 6)), np.zeros((6, 2, n_terms)))
+        return cls(np.zeros((2, 5, 5)), np.zeros((5, n_terms)))
 
     def add(self, block: _Block) -> None:
-        self.squares += block.weighted_patterns.reshape(6, -1) @ block.patterns.reshape(6, -1).T
-        self.moments += block.patterns @ block.terms.T
+        for axis in (0, 1):
+            self.squares_of_parts[axis] += (block.basis * block.variance[axis]) @ block.basis.T
+        self.moments_of_parts += block.basis @ block.both[5:].T
+
+    @property
+    def squares(self) -> FloatArray:
+        """Sums of patterns times patterns times variance, shape (6, 6)."""
+        return np.asarray(np.einsum("kci,cij,lcj->kl", PATTERN_SHARES, self.squares_of_parts, PATTERN_SHARES))
+
+    @property
+    def moments(self) -> FloatArray:
+        """Sums of patterns times monomials, shape (6, 2, n_terms)."""
+        return np.tensordot(PATTERN_SHARES, self.moments_of_parts, axes=1)
 
 
 @dataclass(slots=True, eq=False)
@@ -274,46 +308,48 @@ class _AngleSums:
     squares, noise (2,): Of the squared angles, and of their random variances.
     noise_squares (2, 2): Of the squared covariances of the two angles.
     pulls (2, 2): Of pulls times pulls times variance; a pull is how half the squared angle changes with the slopes.
-    pull_patterns, pull_variance_patterns (2, 6): Of pulls times patterns, without and with the variance.
-    moments (2, 2, n_terms): Of pulls times monomials.
+    pull_parts (2, 2, 5 + n_terms): Of pulls times the patterns' parts and monomials.
+    pull_variance_parts (2, 2, 5): Of pulls times variance times the patterns' parts.
     """
 
     squares: FloatArray
     noise: FloatArray
     noise_squares: FloatArray
     pulls: FloatArray
-    pull_patterns: FloatArray
-    pull_variance_patterns: FloatArray
-    moments: FloatArray
+    pull_parts: FloatArray
+    pull_variance_parts: FloatArray
 
     @classmethod
     def zero(cls, n_terms: int) -> "_AngleSums":
-        shapes = ((2,), (2,), (2, 2), (2, 2), (2, 6), (2, 6))
-        squares, noise, noise_squares, pulls, patterns, weighted = (np.zeros(shape) for shape in shapes)
-        return cls(squares, noise, noise_squares, pulls, patterns, weighted, np.zeros((2, 2, n_terms)))
+        shapes = ((2,), (2,), (2, 2), (2, 2), (2, 2, 5 + n_terms), (2, 2, 5))
+        squares, noise, noise_squares, pulls, parts, weighted = (np.zeros(shape) for shape in shapes)
+        return cls(squares, noise, noise_squares, pulls, parts, weighted)
 
-    def add(self, block: _Block, fit: RemovalFit) -> None:
-        """Add some nodes, with what the removal leaves of their errors."""
-        left = block.design + block.errors
-        for amount, number in zip(fit.amounts, fit.taken, strict=True):
-            left -= amount * block.patterns[number]
-        angle_x, angle_y = normal_angles(*left, *block.design, across=block.across_design)
-        per_length = 1 / np.sqrt(1 + left[0] ** 2 + left[1] ** 2)
-        by_x, mixed, by_y = (one * per_length for one in across_normal(*left))
+    def add(self, block: _Block, left: FloatArray, angles: FloatArray) -> None:
+        """Add some nodes, with the errors (2, b) that a removal leaves and their angles."""
+        slope_x, slope_y = block.design + left
+        square_x, square_y = slope_x * slope_x, slope_y * slope_y
+        length = np.sqrt(1 + square_x + square_y)
+        # `across_normal` over the length of the normal: how the angles change with the slopes.
+        inverse = 1 / length
+        share = inverse * inverse / (length + 1)
+        by_x, mixed, by_y = inverse - square_x * share, -slope_x * slope_y * share, inverse - square_y * share
         variance_x, variance_y = block.variance
-        noise_x = by_x**2 * variance_x + mixed**2 * variance_y
-        noise_y = mixed**2 * variance_x + by_y**2 * variance_y
+        noise_x = by_x * by_x * variance_x + mixed * mixed * variance_y
+        noise_y = mixed * mixed * variance_x + by_y * by_y * variance_y
         both = mixed * (by_x * variance_x + by_y * variance_y)
-        self.squares += float(angle_x @ angle_x), float(angle_y @ angle_y)
+        self.squares += float(angles[0] @ angles[0]), float(angles[1] @ angles[1])
         self.noise += noise_x.sum(), noise_y.sum()
         shared = float(both @ both)
         self.noise_squares += [[float(noise_x @ noise_x), shared], [shared, float(noise_y @ noise_y)]]
-        pull = np.stack([angle_x * by_x, angle_x * mixed, angle_y * mixed, angle_y * by_y]).reshape(2, 2, -1)
-        flat = pull.reshape(2, -1)
-        self.pulls += (flat * block.variance.reshape(-1)) @ flat.T
-        self.pull_patterns += flat @ block.patterns.reshape(6, -1).T
-        self.pull_variance_patterns += flat @ block.weighted_patterns.reshape(6, -1).T
-        self.moments += pull @ block.terms.T
+        pull = np.empty((2, 2, left.shape[1]))
+        for row, (angle, along_x, along_y) in enumerate(zip(angles, (by_x, mixed), (mixed, by_y), strict=True)):
+            np.multiply(angle, along_x, out=pull[row, 0])
+            np.multiply(angle, along_y, out=pull[row, 1])
+        weighted = pull * block.variance
+        self.pulls += weighted.reshape(2, -1) @ pull.reshape(2, -1).T
+        self.pull_parts += (pull.reshape(4, -1) @ block.both.T).reshape(self.pull_parts.shape)
+        self.pull_variance_parts += (weighted.reshape(4, -1) @ block.basis.T).reshape(2, 2, 5)
 
     def sigma_of_rms(self, nodes: MeasuredNodes, fit: RemovalFit, every: _PatternSums, chosen: list[int]) -> float:
         """Return the sigma of the RMS of one component, or of both: with n rms^2 changing by 2 pull . d(errors)."""
@@ -322,23 +358,29 @@ class _AngleSums:
             return 0.0
         # The pull without the patterns: what they take along with the errors changes nothing that is left.
         taken = fit.taken
-        share = fit.inverse @ self.pull_patterns[chosen].sum(axis=0)[taken]
+        pulled, weighted, moments = (
+            parts[chosen].sum(axis=0)
+            for parts in (self.pull_parts[..., :5], self.pull_variance_parts, self.pull_parts[..., 5:])
+        )
+        shares = PATTERN_SHARES[taken]
+        share = fit.inverse @ np.einsum("kci,ci->k", shares, pulled)
         random = float(self.pulls[np.ix_(chosen, chosen)].sum())
-        random -= 2 * float(share @ self.pull_variance_patterns[chosen].sum(axis=0)[taken])
+        random -= 2 * float(share @ np.einsum("kci,ci->k", shares, weighted))
         random += float(share @ every.squares[np.ix_(taken, taken)] @ share)
         overcount = 0.5 * float(self.noise_squares[np.ix_(chosen, chosen)].sum())
-        moments = self.moments[chosen].sum(axis=0) - np.tensordot(share, every.moments[taken], axes=1)
+        moments = moments - np.tensordot(share, every.moments[taken], axes=1)
         common = float(np.sum(nodes.modes_times(moments[None]) ** 2))
         variance = nodes.noise_correlation * max(random - overcount, 0.0) + common
         return float(np.sqrt(variance / (nodes.count * squares)))
 
 
-def common_rms(slope_map: SlopeMap) -> dict[str, tuple[float, float]]:
+def common_rms(slope_map: SlopeMap, nodes: MeasuredNodes | None = None) -> dict[str, tuple[float, float]]:
     """Return the RMS over the measured nodes of each common source's sigma, in x and in y [rad].
 
+    nodes: The map's `measured_nodes`, where they are at hand.
     EstimationError: Fewer than three measured nodes.
     """
-    nodes = measured_nodes(slope_map)
+    nodes = nodes or measured_nodes(slope_map)
     common = nodes.common
     n_terms = common.coefficients.shape[2]
     products = np.zeros((n_terms, n_terms))
@@ -354,44 +396,47 @@ def common_rms(slope_map: SlopeMap) -> dict[str, tuple[float, float]]:
     return found
 
 
-def fit_quadratic(slope_map: SlopeMap) -> QuadraticFit:
+def fit_quadratic(slope_map: SlopeMap, nodes: MeasuredNodes | None = None) -> QuadraticFit:
     """Fit a quadratic surface to the measured slopes.
 
+    nodes: The map's `measured_nodes`, where they are at hand.
     Returns: A, B, C, D, E with covariance; focal lengths and twist.
     EstimationError: Fewer than three nodes, or all on a line.
 
     Unweighted least squares: equal weight is equal area. The covariance is that of the errors of measurement (random
     and common) propagated through the fit; what the real surface has beyond a quadratic is in the residual RMS.
     """
-    nodes = measured_nodes(slope_map)
+    nodes = nodes or measured_nodes(slope_map)
     x0, y0 = float(nodes.x_m.mean()), float(nodes.y_m.mean())
 
-    def columns(part: slice) -> FloatArray:
-        x, y = nodes.x_m[part] - x0, nodes.y_m[part] - y0
-        found = np.zeros((5, 2, x.size))
-        found[0, 0], found[1, 1], found[4] = 2 * x, 2 * y, (y, x)
-        found[2, 0] = found[3, 1] = 1.0
-        return found
+    def linear(part: slice) -> FloatArray:
+        return np.stack([np.ones(part.stop - part.start), nodes.x_m[part] - x0, nodes.y_m[part] - y0])
 
-    products, contained, weighted = np.zeros((5, 5)), np.zeros(5), np.zeros((5, 5))
-    moments = np.zeros((5, 2, nodes.common.coefficients.shape[2]))
+    # Of 1, x and y in the slopes in x and in y for A, B, C, D and E.
+    shares = np.zeros((5, 2, 3))
+    shares[0, 0, 1] = shares[1, 1, 2] = 2.0
+    shares[2, 0, 0] = shares[3, 1, 0] = shares[4, 0, 2] = shares[4, 1, 1] = 1.0
+    squares, contained, weighted = np.zeros((3, 3)), np.zeros((2, 3)), np.zeros((2, 3, 3))
+    moments = np.zeros((3, nodes.common.coefficients.shape[2]))
     for part in nodes.blocks():
-        block, flat = columns(part), columns(part).reshape(5, -1)
-        products += flat @ flat.T
-        contained += flat @ (nodes.design[:, part] + nodes.errors[:, part]).reshape(-1)
-        weighted += (flat * nodes.variance[:, part].reshape(-1)) @ flat.T
-        moments += nodes.moments(part, block)
-    inverse = inverse_of_products(products)
-    centred = inverse @ contained
-    modes = inverse @ nodes.modes_times(moments)
-    left = np.zeros(2)
+        places = linear(part)
+        squares += places @ places.T
+        contained += (nodes.design[:, part] + nodes.errors[:, part]) @ places.T
+        for axis in (0, 1):
+            weighted[axis] += (places * nodes.variance[axis, part]) @ places.T
+        moments += places @ nodes.terms(part).T
+    inverse = inverse_of_products(np.einsum("kci,ij,lcj->kl", shares, squares, shares))
+    centred = inverse @ np.einsum("kci,ci->k", shares, contained)
+    modes = inverse @ nodes.modes_times(np.tensordot(shares, moments, axes=1))
+    found, left = np.tensordot(centred, shares, axes=1), np.zeros(2)
     for part in nodes.blocks():
-        slopes = nodes.design[:, part] + nodes.errors[:, part] - np.tensordot(centred, columns(part), axes=1)
+        slopes = nodes.design[:, part] + nodes.errors[:, part] - found @ linear(part)
         left += (slopes**2).sum(axis=1) / nodes.count
+    scattered = np.einsum("kci,cij,lcj->kl", shares, weighted, shares)
     # From coordinates about the mean node back to the map's own: C = C' - 2 A x0 - E y0, D = D' - 2 B y0 - E x0
     back = np.eye(5)
     back[2, [0, 4]], back[3, [1, 4]] = (-2 * x0, -y0), (-2 * y0, -x0)
-    covariance = nodes.noise_correlation * inverse @ weighted @ inverse + modes @ modes.T
+    covariance = nodes.noise_correlation * inverse @ scattered @ inverse + modes @ modes.T
     return QuadraticFit(
         coefficients=back @ centred,
         covariance=_symmetric(back @ covariance @ back.T),
