@@ -38,7 +38,7 @@ METHOD = {
         "light",
         "studies",
     ),
-    "calibration.heliostat": ("beam_photos", "kinematic_model", "observations", "fitting", "diagnosis"),
+    "calibration.heliostat": ("beam_photos", "kinematic_model", "observations", "fitting", "diagnosis", "exports"),
     "data_synth": ("optics", "fringes", "targets", "troughs", "heliostats"),
     "heliogauge": (
         "geometry",

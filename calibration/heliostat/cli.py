@@ -2,7 +2,7 @@
 
 import datetime
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -17,8 +17,12 @@ from heliogauge.running.commands import (
     Verbose,
     add_formats,
     make_app,
+    say_doubts,
     say_ending,
 )
+
+if TYPE_CHECKING:
+    from calibration.heliostat.pipeline.export import Exported
 
 app = make_app("Where beams were seen and the drive readings -> tracking models of heliostats.")
 exports = add_formats(app, "export")
@@ -84,7 +88,7 @@ def measure_command(
 def export_controllers_command(
     result: HeliostatResults, out: OutFolder, force: Force = False, quiet: Quiet = False, verbose: Verbose = False
 ) -> None:
-    """Write controllers.csv: what controllers of azimuth-elevation heliostats store."""
+    """Write controllers.csv: every number that controllers of azimuth-elevation heliostats need."""
     from calibration.heliostat.pipeline.export import ExportOptions, run
 
     _say_files(out, run(result, out, "controllers", ExportOptions(force=force)), quiet=quiet)
@@ -92,12 +96,28 @@ def export_controllers_command(
 
 @exports.command("artist")
 def export_artist_command(
-    result: HeliostatResults, out: OutFolder, force: Force = False, quiet: Quiet = False, verbose: Verbose = False
+    result: HeliostatResults,
+    out: OutFolder,
+    limit_mrad: Annotated[
+        float | None,
+        typer.Option(
+            min=0.0,
+            help="Largest loss (RMS of the beam) of a file; default: the calibration's own expected error.",
+            show_default=False,
+        ),
+    ] = None,
+    force: Force = False,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
 ) -> None:
-    """Write properties of heliostats with linear actuators as of the PAINT database, which ARTIST reads."""
+    """Write heliostats with linear actuators as ARTIST reads them, with what each file loses.
+
+    Groups of a scenario (HDF5), and properties files as of the PAINT database where those lose little.
+    """
     from calibration.heliostat.pipeline.export import ExportOptions, run
 
-    _say_files(out, run(result, out, "artist", ExportOptions(force=force)), quiet=quiet)
+    limit_rad = None if limit_mrad is None else 1e-3 * limit_mrad
+    _say_files(out, run(result, out, "artist", ExportOptions(limit_rad=limit_rad, force=force)), quiet=quiet)
 
 
 @exports.command("table")
@@ -118,14 +138,54 @@ def export_table_command(
     """Write a table of each heliostat's readings over a day that put the beam on its target."""
     from calibration.heliostat.pipeline.export import ExportOptions, run
 
-    options = ExportOptions(_day("date", date), step_minutes, target, force)
+    options = ExportOptions(_day("date", date), step_minutes, target, force=force)
     _say_files(out, run(result, out, "table", options), quiet=quiet)
 
 
-def _say_files(out: Path, names: list[str], *, quiet: bool) -> None:
+def _say_files(out: Path, exported: "Exported", *, quiet: bool) -> None:
+    say_doubts(exported.doubts)
     if not quiet:
-        for name in names:
+        for name in exported.names:
             typer.echo(out / name)
+
+
+@app.command("aim")
+def aim_command(
+    result: HeliostatResults,
+    out: OutFolder,
+    date: Annotated[
+        str | None, typer.Option(metavar="YYYY-MM-DD", help="The day; default: today.", show_default=False)
+    ] = None,
+    step_minutes: Annotated[float, typer.Option(help="Step of the table.")] = 10.0,
+    target: Annotated[
+        str | None, typer.Option(help="Target whose centre is aimed at; default: the first.", show_default=False)
+    ] = None,
+    only: Annotated[
+        str | None, typer.Option(metavar="NAMES", help="Only these heliostats; * stands for any text, commas separate.")
+    ] = None,
+    readings: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="CSV",
+            help="The way back: where the beams of these readings go (heliostat, reading_1, reading_2, time_utc).",
+            show_default=False,
+        ),
+    ] = None,
+    force: Force = False,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+) -> None:
+    """Write the readings that put beams on a target over a day, with the sigma of the beam; or beams of readings."""
+    from calibration.heliostat.pipeline.aim import AimOptions, run
+
+    options = AimOptions(_day("date", date), step_minutes, target, only, readings, force)
+    sentences = run(result, out, options)
+    if not quiet:
+        for text in sentences[:20]:
+            typer.echo(text)
+        if len(sentences) > 20:
+            typer.echo(f"... and {len(sentences) - 20} more heliostats")
+        typer.echo(f"results: {out}")
 
 
 @app.command("plan")

@@ -50,6 +50,7 @@ class ChartSeries:
     mark: Line, points, bars (x are their middles) or steps.
     sigma (n,): Standard deviation of y: a band about a line, bars at points; None: none.
     labels: What is shown beside the values of a point when the pointer is at it.
+    names: What is written beside each point, as far as there is room; empty: nothing.
     dashed: Whether the line is dashed.
     size_px: Diameter of points, width of lines.
     """
@@ -63,6 +64,7 @@ class ChartSeries:
     labels: Sequence[str] = ()
     dashed: bool = False
     size_px: float = 1.5
+    names: Sequence[str] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -111,7 +113,7 @@ class ChartView:
 
     def __post_init__(self) -> None:
         for one in self.series:
-            lengths = {len(one.x), len(one.y), *([len(one.labels)] if one.labels else [])}
+            lengths = {len(one.x), len(one.y), *(len(texts) for texts in (one.labels, one.names) if texts)}
             lengths |= set() if one.sigma is None else {len(one.sigma)}
             if len(lengths) > 1:
                 raise InputError(f"chart {self.name}: series {one.name} has lengths {sorted(lengths)}")
@@ -155,7 +157,7 @@ class ChartView:
             return store.numbers(array, step)
 
         x = np.asarray(one.x, dtype=np.float64)
-        texts = "\n".join(" ".join(text.split()) for text in one.labels)
+        texts, names = ("\n".join(" ".join(text.split()) for text in lines) for lines in (one.labels, one.names))
         return {
             "name": one.name,
             "x": store.numbers(x - start, 1.0) if self.x_time else keep(x, self.x_log),
@@ -164,6 +166,7 @@ class ChartView:
             "color": one.color,
             "mark": one.mark.value,
             "labels": store.content(texts.encode(), "text/plain") if one.labels else None,
+            "names": store.content(names.encode(), "text/plain") if one.names else None,
             "dashed": one.dashed,
             "size": one.size_px,
         }
@@ -204,6 +207,8 @@ class ChartView:
                 markeredgewidth=0,
                 drawstyle="steps-mid" if one.mark is Mark.STEPS else "default",
             )
+            for name, a, b in zip(one.names, x, y, strict=bool(one.names)):
+                axes.annotate(name, (a, b), (3, 0), textcoords="offset points", fontsize=6, va="center")
         if self.equal and self.series:
             places = [np.concatenate([np.asarray(getattr(one, axis)) for one in self.series]) for axis in "xy"]
             known = np.isfinite(places[0]) & np.isfinite(places[1])
@@ -261,6 +266,7 @@ class ChartView:
             f'<clipPath id="b"><rect x="{left}" y="{top}" width="{right - left}" height="{bottom - top}"/></clipPath>'
         )
         sheet.add(f'<g clip-path="url(#b)">{"".join(_drawn(one, sheet) for one in self.series)}</g>')
+        _write_names(self.series, sheet)
         if len(self.series) > 1:
             _legend(self.series, sheet)
         return sheet
@@ -309,6 +315,34 @@ def _drawn_sigma(one: ChartSeries, sheet: Sheet, color: str) -> str:
             around = np.concatenate([x[piece], x[piece[::-1]]]), np.concatenate([low[piece], high[piece[::-1]]])
             bands.append(f"{path_of(*around)}Z")
     return f'<path d="{"".join(bands)}" fill="{color}" opacity=".22"/>'
+
+
+def _write_names(series: Sequence[ChartSeries], sheet: Sheet) -> None:
+    """Write names beside points where they cover neither each other nor a point."""
+    points = [one for one in series if one.mark is Mark.POINTS]
+    if not any(one.names for one in points):
+        return
+    left, top, right, bottom = sheet.box
+    taken = np.concatenate(
+        [
+            np.stack([sheet.place_x(one.x), sheet.place_y(one.y), *np.full((2, len(one.x)), one.size_px)], axis=1)
+            for one in points
+        ]
+    )
+    for one in points:
+        away = one.size_px / 2 + 3
+        for name, x, y in zip(one.names, sheet.place_x(one.x).tolist(), sheet.place_y(one.y).tolist(), strict=False):
+            wide, high = 6.4 * len(name), 11.0
+            beside = [(away + wide / 2, 0.0), (-away - wide / 2, 0.0), (0.0, -away - high), (0.0, away + high)]
+            for across, along in beside if name else []:
+                a, b = x + across, y + along
+                apart = np.abs(taken[:, :2] - [a, b]) * 2 >= taken[:, 2:] + [wide, high]
+                inside = left < a - wide / 2 and a + wide / 2 < right and top < b - high / 2 and b + high / 2 < bottom
+                if inside and apart.any(axis=1).all():
+                    taken = np.vstack([taken, [a, b, wide, high]])
+                    place = f'x="{a:.1f}" y="{b + 3.5:.1f}" font-size="10" text-anchor="middle"'
+                    sheet.add(f"<text {place}>{html.escape(name)}</text>")
+                    break
 
 
 def _legend(series: Sequence[ChartSeries], sheet: Sheet) -> None:

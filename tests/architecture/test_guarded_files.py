@@ -20,6 +20,7 @@ ALLOWED = {
     "photogrammetry.exchange.colmap_files": ("np.frombuffer",),  # bytes that were read
     "deflectometry.exchange.surface_files": ("np.frombuffer",),  # bytes that were read
     "calibration.camera.files.opencv_files": ("cv2.FileStorage",),  # a text that was read
+    "calibration.heliostat.files.store_artist": ("h5py.File",),  # writes a file
     "calibration.heliostat.observations.rows": ("csv.reader",),  # one line of text
     "calibration.heliostat.files.store_heliostat": ("json.loads",),  # a text that was checked when it was read
 }

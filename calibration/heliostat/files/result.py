@@ -5,6 +5,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from calibration.heliostat.diagnosis.full_diagnosis import Diagnosis
 from calibration.heliostat.fitting.fit_result import HeliostatFit
 from calibration.heliostat.fitting.model_choice import ModelChoice
@@ -65,6 +67,15 @@ class SkyMap:
     sigma_beam_rad: FloatArray
     extrapolated: BoolArray
 
+    @property
+    def rms_beam_rad(self) -> float:
+        """Expected error over the sky: root of the mean variance by solid angle [rad]; NaN where nothing is known."""
+        known = np.isfinite(self.sigma_beam_rad)
+        weight = np.where(known, np.cos(np.deg2rad(self.elevations_deg))[:, None], 0.0)
+        if not known.any():
+            return float("nan")
+        return float(np.sqrt(np.sum(weight * np.nan_to_num(self.sigma_beam_rad) ** 2) / np.sum(weight)))
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HeliostatResult:
@@ -79,7 +90,7 @@ class HeliostatResult:
     held: What came of each split that could be made: fit to one part, prediction of the other.
     diagnosis: What is wrong with the heliostat or its records.
     not_split: Why the other splits could not be made.
-    sky: Predicted uncertainty over the sky; thorough runs only.
+    sky: Predicted uncertainty over the sky; None for a plant without targets.
     beams: What was measured in photos; None where no row names one.
     doubts: What makes the numbers doubtful.
     notes: What is good to know besides.

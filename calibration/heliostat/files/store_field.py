@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from calibration.heliostat.files.field_work import bad_row_dates, found_over_expected, work_of
 from calibration.heliostat.files.result import HeliostatResult, Shared
 from calibration.heliostat.files.store_heliostat import headline
 from calibration.heliostat.fitting.splits import SPLIT_NAMES
@@ -48,11 +49,20 @@ def field_row(result: HeliostatResult) -> dict[str, Any]:
         "n_m": north,
         "u_m": up,
         "model": result.free,
+        "predicted_sky_beam_mrad": _sky_mrad(result),
         **headline(result),
+        "found_over_expected": found_over_expected(result),
+        "bad_row_dates": ", ".join(bad_row_dates(result)),
+        "work": work_of(result),
         "duration_s": round(result.duration_s, 4),
         "warnings_count": len(result.doubts),
         "reason": "; ".join(one.text for one in doubts),
     }
+
+
+def _sky_mrad(result: HeliostatResult) -> float | None:
+    sky = float("nan") if result.sky is None else result.sky.rms_beam_rad
+    return 1e3 * sky if np.isfinite(sky) else None
 
 
 def failed_row(name: str, reason: str, kind: str = "") -> dict[str, Any]:
@@ -61,16 +71,18 @@ def failed_row(name: str, reason: str, kind: str = "") -> dict[str, Any]:
 
 
 def worst_first(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """Sort rows of the field: failed ones, then by the beam's RMS in the test rows, largest first."""
+    """Sort rows of the field: failed ones, then by the expected error of the beam over the sky, largest first."""
     by_name = sorted((dict(row) for row in rows), key=lambda row: str(row["heliostat"]))
     by_beam = sorted(by_name, key=_beam_mrad, reverse=True)
     return sorted(by_beam, key=lambda row: row["status"] != "failed")
 
 
 def _beam_mrad(row: Mapping[str, Any]) -> float:
-    number = row.get("beam_test_rms_mrad")
-    number = row.get("beam_all_rows_rms_mrad") if number is None else number
-    return float("inf") if number is None else float(number)
+    # Without a map over the sky (no targets) what was found.
+    for name in ("predicted_sky_beam_mrad", "beam_test_rms_mrad", "beam_all_rows_rms_mrad"):
+        if row.get(name) is not None:
+            return float(str(row[name]))
+    return float("inf")
 
 
 def write_field(folder: Path, rows: Sequence[Mapping[str, Any]]) -> None:
@@ -108,6 +120,7 @@ def field_summary(
     }
     missing = {}
     asked = ["beam_test_rms_mrad", "beam_train_rms_mrad", "normal_test_rms_mrad", "predicted_sigma_beam_mrad"]
+    asked += ["predicted_sky_beam_mrad"]
     asked += [f"beam_{split.replace('-', '_')}_test_rms_mrad" for split in SPLIT_NAMES if shared.thorough]
     for key in asked:
         known = [float(str(row[key])) for row in good if row.get(key) is not None]
@@ -116,7 +129,7 @@ def field_summary(
         numbers[f"median_{key}"] = float(np.median(known)) if known else None
         if not known:
             missing[f"median_{key}"] = "no heliostat has it"
-    worst = [row for row in good if row.get("beam_test_rms_mrad") is not None]
+    worst = worst_first(good)
     doubts = [*of_field]
     doubts += [
         Doubt("heliostat_failed", f"{row['heliostat']} failed: {row['reason']}")
@@ -132,8 +145,7 @@ def field_summary(
     ]
     texts = {"split": shared.split, "model": shared.free, "every split made": "yes" if shared.thorough else "no"}
     if worst:
-        first = max(worst, key=lambda row: float(str(row["beam_test_rms_mrad"])))
-        texts["worst"] = f"{first['heliostat']}: {float(str(first['beam_test_rms_mrad'])):.2f} mrad"
+        texts["worst"] = f"{worst[0]['heliostat']}: {_beam_mrad(worst[0]):.2f} mrad"
     return Summary(
         kind=FIELD_KIND,
         name=name,

@@ -14,19 +14,19 @@ from typing import Any
 import numpy as np
 
 from calibration.heliostat.keys import properties_files
-from calibration.heliostat.kinematic_model.design import HeliostatDesign, PlaneTarget
+from calibration.heliostat.kinematic_model.design import PlaneTarget
 from calibration.heliostat.observations.rows import NO_TIME, Rows, Verdicts, parse_times, rows_of
 from heliogauge.doubts import Doubt
 from heliogauge.errors import InputError
 from heliogauge.files.texts import parse_json
-from heliogauge.geometry.geodesy import enu_from_geodetic, geodetic_from_enu
+from heliogauge.geometry.geodesy import enu_from_geodetic
 from heliogauge.measurement.files import natural_order
 from heliogauge.results.json_file import read_json
 from heliogauge.validate import FloatArray
 
 TOWER_FILES = ("tower_measurements.json", "*tower-measurements.json", "*tower_measurements.json", "tower.json")
 TIMES_FILE = "timestamps.json"
-_KINEMATICS = ("kinematics_properties", "kinematic_properties")
+KINEMATICS = ("kinematics_properties", "kinematic_properties")
 _CORNERS = ("upper_left", "upper_right", "lower_right", "lower_left")
 #: Numbers of an actuator: our name, key of today's files, letter of the oldest ones.
 ACTUATOR_KEYS = {
@@ -39,19 +39,12 @@ ACTUATOR_KEYS = {
     "lowest": ("min_increment", "MinCounts_axis_"),
     "highest": ("max_increment", "MaxCounts_axis_"),
 }
-_TRANSLATIONS = {
+TRANSLATIONS = {
     "joint_1": ("joint_translation_{}_1", "first_joint_translation_{}"),
     "joint_2": ("joint_translation_{}_2", "second_joint_translation_{}"),
     "concentrator": ("concentrator_translation_{}", "concentrator_translation_{}"),
 }
-_SOUTH = (0.0, -1.0, 0.0)
-#: Tilts of the chain, by the names that ARTIST has for them; PAINT's own files have none.
-TILT_KEYS = {
-    "tilt_1_n": "first_joint_tilt_n",
-    "tilt_1_u": "first_joint_tilt_u",
-    "tilt_2_e": "second_joint_tilt_e",
-    "tilt_2_n": "second_joint_tilt_n",
-}
+SOUTH = (0.0, -1.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,7 +82,6 @@ class PaintProperties:
     position: Latitude [deg], longitude [deg], altitude [m].
     actuators: Numbers of both linear actuators, by the names of `ACTUATOR_KEYS`.
     translations_m: East, north, up of ``joint_1``, ``joint_2``, ``concentrator`` [m].
-    tilts_rad: Tilts of both joints by the names of the chain; 0 where not given [rad].
     size_m: Width and height of the mirror [m]; NaN where not given.
     doubts: What was assumed.
     """
@@ -97,7 +89,6 @@ class PaintProperties:
     position: FloatArray
     actuators: tuple[dict[str, float], dict[str, float]]
     translations_m: dict[str, tuple[float, ...]]
-    tilts_rad: dict[str, float]
     size_m: tuple[float, float]
     doubts: tuple[Doubt, ...]
     content: dict[str, Any]
@@ -219,14 +210,14 @@ def parse_properties(text: str, where: str) -> PaintProperties:
     InputError: Not JSON, a key is missing, a number that cannot be meant, or drives of another kind.
     """
     content = _parsed(text, where)
-    kinematics = next((content[key] for key in _KINEMATICS if isinstance(content.get(key), dict)), None)
+    kinematics = next((content[key] for key in KINEMATICS if isinstance(content.get(key), dict)), None)
     if kinematics is None:
-        raise InputError(f"{where}: the key {' or '.join(_KINEMATICS)} is missing")
+        raise InputError(f"{where}: the key {' or '.join(KINEMATICS)} is missing")
     doubts = []
     orientation = content.get("initial_orientation")
     facing = tuple(orientation[:3]) if isinstance(orientation, list) else None
-    translations = {name: _translation(kinematics, keys) for name, keys in _TRANSLATIONS.items()}
-    if facing != _SOUTH:
+    translations = {name: _translation(kinematics, keys) for name, keys in TRANSLATIONS.items()}
+    if facing != SOUTH:
         stated = "no initial_orientation" if facing is None else f"initial_orientation {list(facing)}"
         if any(any(shift) for shift in translations.values()):
             text = (
@@ -234,12 +225,11 @@ def parse_properties(text: str, where: str) -> PaintProperties:
                 "left out"
             )
             doubts.append(Doubt("paint_translations_left_out", text))
-        translations = dict.fromkeys(_TRANSLATIONS, (0.0, 0.0, 0.0))
+        translations = dict.fromkeys(TRANSLATIONS, (0.0, 0.0, 0.0))
     return PaintProperties(
         position=_position(content, where),
         actuators=(_actuator(kinematics, 1, where), _actuator(kinematics, 2, where)),
         translations_m=translations,
-        tilts_rad={name: _finite(kinematics.get(key, 0.0), f"{where}: {key}") for name, key in TILT_KEYS.items()},
         size_m=(float(content.get("width", np.nan)), float(content.get("height", np.nan))),
         doubts=tuple(doubts),
         content=content,
@@ -368,40 +358,3 @@ def _of(table: Mapping[str, Any], keys: tuple[str, str]) -> float:
         if key in table:
             return _finite(table[key], key)
     raise InputError(f"the key {keys[0]} is missing")
-
-
-# --- and back ---------------------------------------------------------------------------------------------------------
-
-
-def exported_properties(content: Mapping[str, Any], design: HeliostatDesign) -> dict[str, Any]:
-    """Return a properties file with calibrated numbers, as PAINT has it and ARTIST reads it.
-
-    content: ``heliostat.json``; the properties it came from are kept but for the numbers.
-    design: The calibrated heliostat, with linear actuators.
-    """
-    numbers = dict(zip(design.parameters.names, design.parameters.values.tolist(), strict=True))
-    earlier = dict(content.get("paint_properties") or {})
-    site = content["site"]
-    origin = (site["latitude_deg"], site["longitude_deg"], site["altitude_m"])
-    latitude, longitude, altitude = geodetic_from_enu(design.position_m, origin)
-    old: dict[str, Any] = next((earlier.pop(key) for key in _KINEMATICS if key in earlier), {})
-    actuators = []
-    for axis, drive in enumerate(design.drives, start=1):
-        actuator = dict((old.get("actuators") or [{}, {}])[axis - 1])
-        actuator |= {"type_axis": "linear", "clockwise_axis_movement": int(getattr(drive, "clockwise", True))}
-        low, high = design.limits[axis - 1].tolist()
-        if np.isfinite([low, high]).all():
-            actuator |= {"min_increment": low, "max_increment": high}
-        for name in ("increment", "initial_stroke", "offset", "pivot_radius", "initial_angle"):
-            actuator[ACTUATOR_KEYS[name][0]] = numbers[f"{name}_{axis}"]
-        actuators.append(actuator)
-    kinematics: dict[str, Any] = {"actuators": actuators}
-    for joint, (today, _) in _TRANSLATIONS.items():
-        for axis_name in "enu":
-            kinematics[today.format(axis_name)] = numbers[f"{joint}_{axis_name}"]
-    kinematics |= {key: numbers[name] for name, key in TILT_KEYS.items()}
-    return earlier | {
-        "heliostat_position": [float(latitude), float(longitude), float(altitude)],
-        "initial_orientation": list(_SOUTH),
-        "kinematics_properties": kinematics,
-    }

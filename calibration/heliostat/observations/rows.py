@@ -211,16 +211,24 @@ def parse_times(texts: Sequence[str], verdicts: Verdicts) -> TimeArray:
         if not text:
             continue
         try:
-            moment = datetime.datetime.fromisoformat(text)
-        except ValueError:
-            reason = f"time_utc = {text!r} is no time; write 2026-06-21T10:00:00Z"
-        else:
-            if moment.tzinfo is not None:
-                times[row] = np.datetime64(moment.astimezone(datetime.UTC).replace(tzinfo=None), "ms")
-                continue
-            reason = f"time_utc = {text!r} has no zone; write {text.replace(' ', 'T')}Z if it is UTC"
-        verdicts.refuse(np.arange(len(texts)) == row, "time", reason)
+            times[row] = parse_time(text)
+        except InputError as error:
+            verdicts.refuse(np.arange(len(texts)) == row, "time", str(error))
     return np.asarray(freeze(times))
+
+
+def parse_time(text: str) -> np.datetime64:
+    """Read a time in ISO 8601 with a zone, as UTC.
+
+    InputError: No time, or one without a zone.
+    """
+    try:
+        moment = datetime.datetime.fromisoformat(text)
+    except ValueError:
+        raise InputError(f"time_utc = {text!r} is no time; write 2026-06-21T10:00:00Z") from None
+    if moment.tzinfo is None:
+        raise InputError(f"time_utc = {text!r} has no zone; write {text.replace(' ', 'T')}Z if it is UTC")
+    return np.datetime64(moment.astimezone(datetime.UTC).replace(tzinfo=None), "ms")
 
 
 def rows_of(

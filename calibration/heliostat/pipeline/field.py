@@ -96,7 +96,7 @@ def run_into(
     out: The folder. One heliostat: it appears whole or not at all. Several: it fills one by one; what an
         interrupted run has finished is kept, and taken over by the next run with the same measurement and options.
     force: Replace earlier results, interrupted ones too.
-    report: Add ``report.html``; of a field of a few heliostats also to the folder of each.
+    report: Add ``report.html``, also to the folders of the worst dozen of a field.
     Returns: The rows of the field, the worst first.
     InputError: The measurement cannot be meant, or the folder cannot be used.
     EstimationError: No heliostat could be calibrated.
@@ -117,10 +117,9 @@ def run_into(
             kept = f"{count} of {len(campaign.names)} heliostats are finished in {out}; the same command continues"
             raise KeyboardInterrupt(kept if count else "nothing was written") from None
     if report:
-        if len(campaign.names) <= _MOST_REPORTS:
-            for name in campaign.names:
-                if (out / name / SUMMARY_FILE).is_file():
-                    add_report(out / name, progress)
+        for row in filled.rows[:_MOST_REPORTS]:
+            if (out / row["heliostat"] / SUMMARY_FILE).is_file():
+                add_report(out / row["heliostat"], progress)
         add_report(out, progress)
     return filled
 

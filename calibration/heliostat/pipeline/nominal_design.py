@@ -66,14 +66,13 @@ def paint_design(properties: PaintProperties, name: str, plant: Plant) -> Helios
     ]
     shifts = properties.translations_m
     latitude, longitude, altitude = properties.position.tolist()
-    design = linear_actuators(
+    return linear_actuators(
         name,
         enu_from_geodetic(latitude, longitude, altitude, plant.origin),
         (numbers[0], numbers[1]),
         concentrator_m=shifts["concentrator"],
         joints_m=(shifts["joint_1"], shifts["joint_2"]),
     )
-    return design.with_value(properties.tilts_rad)
 
 
 def _preset(task: HeliostatTask, plant: Plant, kinematics: KinematicsSection) -> HeliostatDesign:

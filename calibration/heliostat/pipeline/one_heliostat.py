@@ -42,7 +42,7 @@ def calibrate_one(shared: Shared, task: HeliostatTask) -> HeliostatResult:
     diagnosis = diagnose(judged, targets=shared.plant.targets, site=shared.plant.site, records=records)
     main = trials.held.get(shared.split)
     inflation = None if main is None else main.prediction.inflation
-    sky = map_sky(result, shared.plant, inflation) if shared.thorough else None
+    sky = map_sky(result, shared.plant, inflation, thorough=shared.thorough)
     found = gather_doubts(diagnosis.doubts, collect_doubts(task, seen, result, trials, shared))
     return HeliostatResult(
         name=task.name,

@@ -22,6 +22,8 @@ _SHAPE = ("width_major_m", "width_minor_m", "direction_deg")
 _SPOT, _AIM = "#c8102e", "#0b6fb8"
 #: Viridis from low to high: told apart by the colour-blind.
 _CLASSES = ("#440154", "#3b528b", "#21918c", "#5ec962", "#fde725")
+#: Names on the map of a field, besides those of heliostats that need work.
+_MOST_NAMES = 40
 #: Words, column and colours of fitted and predicted residuals.
 _DIRECTIONS = (
     ("to the right", "residual_right_mrad", (LINE_X, "#7fb2d9")),
@@ -257,44 +259,52 @@ def _ellipse(center_m: FloatArray, major_m: float, minor_m: float, direction_deg
 
 
 def field_view(report: FieldReport) -> ChartView:
-    """Return the field from above, each heliostat in the colour of its beam's error on predicted positions."""
-    east, north, beam = (report.numbers(name) for name in ("e_m", "n_m", "beam_test_rms_mrad"))
-    expected = (
-        report.numbers("predicted_sigma_beam_mrad")
-        if "predicted_sigma_beam_mrad" in report.rows
-        else np.full(beam.size, np.nan)
+    """Return the field from above with names, each heliostat in the colour of its expected error over the sky."""
+    rows, (east, north) = report.rows, (report.numbers(name) for name in ("e_m", "n_m"))
+    sky, found, expected = (
+        report.numbers(name) for name in ("predicted_sky_beam_mrad", "beam_test_rms_mrad", "predicted_sigma_beam_mrad")
     )
-    known = np.isfinite(beam)
+    error = np.where(np.isfinite(sky), sky, found)
+    known = np.isfinite(error)
     labels = [
         f"{name}: "
-        + (f"{beam[k]:.2f} mrad" if known[k] else "no model")
-        + (f", expected {expected[k]:.2f} mrad" if np.isfinite(expected[k]) else "")
-        + (f" ({report.rows['status'][k]})" if report.rows["status"][k] not in ("", "ok") else "")
-        for k, name in enumerate(report.rows["heliostat"])
+        + (f"{error[k]:.2f} mrad expected over the sky" if known[k] else "no model")
+        + (f", {found[k]:.2f} found" if np.isfinite(found[k]) else "")
+        + (f" where {expected[k]:.2f} were expected" if np.isfinite(expected[k]) else "")
+        + (f" ({rows['status'][k]})" if rows["status"][k] not in ("", "ok") else "")
+        + (f". {rows['work'][k]}" if rows["work"][k] else "")
+        for k, name in enumerate(rows["heliostat"])
     ]
-    steps = np.linspace(0.0, figures.robust_end(beam[known]), len(_CLASSES) + 1)
-    place = np.clip(np.searchsorted(steps, beam, "right") - 1, 0, len(_CLASSES) - 1)
-    size = float(np.clip(60 / np.sqrt(max(beam.size, 1)), 4, 12))
+    # Of a large field those that need work and the worst, which come first; there is no room for more.
+    named = np.array([bool(text) for text in rows["work"]]) | (np.arange(error.size) < _MOST_NAMES)
+    steps = np.linspace(0.0, figures.robust_end(error[known]), len(_CLASSES) + 1)
+    place = np.clip(np.searchsorted(steps, error, "right") - 1, 0, len(_CLASSES) - 1)
+    size = float(np.clip(60 / np.sqrt(max(error.size, 1)), 4, 12))
 
     def series(name: str, chosen: BoolArray, color: str) -> ChartSeries:
-        shown = [labels[k] for k in np.flatnonzero(chosen)]
-        return ChartSeries(name, east[chosen], north[chosen], color, Mark.POINTS, labels=shown, size_px=size)
+        at = np.flatnonzero(chosen)
+        shown = [labels[k] for k in at]
+        names = [rows["heliostat"][k] if named[k] else "" for k in at]
+        return ChartSeries(
+            name, east[chosen], north[chosen], color, Mark.POINTS, labels=shown, size_px=size, names=names
+        )
 
-    found = [ChartSeries("origin", np.zeros(1), np.zeros(1), INK, Mark.POINTS, labels=["origin"], size_px=10.0)]
+    drawn = [ChartSeries("origin", np.zeros(1), np.zeros(1), INK, Mark.POINTS, labels=["origin"], size_px=10.0)]
     for k, color in enumerate(_CLASSES):
         last = k + 1 == len(_CLASSES)
         chosen = known & (place == k)
         if chosen.any():
             words = f"above {steps[k]:.3g} mrad" if last else f"{steps[k]:.3g} to {steps[k + 1]:.3g} mrad"
-            found.append(series(words, chosen, color))
-    if (~known).any():
-        found.append(series("no model", ~known, LINE_Y))
+            drawn.append(series(words, chosen, color))
+    placed = ~known & np.isfinite(east) & np.isfinite(north)
+    if placed.any():
+        drawn.append(series("no model", placed, LINE_Y))
     return ChartView(
-        "Beam error of each heliostat",
+        "Expected error of each heliostat",
         "east [m]",
         "north [m]",
-        tuple(found),
-        "RMS on positions that were not fitted",
+        tuple(drawn),
+        "of the beam, RMS over the sky",
         equal=True,
     )
 

@@ -11,6 +11,18 @@ from heliogauge.errors import InputError
 from heliogauge.results.folder import Summary, read_summary, read_table_csv
 from heliogauge.validate import BoolArray, FloatArray, TimeArray, freeze
 
+_FIELD_COLUMNS = (
+    "heliostat",
+    "status",
+    "e_m",
+    "n_m",
+    "predicted_sky_beam_mrad",
+    "beam_test_rms_mrad",
+    "predicted_sigma_beam_mrad",
+    "found_over_expected",
+    "bad_row_dates",
+    "work",
+)
 _NUMBERS = (
     "sun_azimuth_deg",
     "sun_elevation_deg",
@@ -107,7 +119,7 @@ def open_field(folder: str | Path = ".") -> FieldReport:
     folder: The folder; the working directory without it.
     """
     folder = Path(folder)
-    rows = read_table_csv(folder / "field.csv", ("heliostat", "status", "e_m", "n_m", "beam_test_rms_mrad"))
+    rows = read_table_csv(folder / "field.csv", _FIELD_COLUMNS)
     table = {name: tuple(cells) for name, cells in rows.items()}
     return FieldReport(folder, read_summary(folder / "summary.json"), table)
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from calibration.heliostat.files.field_work import dates_text
 from calibration.heliostat.report import figures_residuals as figures
 from calibration.heliostat.report.charts import (
     beam_view,
@@ -29,8 +30,8 @@ from heliogauge.view.tables import TableColumn, TableView
 
 #: A larger share of observations that were not used is a hole.
 _MOST_LEFT_OUT = 0.1
-#: Letters of a reason in the table of a field.
-_REASON_LENGTH = 160
+#: Letters of a sentence on what a heliostat needs, and how many of them the page of a field has.
+_WORK_LENGTH, _MOST_SENTENCES = 320, 40
 #: Headline of one heliostat: words and keys of an angle summary.
 _ANGLES = (
     ("beam, RMS", "beam_rms_mrad"),
@@ -176,7 +177,7 @@ def _left_out(flag: str, reason: str) -> str:
 def sky_section(report: HeliostatReport) -> Html:
     """Return the map of the predicted uncertainty."""
     if not report.content.get("sky"):
-        return Html("<p>Not made for fields of many heliostats; <code>--thorough</code> makes it.</p>")
+        return Html("<p>The plant has no targets, so nothing is aimed at.</p>")
     caption = "Includes what the residuals show beyond the noise of the observations."
     return join(sky_view(report), _caption(caption))
 
@@ -318,6 +319,14 @@ def _field_rows(report: FieldReport) -> list[tuple[str, ...]]:
             low, middle, high = np.nanpercentile(values, [5, 50, 95])
             note = f"RMS on predicted positions; 5 % below {low:.2f}, 95 % below {high:.2f} mrad"
             rows.append((f"{word}, median heliostat", f"{middle:.2f} mrad", note))
+    sky, ratio = (report.numbers(name) for name in ("predicted_sky_beam_mrad", "found_over_expected"))
+    if np.isfinite(sky).any():
+        low, middle, high = np.nanpercentile(sky, [5, 50, 95])
+        note = f"expected RMS of the beam; 5 % below {low:.2f}, 95 % below {high:.2f} mrad"
+        rows.append(("Over the sky, median heliostat", f"{middle:.2f} mrad", note))
+    if np.isfinite(ratio).any():
+        low, middle, high = np.nanpercentile(ratio, [5, 50, 95])
+        rows.append(("Found over expected, median", f"{middle:.2f}", f"5 % below {low:.2f}, 95 % below {high:.2f}"))
     known = normal[np.isfinite(normal)]
     if known.size:
         rows.append(("Normal within 1 mrad RMS", f"{100 * np.mean(known <= 1.0):.0f} % of the heliostats"))
@@ -330,39 +339,66 @@ def field_distribution(report: FieldReport) -> Html:
     return join(view) if view.series else Html("")
 
 
+def field_work(report: FieldReport) -> Html:
+    """Return a plain sentence for each heliostat that needs work, the worst first, with links to their reports."""
+    rows = report.rows
+    states = [(name, *rest) for name, *rest in zip(rows["heliostat"], rows["status"], rows["work"], strict=True)]
+    asked = [
+        (name, f"No model: {rows['reason'][k]}" if status == "failed" else work)
+        for k, (name, status, work) in enumerate(states)
+        if work or status == "failed"
+    ]
+    if not asked:
+        return Html("<p>None: no fault was found, and beams go where they are expected to within what was stated.</p>")
+    items = []
+    for name, text in asked[:_MOST_SENTENCES]:
+        link, shown = _link(report, name), html.escape(name)
+        named = f'<a href="{html.escape(link, quote=True)}">{shown}</a>' if link else shown
+        items.append(f"<li><strong>{named}</strong>: {html.escape(_shortened(text, _WORK_LENGTH))}</li>")
+    more = len(asked) - len(items)
+    rest = f" {more} more: field.csv, column work." if more > 0 else ""
+    count = f"{len(asked)} of {len(rows['heliostat'])} heliostats need work.{rest}"
+    return join(Html(f"<p>{count}</p>"), Html(f"<ul>{''.join(items)}</ul>"))
+
+
 def field_table(report: FieldReport) -> Html:
-    """Return the heliostats, the worst first, with links to their reports."""
+    """Return the heliostats, the worst across the sky first, with links to their reports."""
     rows, count = report.rows, len(report.rows["heliostat"])
-    found = rows.get("diagnosis", ("",) * count)
-    states = [kind.replace("_", " ") or status for kind, status in zip(found, rows["status"], strict=True)]
+    kinds = rows.get("diagnosis", ("",) * count)
+    states = [kind.replace("_", " ") or status for kind, status in zip(kinds, rows["status"], strict=True)]
     columns = [
         TableColumn("heliostat", rows["heliostat"], links=[_link(report, name) for name in rows["heliostat"]]),
         TableColumn("state", states),
-        TableColumn("model", rows["model"]),
     ]
     for name, key in (
-        ("beam predicted", "beam_test_rms_mrad"),
-        ("fitted", "beam_train_rms_mrad"),
+        ("over the sky", "predicted_sky_beam_mrad"),
+        ("found", "beam_test_rms_mrad"),
         ("expected", "predicted_sigma_beam_mrad"),
-        ("normal predicted", "normal_test_rms_mrad"),
+        ("ratio", "found_over_expected"),
+        ("normal", "normal_test_rms_mrad"),
     ):
         values = report.numbers(key)
         columns.append(TableColumn(name, [_number(one) for one in values], values.tolist()))
     used = [
         f"{one}/{of}" if one else "" for one, of in zip(rows["used_count"], rows["observations_count"], strict=True)
     ]
-    columns += [TableColumn("used", used), TableColumn("why", [_shortened(text) for text in rows["reason"]])]
+    dates = [dates_text(cell.split(", ")) for cell in rows["bad_row_dates"]]
+    columns += [TableColumn("used", used), TableColumn("bad rows on", dates)]
     command = (
         "<code>heliogauge report OUT/NAME</code> makes the report of one heliostat; <code>heliogauge view OUT</code> "
         "shows all of them."
     )
-    note = f"Angles in mrad, RMS; reasons in full in field.csv. {command}"
+    note = (
+        "Angles of the beam in mrad, RMS. Over the sky: expected wherever the sun stands. Found: beams held out of the "
+        "fit; expected: of these beams, before; ratio: found over expected, both RMS. Normal: found, of the mirror's "
+        f"normal. Reasons in full in field.csv. {command}"
+    )
     ids = [f"heliostat-{name}" for name in rows["heliostat"]]
     return join(TableView("heliostats", tuple(columns), ids), _caption(note))
 
 
 def _link(report: FieldReport, name: str) -> str:
-    is_there = Path(name).name == name and (report.folder / name / "heliostat.json").is_file()
+    is_there = Path(name).name == name and (report.folder / name / "report.html").is_file()
     return f"{name}/report.html" if is_there else ""
 
 
@@ -370,8 +406,8 @@ def _caption(text: str) -> Html:
     return Html(f'<p class="caption">{text}</p>' if text else "")
 
 
-def _shortened(text: str) -> str:
-    return text if len(text) <= _REASON_LENGTH else f"{text[:_REASON_LENGTH].rsplit(' ', 1)[0]} ..."
+def _shortened(text: str, length: int) -> str:
+    return text if len(text) <= length else f"{text[:length].rsplit(' ', 1)[0]} ..."
 
 
 def _number(value: float | None) -> str:

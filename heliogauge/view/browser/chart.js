@@ -147,6 +147,7 @@
       });
       const behind = content.background ? [this.custom([content.background.extent.slice(1, 3)], 1, (api) => this.picture(api))] : [];
       option.series = behind.concat(this.series.flatMap((one, index) => this.hidden.has(index) ? [] : this.parts(one, index)));
+      if (this.visible().some((one) => one.names)) option.series.push(this.names(this.visible()));
       option.useUTC = true;
       figure.chart.setOption(option, { replaceMerge: ["series"] });
     }
@@ -198,7 +199,7 @@
           }));
         }
         made.push({ type: "scatter", data, symbolSize: Math.max(one.size * 1.3, 3), itemStyle: { color: one.color }, z,
-          silent: true, large: data.length > 5000, clip: true });
+          silent: true, large: data.length > 5000 && !one.names, clip: true });
         return made;
       }
       if (one.low) made.push(this.band(one, z - 0.5));
@@ -216,6 +217,30 @@
         for (let index = first; index < end; index++) points.push(api.coord([one.px[index], one.high[index]]));
         for (let index = end - 1; index >= first; index--) points.push(api.coord([one.px[index], one.low[index]]));
         return { type: "polygon", shape: { points }, style: { fill: one.color, opacity: 0.25 } };
+      });
+    }
+
+    // Names beside points, where they cover neither each other nor a point; what has no room is read with the pointer.
+    names(shown) {
+      const all = shown.flatMap((one) => Array.from(one.names || [], (name, at) => ({ name, x: one.px[at], y: one.py[at], size: one.size }))
+        .filter(({ name }) => name));
+      const { ink } = heliogauge.colors();
+      const points = shown.filter((one) => one.mark === "points").flatMap((one) => Array.from(one.px, (x, at) => [x, one.py[at], one.size]));
+      let taken = [];
+      return this.custom(all.map(({ x, y }) => [x, y]), 3 + this.series.length, (api, at) => {
+        if (at === 0) taken = points.map(([x, y, size]) => [...api.coord([x, y]), size * 1.3, size * 1.3]);
+        const { name, x, y, size } = all[at];
+        const [left, top] = api.coord([x, y]);
+        const away = size * 0.65 + 3;
+        const [wide, high] = [6.4 * name.length, 12];
+        const places = [[away + wide / 2, 0], [-away - wide / 2, 0], [0, -away - high], [0, away + high]];
+        const free = ([across, along]) => taken.every(([a, b, w, h]) =>
+          Math.abs(left + across - a) >= (wide + w) / 2 || Math.abs(top + along - b) >= (high + h) / 2);
+        const place = places.find(free);
+        if (!place) return null;
+        const [middle, level] = [left + place[0], top + place[1]];
+        taken.push([middle, level, wide, high]);
+        return { type: "text", style: { text: name, x: middle, y: level, align: "center", verticalAlign: "middle", fill: ink, fontSize: 11 } };
       });
     }
 
@@ -332,6 +357,7 @@
       y: await heliogauge.numbers(one.y),
       sigma: one.sigma ? await heliogauge.numbers(one.sigma) : null,
       labels: await heliogauge.lines(one.labels),
+      names: one.names ? await heliogauge.lines(one.names) : null,
     })));
     place.append(heliogauge.element("p", { class: "view-title" }, spec.name));
     const { background } = spec;

@@ -70,6 +70,7 @@ COMMANDS = FOR_ALL + [
     "heliostat synth",
     "heliostat measure",
     "heliostat plan",
+    "heliostat aim",
     "heliostat export controllers",
     "heliostat export artist",
     "heliostat export table",

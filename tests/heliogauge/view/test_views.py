@@ -190,3 +190,21 @@ def test_a_still_chart_of_counted_things_has_whole_ticks() -> None:
     chart = ChartView("Modules", "module", "length [m]", (series,), x_counts=True)
     below = re.findall(r'text-anchor="middle">([\d.]+)<', chart.sheet().svg())
     assert below == ["1", "2"]
+
+
+def test_names_stand_beside_their_points_and_cover_neither_names_nor_points() -> None:
+    x, y = np.array([5.0, 5.02, 0.0, 10.0]), np.array([5.0, 5.0, 0.0, 10.0])
+    names = ("first", "second", "", "<last>")
+    view = ChartView("Field", "east", "north", (ChartSeries("s", x, y, "#123456", Mark.POINTS, names=names),))
+    drawn = view.sheet().svg()
+    places = {
+        name: (float(across), float(along))
+        for across, along, name in re.findall(r'<text x="([\d.]+)" y="([\d.]+)"[^>]*middle">([^<]*)</text>', drawn)
+        if name in {"first", "second", "&lt;last&gt;"}
+    }
+    assert set(places) == {"first", "second", "&lt;last&gt;"}
+    apart = np.abs(np.subtract(places["first"], places["second"]))
+    assert apart[0] > 35 or apart[1] >= 11
+    assert '"names"' in view.page_html()
+    with pytest.raises(InputError, match="has lengths"):
+        ChartView("Field", "e", "n", (ChartSeries("s", x, y, "#123456", Mark.POINTS, names=("a",)),))

@@ -194,16 +194,57 @@ def test_observations_that_have_pictures_link_to_them(one, tmp_path):
     assert "#photo" not in sections.observation_table(one)._repr_html_()
 
 
-def test_field_names_the_worst_first_and_links_to_each(field):
-    text = sections.field_table(field).text
+def test_field_names_the_worst_across_the_sky_first_and_links_to_each(field, tmp_path):
     names = field.rows["heliostat"]
-    places = [text.index(f'<a href="{name}/report.html">{name}</a>') for name in names]
+    for name in names[:-1]:
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "report.html").touch()
+    made = replace(field, folder=tmp_path)
+    text = sections.field_table(made).text
+    places = [text.index(f'<a href="{name}/report.html">{name}</a>') for name in names[:-1]]
     assert places == sorted(places)
-    beam = field.numbers("beam_test_rms_mrad")
-    assert (np.diff(beam) <= 0).all()
+    # A page that was not made is no link.
+    assert f'{names[-1]}/report.html"' not in text
+    sky = field.numbers("predicted_sky_beam_mrad")
+    assert (np.diff(sky) <= 0).all()
+    assert (sky > 0).all()
     # Names lead nowhere else.
-    odd = replace(field, rows=field.rows | {"heliostat": ("../secret", *names[1:])})
+    odd = replace(made, rows=field.rows | {"heliostat": ("../secret", *names[1:])})
     assert "secret/report" not in sections.field_table(odd).text
+
+
+def test_field_says_of_each_heliostat_what_it_needs(field, tmp_path):
+    names = field.rows["heliostat"]
+    assert "None: no fault was found" in sections.field_work(field).text
+    (tmp_path / names[0]).mkdir()
+    (tmp_path / names[0] / "report.html").touch()
+    rows = field.rows | {
+        "work": ("Worm gear (2026-03-01): Free the <term>.", "", ""),
+        "status": ("faulty", "ok", "failed"),
+        "reason": ("", "", "no observations"),
+    }
+    text = sections.field_work(replace(field, rows=rows, folder=tmp_path)).text
+    assert "2 of 3 heliostats need work." in text
+    assert (
+        f'<a href="{names[0]}/report.html">{names[0]}</a></strong>: Worm gear (2026-03-01): Free the &lt;term&gt;.'
+        in text
+    )
+    assert f"<strong>{names[2]}</strong>: No model: no observations" in text
+    assert names[1] not in text
+
+
+def test_field_table_has_found_over_expected_and_dates_of_bad_rows(field):
+    days = ", ".join(f"2026-03-{day:02d}" for day in (1, 2, 3, 4))
+    text = sections.field_table(replace(field, rows=field.rows | {"bad_row_dates": (days, "", "")})).text
+    assert "2026-03-01, 2026-03-02, 2026-03-03 and 1 more day" in text
+    found, expected, ratio = (
+        field.numbers(name) for name in ("beam_test_rms_mrad", "predicted_sigma_beam_mrad", "found_over_expected")
+    )
+    assert np.isfinite(ratio).all()
+    # What was expected of held-out beams includes their measurement: less than found over the prediction alone.
+    assert np.all(ratio < found / expected)
+    assert np.all((ratio > 0.3) & (ratio < 2.0))
+    assert f"{ratio[0]:.2f}" in text
 
 
 def test_field_is_never_green_with_a_heliostat_that_needs_a_look(field):
@@ -220,19 +261,28 @@ def test_field_is_never_green_with_a_heliostat_that_needs_a_look(field):
     assert text.count("<img") == 1
 
 
-def test_field_map_has_every_heliostat_in_the_class_of_its_error(field):
-    beam = field.numbers("beam_test_rms_mrad").copy()
-    beam[0] = np.nan
-    rows = field.rows | {"beam_test_rms_mrad": tuple("" if np.isnan(one) else f"{one}" for one in beam)}
+def test_field_map_has_every_heliostat_in_the_class_of_its_error_by_name(field):
+    sky = field.numbers("predicted_sky_beam_mrad").copy()
+    sky[0] = np.nan
+    texts = tuple("" if np.isnan(one) else f"{one}" for one in sky)
+    rows = field.rows | {"predicted_sky_beam_mrad": texts, "beam_test_rms_mrad": texts}
     view = charts.field_view(replace(field, rows=rows))
     series = {line.name: line for line in view.series if line.name != "origin"}
     assert [label.split(":")[0] for label in series["no model"].labels] == [field.rows["heliostat"][0]]
-    assert sum(len(line.x) for line in series.values()) == len(beam)
+    assert sorted(name for line in series.values() for name in line.names) == sorted(field.rows["heliostat"])
+    assert sum(len(line.x) for line in series.values()) == len(sky)
     for name, line in series.items():
         low, _, high = name.removeprefix("above ").removesuffix(" mrad").partition(" to ")
         for label in line.labels if name != "no model" else ():
             error = float(label.split(": ")[1].split(" mrad")[0])
             assert float(low) - 0.01 <= error <= (float(high) + 0.01 if high else np.inf)
+    # Of many the worst have names, and those that need work.
+    many = 60
+    crowd = {name: tuple(np.resize(np.array(cells, dtype=object), many)) for name, cells in field.rows.items()}
+    crowd["heliostat"] = tuple(f"H{number}" for number in range(many))
+    crowd["work"] = ("",) * (many - 1) + ("Look at it.",)
+    shown = [name for line in charts.field_view(replace(field, rows=crowd)).series for name in line.names if name]
+    assert sorted(shown) == sorted([*(f"H{number}" for number in range(40)), "H59"])
 
 
 def test_damaged_tables_are_refused_by_name(one, tmp_path):

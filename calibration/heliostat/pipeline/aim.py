@@ -1,0 +1,194 @@
+"""Readings of calibrated heliostats for a day and a target, and where the beams of given readings go."""
+
+import datetime
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from calibration.heliostat.exports.aim_table import EXTRAPOLATED, GOOD, OUTSIDE, Calibrated, aim_columns, beam_columns
+from calibration.heliostat.exports.days import SunsOfDay
+from calibration.heliostat.files.store_heliostat import read_results, stored_site
+from calibration.heliostat.observations.rows import parse_time
+from heliogauge.errors import InputError
+from heliogauge.files.faults import explain_faults
+from heliogauge.geometry.sun import Site, direction_from_angles, sun_directions
+from heliogauge.results.folder import write_table_csv
+from heliogauge.results.tables import read_table_csv
+from heliogauge.results.whole_folder import FolderKind, WholeFolder
+from heliogauge.validate import FloatArray
+
+_ANGLES = ("azimuth", "elevation")
+AIM_FILE, BEAM_FILE, MARK = "aim.csv", "beams.csv", "aim.txt"
+AIMED = FolderKind(content="tables of readings", mark=MARK)
+_TEXT = """\
+Written by heliogauge heliostat aim from calibrated heliostats.
+
+aim.csv     readings of both drives that put the beam on the centre of the target, row by row of time (UTC).
+beams.csv   where the beams of given readings meet the plane of the target: x_m to the right and y_m up as seen from the
+            field, from its centre; off_centre_mrad is the angle at the mirror between beam and centre.
+
+sigma_beam_mrad   expected error of the beam (root of both axes' variances) at that sun, from the calibration's map over
+                  the sky; sigma_across_m the same of one axis at the target, across the line of sight.
+status            good; extrapolated: the sun stands beyond those of the calibration, the sigma says by how much that
+                  counts; outside the range of the drives and no position does it: no readings are given; beside the
+                  target and away from the target: of given readings.
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class AimOptions:
+    """Choices.
+
+    date: Day of the table; today if None.
+    step_minutes: Step of the table [min].
+    target: Whose centre is aimed at; the first one if None.
+    only: Heliostats by name, a text with ``*``; several with commas; all if None.
+    readings: Table of readings whose beams are asked for, in place of a day.
+    force: Replace an earlier table.
+    """
+
+    date: datetime.date | None = None
+    step_minutes: float = 10.0
+    target: str | None = None
+    only: str | None = None
+    readings: Path | None = None
+    force: bool = False
+
+
+def run(result: Path, out: Path, options: AimOptions | None = None) -> list[str]:
+    """Write the readings of a day, or the beams of given readings.
+
+    result: Folder with ``heliostat.json``, or one with a folder for each heliostat.
+    Returns: A sentence for each heliostat.
+    InputError: No results there, no such heliostat or target, a table that cannot be read, or the folder cannot be
+        used.
+    """
+    options = options or AimOptions()
+    with explain_faults(result, "a folder of results as heliogauge wrote it"):
+        contents = list(_chosen(read_results(result), options.only))
+    tables, sentences = [], []
+    given = None if options.readings is None else _Given.read(options.readings, stored_site(contents[0]))
+    if given is not None:
+        given.check_names([str(content["heliostat"]) for content in contents])
+    with explain_faults(result, "a folder of results as heliogauge wrote it"):
+        for content in contents:
+            known = Calibrated.from_content(content)
+            columns = (
+                _of_day(known, stored_site(content), options) if given is None else given.columns(known, options.target)
+            )
+            if columns is not None:
+                tables.append(columns)
+                sentences.append(_sentence(known, columns))
+    joined = {name: [cell for table in tables for cell in table[name]] for name in tables[0]}
+    with WholeFolder(out, AIMED, force=options.force) as folder:
+        write_table_csv(folder / (AIM_FILE if given is None else BEAM_FILE), joined)
+        (folder / MARK).write_text(_TEXT, encoding="utf-8")
+    return sentences
+
+
+def _chosen(contents: Iterable[Mapping[str, Any]], only: str | None) -> Iterable[Mapping[str, Any]]:
+    found = list(contents)
+    names = [str(content["heliostat"]) for content in found]
+    patterns = ["*"] if only is None else [text.strip() for text in only.split(",")]
+    for pattern in patterns:
+        if not any(fnmatchcase(name, pattern) for name in names):
+            raise InputError(f"only={pattern}: no heliostat of that name; there are {', '.join(names[:8])}")
+    return [
+        content for content, name in zip(found, names, strict=True) if any(fnmatchcase(name, one) for one in patterns)
+    ]
+
+
+def _of_day(known: Calibrated, site: Site, options: AimOptions) -> dict[str, Any]:
+    date = options.date or datetime.datetime.now(datetime.UTC).date()
+    day = SunsOfDay.of(date, options.step_minutes, site)
+    columns = aim_columns(known, day.suns, known.target(options.target))
+    return {"heliostat": columns.pop("heliostat"), "time_utc": list(day.times_utc), **columns}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Given:
+    """Readings that somebody asks about: rows of a table."""
+
+    file: Path
+    heliostats: tuple[str, ...]
+    readings: FloatArray
+    suns: FloatArray
+    time_texts: tuple[str, ...]
+
+    @classmethod
+    def read(cls, file: Path, site: Site) -> "_Given":
+        """Read ``heliostat, reading_1, reading_2`` with ``time_utc`` or ``sun_azimuth_deg, sun_elevation_deg``."""
+        table = read_table_csv(file, ("heliostat", "reading_1", "reading_2"))
+        count = len(table["heliostat"])
+        if not count:
+            raise InputError(f"{file}: no rows; give the readings whose beams are asked for")
+        has_suns = {"sun_azimuth_deg", "sun_elevation_deg"} <= set(table)
+        if not has_suns and "time_utc" not in table:
+            raise InputError(f"{file}: the columns time_utc, or sun_azimuth_deg and sun_elevation_deg, are missing")
+        texts = table.get("time_utc", [""] * count)
+        if has_suns:
+            azimuth, elevation = (np.deg2rad(_numbers(file, table, f"sun_{name}_deg")) for name in _ANGLES)
+            suns = direction_from_angles(azimuth, elevation)
+        else:
+            suns = sun_directions(np.array([_time(file, row, text) for row, text in enumerate(texts)]), site)
+        readings = np.column_stack([_numbers(file, table, name) for name in ("reading_1", "reading_2")])
+        return cls(file, tuple(table["heliostat"]), readings, suns, tuple(texts))
+
+    def check_names(self, known: list[str]) -> None:
+        """Refuse rows of heliostats that are not calibrated."""
+        for row, name in enumerate(self.heliostats):
+            if name not in known:
+                raise InputError(
+                    f"{self.file}, row {row + 1}: heliostat {name!r} is not among the results; there are "
+                    f"{', '.join(known[:8])}"
+                )
+
+    def columns(self, known: Calibrated, target: str | None) -> dict[str, Any] | None:
+        """Return the beams of one heliostat's rows; None where it has none."""
+        rows = np.flatnonzero([name == known.design.name for name in self.heliostats])
+        if not rows.size:
+            return None
+        columns = beam_columns(known, self.readings[rows], self.suns[rows], known.target(target))
+        texts = [self.time_texts[row] for row in rows.tolist()]
+        return {"heliostat": columns.pop("heliostat"), "time_utc": texts, **columns}
+
+
+def _time(file: Path, row: int, text: str) -> np.datetime64:
+    if not text:
+        raise InputError(f"{file}, row {row + 1}: time_utc is missing; without it nobody knows where the sun was")
+    try:
+        return parse_time(text)
+    except InputError as error:
+        raise InputError(f"{file}, row {row + 1}: {error}") from error
+
+
+def _numbers(file: Path, table: Mapping[str, list[str]], name: str) -> FloatArray:
+    values = np.empty(len(table[name]))
+    for row, text in enumerate(table[name]):
+        try:
+            values[row] = float(text)
+        except ValueError:
+            values[row] = np.nan
+        if not np.isfinite(values[row]):
+            raise InputError(f"{file}, row {row + 1}: {name} = {text!r}: a finite number is needed")
+    return values
+
+
+def _sentence(known: Calibrated, columns: Mapping[str, list[Any]]) -> str:
+    status = columns["status"]
+    good = sum(one in (GOOD, EXTRAPOLATED) for one in status)
+    parts = [f"{known.design.name}: {good} of {len(status)} positions on {columns['target'][0]}"]
+    others = {one: status.count(one) for one in dict.fromkeys(status) if one not in (GOOD,)}
+    parts += [f"{count} {name}" for name, count in others.items()]
+    sigmas = [
+        one for one, state in zip(columns["sigma_beam_mrad"], status, strict=True) if one != "" and state != OUTSIDE
+    ]
+    if sigmas:
+        parts.append(f"sigma of the beam {min(sigmas):.2f} to {max(sigmas):.2f} mrad")
+    else:
+        parts.append("sigma of the beam not known: the results have no map over the sky")
+    return "; ".join(parts)
