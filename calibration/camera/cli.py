@@ -80,6 +80,51 @@ def measure_command(
     )
 
 
+@app.command("plan")
+def plan_command(
+    result: CameraPath,
+    out: OutFolder,
+    photos: Annotated[int, typer.Option(min=1, help="Photos to propose at most.")] = 4,
+    wanted_mrad: Annotated[
+        float | None, typer.Option(help="Sigma of lines of sight that is enough; default: all photos are proposed.")
+    ] = None,
+    parameter: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME",
+            help="Intrinsic whose sigma shall become small, such as focal_px (repeatable); default: lines of sight.",
+        ),
+    ] = None,
+    nearest: Annotated[
+        float | None, typer.Option(help="Nearest the camera can be, as distances of photos.csv; default: 2/3 of them.")
+    ] = None,
+    farthest: Annotated[
+        float | None, typer.Option(help="Farthest it can be; default: 3/2 of the largest in photos.csv.")
+    ] = None,
+    force: Force = False,
+    no_report: NoReport = False,
+    as_json: AsJson = False,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+) -> None:
+    """Propose the photos that a calibration needs next: next_photos.csv, how the board should look, the new sigma."""
+    from calibration.camera.planning.plan import PlanOptions, run
+    from heliogauge.running.terminal import terminal_progress
+
+    progress = terminal_progress(quiet=quiet, verbose=verbose)
+    wanted_rad = None if wanted_mrad is None else 1e-3 * wanted_mrad
+    options = PlanOptions(photos, wanted_rad, tuple(parameter or ()), nearest, farthest)
+    deliver(
+        out,
+        lambda: run(result, options, progress),
+        progress,
+        force=force,
+        quiet=quiet,
+        report=not no_report,
+        as_json=as_json,
+    )
+
+
 @app.command("compare")
 def compare_command(
     camera: CameraPath,

@@ -18,7 +18,10 @@ INSTRUMENT = Instrument(
             check="calibration.camera.pipeline.check:find_faults",
         ),
     ),
-    reports={"camera": "calibration.camera.report:report.ipynb"},
+    reports={
+        "camera": "calibration.camera.report:report.ipynb",
+        "camera-plan": "calibration.camera.report:report_plan.ipynb",
+    },
     synth="data_synth.preset_folders:camera",
     synth_command="data_synth.cli:camera",
 )

@@ -12,11 +12,10 @@ from typing import NamedTuple
 import numpy as np
 
 from calibration.camera.adjustment.variance_components import Components, MixedModel, PhotoRows, Posterior
-from calibration.camera.corners.detection import BoardPoints
 from calibration.camera.start_values.board_network import BoardNetwork
 from heliogauge.camera.model import Camera
 from heliogauge.errors import NotConvergedError
-from heliogauge.geometry.rigid import RigidTransform, skew
+from heliogauge.geometry.rigid import skew
 from heliogauge.validate import FloatArray, IntArray
 from photogrammetry import ImagePoints
 from photogrammetry.bundle import BundleProblem, BundleState, CameraModel, adjust, datum, statistics
@@ -90,8 +89,18 @@ class MixedAdjustment:
     @cached_property
     def covariance_intrinsics(self) -> FloatArray:
         """Covariance of the free intrinsics, sizes of effects that few photos hardly tell included, shape (k, k)."""
+        return self._with_unknown_sizes[0]
+
+    @cached_property
+    def likely_sizes(self) -> Sizes:
+        """Sizes of the effects as large as they may well be: with them the covariance is nearly the one stated."""
+        return Sizes(self.sizes.names, replace(self.sizes.components, effects=self._with_unknown_sizes[1]))
+
+    @cached_property
+    def _with_unknown_sizes(self) -> tuple[FloatArray, FloatArray]:
         columns = np.arange(_columns(self.network.free).size)
-        return self.posterior.covariance_of(columns, np.array([_EFFECTS[name] for name in self.sizes.names]))
+        usual = np.array([_EFFECTS[name] for name in self.sizes.names])
+        return self.posterior.with_unknown_sizes(columns, usual)
 
     @cached_property
     def residuals_px(self) -> FloatArray:
@@ -108,9 +117,19 @@ class MixedAdjustment:
         return every if not self.network.places_known else every.combined(np.eye(7)[:, :6])
 
     @cached_property
+    def joint_points(self) -> FloatArray:
+        """Joint covariance of the points as the drawing places them, shape (3 k, 3 k) [units of the adjustment]."""
+        return self.posterior.joint_of_steps(self.linear.through)
+
+    @cached_property
+    def points_with_unknowns(self) -> FloatArray:
+        """Covariance of these with the common unknowns, the free intrinsics first, shape (3 k, n)."""
+        return self.posterior.crossed_with_steps(self.linear.through)
+
+    @cached_property
     def covariance_points_m2(self) -> FloatArray:
         """Joint covariance of the points with the whole held in place, shape (3 k, 3 k) [m^2]."""
-        joint = self.posterior.joint_of_steps(self.linear.through)
+        joint = self.joint_points
         points = self._moves.points.reshape(len(joint), -1)
         basis = np.linalg.qr(points)[0]
         half = joint @ basis
@@ -122,8 +141,8 @@ class MixedAdjustment:
         """Covariance of each pose with the board held in place, shape (p, 6, 6) [rad, m]."""
         points = self._moves.points.reshape(-1, self._moves.count) / self.linear.unit_m
         shares = np.linalg.pinv(points)
-        joint = self.posterior.joint_of_steps(self.linear.through)
-        crossed = shares @ self.posterior.crossed_with_steps(self.linear.through)
+        joint = self.joint_points
+        crossed = shares @ self.points_with_unknowns
         common = shares @ joint @ shares.T
         result = np.empty((len(self.state.rotations), 6, 6))
         for i, columns in enumerate(self.linear.pose_columns):
@@ -134,48 +153,6 @@ class MixedAdjustment:
             result[i] = 0.5 * (block + block.T)
         return result
 
-    def expected_rms_px(self, points: BoardPoints, pose: RigidTransform) -> float:
-        """Return the RMS length of residuals that a photo outside this adjustment should have, its pose fitted [px].
-
-        points: The photo's points.
-        pose: Its ``cam_from_board``.
-        """
-        _, own, place = np.intersect1d(points.index, self.network.seen, return_indices=True)
-        chosen = points.index[own]
-        table = ImagePoints(
-            (points.photo,),
-            tuple(self.network.board.names[i] for i in chosen),
-            np.zeros(own.size, dtype=np.intp),
-            np.arange(own.size),
-            points.pixels_px[own],
-            points.covariance_px2[own],
-        )
-        camera, unit = self.state.cameras[0], self.linear.unit_m
-        alone = BundleState.from_poses([camera], [pose], self.state.points_m[place])
-        photo = _photo_columns(self.network, table, alone, self.network.board.points_m[self.network.seen], place, unit)
-        noise = float(np.median(self.sizes.components.noise)) ** 2
-        count = 2 * own.size
-        covariance = np.zeros((count, count))
-        for k, block in enumerate(photo.noise_px2 * noise):
-            covariance[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] = block
-        effects = self.sizes.components.effects
-        for name, columns in photo.effects:
-            part = columns.reshape(count, -1)
-            covariance += effects[self.sizes.names.index(name)] ** 2 * part @ part.T
-        joint = self.posterior.joint_of_steps(self.linear.through)
-        rows = (3 * place[:, None] + np.arange(3)).ravel()
-        spread = np.zeros((count, rows.size))
-        for k, block in enumerate(photo.d_point):
-            spread[2 * k : 2 * k + 2, 3 * k : 3 * k + 3] = block
-        size = photo.d_intrinsics.shape[2]
-        lens = photo.d_intrinsics.reshape(count, size)
-        crossed = lens @ self.posterior.crossed_with_steps(self.linear.through)[rows, :size].T @ spread.T
-        covariance += spread @ joint[np.ix_(rows, rows)] @ spread.T + crossed + crossed.T
-        covariance += lens @ self.posterior.covariance[:size, :size] @ lens.T
-        basis = np.linalg.qr(photo.d_pose.reshape(count, 6))[0]
-        left = np.trace(covariance) - np.trace(basis.T @ covariance @ basis)
-        return float(np.sqrt(left / own.size))
-
     @cached_property
     def intrinsic_tests(self) -> tuple[statistics.IntrinsicTest, ...]:
         """Tests of the estimated intrinsics against zero and each other."""
@@ -185,11 +162,16 @@ class MixedAdjustment:
         return statistics.examine_values(labels, values, self.covariance_intrinsics)
 
     @property
+    def refine_board(self) -> bool:
+        """Whether the board's shape was estimated."""
+        return not self.network.places_known or _STRETCHED in self.sizes.names
+
+    @property
     def prior_sigma_m(self) -> FloatArray:
         """How far points may be from the drawing: 0: held, infinite: nothing is known, shape (3,) [m]."""
         if not self.network.places_known:
             return np.full(3, np.inf)
-        if _STRETCHED not in self.sizes.names:
+        if not self.refine_board:
             return np.zeros(3)
         drawn, unit = self.network.board.points_m[self.network.seen], self.linear.unit_m
         board, group = _board_effects(drawn, self.sizes.names)
@@ -312,7 +294,7 @@ def smooth_terms(places_m: FloatArray, degrees: tuple[int, ...], decay: float) -
     return np.asarray(basis[:, chosen] * np.array([float(powers[k][0]) ** -decay for k in chosen]))
 
 
-class _PhotoColumns(NamedTuple):
+class PhotoColumns(NamedTuple):
     """Derivatives of image points [px], and what their noise is.
 
     d_intrinsics (n, 2, k), d_pose (n, 2, 6), d_point (n, 2, 3): By free intrinsics, the pose's steps, points in units.
@@ -328,9 +310,9 @@ class _PhotoColumns(NamedTuple):
     noise_px2: FloatArray
 
 
-def _photo_columns(
+def photo_columns(
     network: BoardNetwork, table: ImagePoints, state: BundleState, drawn_m: FloatArray, places: IntArray, unit_m: float
-) -> _PhotoColumns:
+) -> PhotoColumns:
     """Differentiate image points.
 
     drawn_m (k, 3): Where the network's points were drawn [m].
@@ -348,7 +330,7 @@ def _photo_columns(
         if needed in network.free:
             size = camera.focal_y_px if name == "focal" else 1.0
             effects.append((name, d_intrinsics[:, :, chosen] * size))
-    return _PhotoColumns(
+    return PhotoColumns(
         d_intrinsics[:, :, _columns(network.free)],
         np.concatenate([-d_place @ skew(arms), d_place], axis=2),
         d_place @ state.rotations[table.photo_index] * unit_m,
@@ -362,7 +344,7 @@ def _linearised(
     network: BoardNetwork, table: ImagePoints, state: BundleState, groups: tuple[str, ...], *, refine_board: bool
 ) -> _Linear:
     unit, drawn = network.board.pitch_m, network.board.points_m[network.seen]
-    every = _photo_columns(network, table, state, drawn, np.arange(len(drawn)), unit)
+    every = photo_columns(network, table, state, drawn, np.arange(len(drawn)), unit)
     whitening = np.linalg.inv(np.linalg.cholesky(table.covariance_px2))
     misfit = np.einsum("mij,mj->mi", whitening, table.pixels_px - every.predicted_px)
     board, group = _board_effects(drawn, groups)

@@ -86,6 +86,7 @@ class MixedModel:
         least: Components | None = None,
     ) -> None:
         self._least = least
+        self._last: _Reduced | None = None
         self._group, self._prior_point, self._points_estimated = group, prior_point, points_estimated
         self._parts = [_Part.of(one) for one in photos]
 
@@ -106,11 +107,33 @@ class MixedModel:
 
     def solve(self, components: Components) -> "Posterior":
         """Return the unknowns and their covariance under given variances."""
+        reduced = self._without_points(components)
+        effect = self._group >= 0
+        normal = reduced.normal.copy()
+        normal[np.diag_indices(self._group.size)] += np.where(effect, 1 / components.effects[self._group] ** 2, _FLAT)
+        scale = 1 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
+        inverse_normal, logs = _inverse_of(normal * scale[:, None] * scale)
+        covariance = inverse_normal * scale[:, None] * scale
+        values = covariance @ reduced.right
+        logs += reduced.logs - 2 * float(np.log(scale).sum())
+        logs += 2 * float((np.log(components.effects)[self._group] * effect).sum())
+        misfit = logs + reduced.square - float(reduced.right @ values)
+        steps = reduced.steps - np.einsum("jak,k->ja", reduced.eliminated, values)
+        inverse, eliminated = reduced.inverse, reduced.eliminated
+        return Posterior(self, components, values, covariance, steps, -0.5 * misfit, inverse, eliminated)
+
+    def _without_points(self, components: Components) -> "_Reduced":
+        """Eliminate the points; the last result is kept: it holds for all sizes of the effects."""
+        last = self._last
+        if last is not None and last.point is components.point and last.noise is components.noise:
+            return last
         size, count = self._group.size, len(self._prior_point)
         weight = 1 / components.point**2
         normal, right = np.zeros((size, size)), np.zeros(size)
         crossed = np.zeros((count, 3, size))
         own, own_right = np.tile(np.diag(weight), (count, 1, 1)), self._prior_point * weight
+        logs = 2 * count * float(np.log(components.point).sum())
+        square = float((self._prior_point**2 * weight).sum())
         for part, noise in zip(self._parts, components.noise, strict=True):
             share = 1 / noise**2
             columns = part.columns
@@ -119,26 +142,41 @@ class MixedModel:
             crossed[part.targets[:, None, None], np.arange(3)[None, :, None], columns] += share * part.crossed
             own[part.targets] += share * part.own
             own_right[part.targets] += share * part.own_right
-        precision = np.where(self._group >= 0, 1 / components.effects[self._group] ** 2, _FLAT)
+            logs += 4 * part.targets.size * float(np.log(noise))
+            square += share * part.square
         inverse = np.asarray(np.linalg.inv(own), dtype=np.float64)
         eliminated = inverse @ crossed
         normal -= crossed.reshape(-1, size).T @ eliminated.reshape(-1, size)
-        normal[np.diag_indices(size)] += precision
-        right = right - np.einsum("jak,ja->k", eliminated, own_right)
-        scale = 1 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
-        inverse_normal, logs = _inverse_of(normal * scale[:, None] * scale)
-        covariance = inverse_normal * scale[:, None] * scale
-        values = covariance @ right
-        logs += float(np.linalg.slogdet(own)[1].sum() - 2 * np.log(scale).sum())
-        logs += 2 * float((np.log(components.effects)[self._group] * (self._group >= 0)).sum())
-        logs += 2 * count * float(np.log(components.point).sum())
-        square = float((self._prior_point**2 * weight).sum() - np.einsum("ja,jab,jb->", own_right, inverse, own_right))
-        for part, noise in zip(self._parts, components.noise, strict=True):
-            logs += 4 * part.targets.size * float(np.log(noise))
-            square += part.square / noise**2
-        misfit = logs + square - float(right @ values)
-        steps = np.einsum("jab,jb->ja", inverse, own_right - np.einsum("jak,k->ja", crossed, values))
-        return Posterior(self, components, values, covariance, steps, -0.5 * misfit, inverse, eliminated)
+        right -= np.einsum("jak,ja->k", eliminated, own_right)
+        steps = np.einsum("jab,jb->ja", inverse, own_right)
+        square -= float((own_right * steps).sum())
+        logs += float(np.linalg.slogdet(own)[1].sum())
+        self._last = _Reduced(
+            components.point, components.noise, normal, right, inverse, eliminated, steps, logs, square
+        )
+        return self._last
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Reduced:
+    """Normal equations without the points, before the effects' sizes enter.
+
+    point, noise: The variances they hold for.
+    normal (k, k), right (k,): Of the common unknowns.
+    inverse (m, 3, 3), eliminated (m, 3, k), steps (m, 3): Each point's covariance with the common unknowns held, how
+        its step follows them, and its step where they do not move.
+    logs, square: Parts of the likelihood.
+    """
+
+    point: FloatArray
+    noise: FloatArray
+    normal: FloatArray
+    right: FloatArray
+    inverse: FloatArray
+    eliminated: FloatArray
+    steps: FloatArray
+    logs: float
+    square: float
 
 
 def _inverse_of(normal: FloatArray) -> tuple[FloatArray, float]:
@@ -221,33 +259,36 @@ class Posterior:
         """Return the covariance of such points with the common unknowns, shape (3 m, k)."""
         return np.asarray((through - self._eliminated).reshape(-1, self.covariance.shape[0]) @ self.covariance)
 
-    def covariance_of(self, columns: IntArray, usual: FloatArray) -> FloatArray:
-        """Return the covariance of some common unknowns, with what the variances of the effects are not known.
+    def with_unknown_sizes(self, columns: IntArray, usual: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the covariance of some common unknowns with what is not known of the effects' sizes; those sizes.
 
         columns (c,): Which of the common unknowns.
         usual (g,): Size of each group's effects in other cases: where a group has none here, the search begins with a
             part of it.
-        Returns (c, c): ``E[C] + E[(x - x0)(x - x0)^T]`` over the restricted likelihood of each group's standard
+        covariance (c, c): ``E[C] + E[(x - x0)(x - x0)^T]`` over the restricted likelihood of each group's standard
             deviation with a flat prior (Gelman 2006, Bayesian Analysis 1, section 5.2), group by group.
+        effects (g,): Root of the mean square of each group's standard deviation under the same, at least today's.
         """
         place = np.ix_(columns, columns)
         base = self.covariance[place]
-        total = base.copy()
+        total, effects = base.copy(), self.components.effects.copy()
         for group, size in enumerate(usual):
-            moments, shares, likelihoods = [], [], []
+            moments, shares, likelihoods, sizes = [], [], [], []
             for sigma, share in self._likely(group, float(size)):
                 other = self.model.solve(self.components.with_effect(group, sigma))
                 apart = (other.values - self.values)[columns]
                 moments.append(other.covariance[place] + np.outer(apart, apart))
                 shares.append(share)
                 likelihoods.append(other.log_likelihood)
+                sizes.append(sigma)
             weights = np.array(shares) * np.exp(np.array(likelihoods) - max(likelihoods))
+            effects[group] = max(effects[group], float(np.sqrt(np.average(np.square(sizes), weights=weights))))
             excess = np.average(moments, axis=0, weights=weights) - base
             values, vectors = np.linalg.eigh(excess / np.sqrt(np.outer(np.diag(base), np.diag(base))))
             # A smaller variance here is never taken as more certainty.
             scaled = (vectors * np.maximum(values, 0.0)) @ vectors.T
             total += scaled * np.sqrt(np.outer(np.diag(base), np.diag(base)))
-        return np.asarray(total)
+        return np.asarray(total), effects
 
     def _likely(self, group: int, usual: float) -> list[tuple[float, float]]:
         """Return places and weights of an integral over a group's standard deviation, as far as it is likely."""

@@ -28,6 +28,8 @@ class PhotoResult:
     index (n,): Points of the board that were measured.
     pixels_px (n, 2): Their places [px].
     residuals_px (n, 2): Predicted minus measured; NaN for rejected points [px].
+    covariance_px2 (n, 2, 2): Of the measured places, as their fits give it [px^2].
+    noise_ratio: Noise of its points over these.
     kept_apart_px: RMS of the residuals of all its points when camera and board come from the other photos and only
         its pose is fitted; NaN where that was not asked [px].
     kept_apart_expected_px: What the covariance of camera and board from the others, the photo's own errors and noise
@@ -40,6 +42,8 @@ class PhotoResult:
     index: IntArray
     pixels_px: FloatArray
     residuals_px: FloatArray
+    covariance_px2: FloatArray
+    noise_ratio: float
     kept_apart_px: float = float("nan")
     kept_apart_expected_px: float = float("nan")
 
@@ -103,6 +107,22 @@ class BoardShape:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class CommonErrors:
+    """What points have in common, as the photos gave it: standard deviations of the random effects.
+
+    names: Of the groups of effects, those of the board's departure, of each photo's field and of the camera.
+    effects (g,): Their sizes: of the board in pitches, of a photo in pixels, of its focal length as a share.
+    point (3,): Of each point's own departure, x, y and z [pitches].
+    pitch_m: Unit of the board's effects, its pitch [m].
+    """
+
+    names: tuple[str, ...]
+    effects: FloatArray
+    point: FloatArray
+    pitch_m: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Intrinsic:
     """One estimated intrinsic with its test: ``significance`` is the probability that it differs from zero."""
 
@@ -141,6 +161,7 @@ class Result(InstrumentResult):
     intrinsics: What was estimated.
     left_out: Photos that were not, with the reason.
     shape: The board.
+    common: What points have in common.
     quality: Residuals.
     sigma: Uncertainty over the image.
     profile: Radial distortion.
@@ -157,6 +178,7 @@ class Result(InstrumentResult):
     photos: tuple[PhotoResult, ...]
     left_out: Mapping[str, str]
     shape: BoardShape
+    common: CommonErrors
     quality: Quality
     sigma: SigmaMap
     profile: RadialProfile

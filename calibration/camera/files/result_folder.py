@@ -7,7 +7,15 @@ from pathlib import Path
 import numpy as np
 
 from calibration.camera.boards import TargetField
-from calibration.camera.files.result import BoardShape, HeldOutPhoto, Intrinsic, PhotoResult, Quality, Result
+from calibration.camera.files.result import (
+    BoardShape,
+    CommonErrors,
+    HeldOutPhoto,
+    Intrinsic,
+    PhotoResult,
+    Quality,
+    Result,
+)
 from calibration.camera.judgement.comparison import compare
 from calibration.camera.judgement.network import coverage
 from calibration.camera.judgement.projection_sigma import radial_profile, sigma_map
@@ -34,9 +42,14 @@ from heliogauge.results.folder import (
 from heliogauge.results.thumbnails import read_thumbnails, write_thumbnails
 from heliogauge.validate import FloatArray
 
-_IMAGE_COLUMNS = ("image", "target", "x_px", "y_px", "residual_x_px", "residual_y_px", "flag")
+_IMAGE_NUMBERS = ("x_px", "y_px", "residual_x_px", "residual_y_px", "sigma_x_px", "sigma_y_px", "correlation")
+_IMAGE_COLUMNS = ("image", "target", *_IMAGE_NUMBERS, "flag")
 _COMPARED = "compared_camera.json"
 _LEFT_OUT = "left_out.csv"
+_COMMON = "common_errors.csv"
+#: Units of effects that are no lengths on the board, with a factor; and the points' own departures.
+_COMMON_UNITS = {"low": ("px", 1.0), "high": ("px", 1.0), "focal": ("share", 1.0), "center": ("px", 1.0)}
+_POINT_ROWS = ("point x", "point y", "point z")
 #: What the lengths of a board are in, where it was drawn in metres or not.
 _METRES, _PITCHES = "m", "pitch"
 
@@ -51,6 +64,7 @@ def write_tables(result: Result, folder: Path) -> None:
     write_cameras_json(folder / "cameras.json", {result.camera_name: result.camera}, poses, unit)
     _write_other_formats(result.camera, folder)
     _write_board(result.shape, folder)
+    _write_common(result.common, unit, folder)
     _write_image_points(result, folder)
     _write_photos(result, folder)
     tests = result.intrinsics
@@ -134,6 +148,42 @@ def _write_board(shape: BoardShape, folder: Path) -> None:
     write_table_csv(folder / "board.csv", {"id": list(names), **columns, "unit": [unit] * len(names)})
 
 
+def _write_common(common: CommonErrors, unit: str, folder: Path) -> None:
+    pitch = common.pitch_m
+    rows = [
+        (name, size, *_COMMON_UNITS.get(name, (unit, pitch)))
+        for name, size in zip(common.names, common.effects, strict=True)
+    ]
+    rows += [(name, size, unit, pitch) for name, size in zip(_POINT_ROWS, common.point, strict=True)]
+    write_table_csv(
+        folder / _COMMON,
+        {
+            "what": [row[0] for row in rows],
+            "sigma": [float(row[1] * row[3]) for row in rows],
+            "unit": [row[2] for row in rows],
+        },
+    )
+
+
+def _read_common(folder: Path, pitch_m: float, unit: str) -> CommonErrors:
+    """Read what points have in common.
+
+    pitch_m: Unit of the board's effects as the board that was read has it.
+    """
+    if not (folder / _COMMON).is_file():
+        raise InputError(f"{folder}: no {_COMMON}; the camera was calibrated by an earlier version: calibrate it again")
+    columns = read_table_csv(folder / _COMMON, ("what", "sigma", "unit"))
+    sizes = {
+        name: sigma / (pitch_m if own == unit else 1.0)
+        for name, sigma, own in zip(columns["what"], _floats(columns["sigma"]), columns["unit"], strict=True)
+    }
+    missing = [name for name in _POINT_ROWS if name not in sizes]
+    if missing or not all(0 < size < np.inf for size in sizes.values()):
+        raise InputError(f"{folder / _COMMON}: {', '.join(missing) or 'a sigma'} is missing; calibrate again")
+    point = np.array([sizes.pop(name) for name in _POINT_ROWS])
+    return CommonErrors(tuple(sizes), np.array(list(sizes.values())), point, pitch_m)
+
+
 def _unit(shape: BoardShape) -> str:
     """Return with what the names of lengths end: metres, or the board's pitch where that is not known."""
     return _METRES if shape.board.is_metric else _PITCHES
@@ -144,11 +194,14 @@ def _write_image_points(result: Result, folder: Path) -> None:
     columns: dict[str, list[object]] = {key: [] for key in _IMAGE_COLUMNS}
     for photo in result.photos:
         kept = np.where(photo.used, 0, int(SampleFlag.OUTLIER))
+        sigma = np.sqrt(np.einsum("nii->ni", photo.covariance_px2))
         rows = (
             [photo.name] * photo.index.size,
             [every[i] for i in photo.index],
             *photo.pixels_px.T.tolist(),
             *photo.residuals_px.T.tolist(),
+            *sigma.T.tolist(),
+            (photo.covariance_px2[:, 0, 1] / sigma.prod(axis=1)).tolist(),
             kept.tolist(),
         )
         for key, values in zip(_IMAGE_COLUMNS, rows, strict=True):
@@ -165,6 +218,7 @@ def _write_photos(result: Result, folder: Path) -> None:
         "points": [int(photo.index.size) for photo in result.photos],
         "rejected": [int(np.count_nonzero(~photo.used)) for photo in result.photos],
         "rms_px": [photo.rms_px for photo in result.photos],
+        "noise_ratio": [photo.noise_ratio for photo in result.photos],
         "kept_apart_px": [photo.kept_apart_px for photo in result.photos],
         "kept_apart_expected_px": [photo.kept_apart_expected_px for photo in result.photos],
         "tilt_deg": angles[:, 0].tolist(),
@@ -174,7 +228,8 @@ def _write_photos(result: Result, folder: Path) -> None:
     for check in result.held_out:
         tilt, roll = np.degrees(tilt_and_roll(check.cam_from_board)).tolist()
         distance = float(np.linalg.norm(check.cam_from_board.translation_m))
-        row = (check.name, "held out", check.count, 0, check.rms_px, check.rms_px, np.nan, tilt, roll, distance)
+        numbers = (check.count, 0, check.rms_px, np.nan, check.rms_px, np.nan, tilt, roll, distance)
+        row = (check.name, "held out", *numbers)
         for key, value in zip(used, row, strict=True):
             used[key].append(value)
     write_table_csv(folder / "photos.csv", used)
@@ -194,11 +249,10 @@ def open_calibration(folder: str | Path = ".") -> Result:
     camera_name, camera = next(iter(cameras.items()))
     drawn_rms = summary.numbers.get("residual_rms_board_as_drawn_px")
     shape = _read_shape(folder, summary.texts, unit, has_drawing=drawn_rms is not None)
-    needed = ("image", "use", "points", "rms_px", "kept_apart_px", "kept_apart_expected_px")
+    needed = ("image", "use", "points", "rms_px", "noise_ratio", "kept_apart_px", "kept_apart_expected_px")
     photo_table = read_table_csv(folder / "photos.csv", needed)
-    both = zip(*(_floats(photo_table[key]) for key in needed[4:]), strict=True)
-    apart: dict[str, tuple[float, float]] = dict(zip(photo_table["image"], both, strict=True))
-    photos = _read_photos(folder, shape, poses, apart)
+    of_each = zip(*(_floats(photo_table[key]) for key in needed[4:]), strict=True)
+    photos = _read_photos(folder, shape, poses, dict(zip(photo_table["image"], of_each, strict=True)))
     numbers = summary.numbers
     pixels = np.concatenate([photo.pixels_px[photo.used] for photo in photos])
     distance = float(np.median([np.linalg.norm(photo.cam_from_board.translation_m) for photo in photos]))
@@ -211,6 +265,7 @@ def open_calibration(folder: str | Path = ".") -> Result:
         photos,
         dict(zip(left_out["image"], left_out["reason"], strict=True)),
         shape,
+        _read_common(folder, shape.board.pitch_m, unit),
         Quality(
             float(numbers.get("residual_rms_px") or np.nan),
             float(drawn_rms or np.nan),
@@ -255,13 +310,16 @@ def _read_shape(folder: Path, texts: Mapping[str, str], unit: str, *, has_drawin
 
 
 def _read_photos(
-    folder: Path, shape: BoardShape, poses: dict[str, PhotoPose], apart: dict[str, tuple[float, float]]
+    folder: Path, shape: BoardShape, poses: dict[str, PhotoPose], of_each: dict[str, tuple[float, ...]]
 ) -> tuple[PhotoResult, ...]:
     columns = read_table_csv(folder / "image_points.csv", _IMAGE_COLUMNS)
     images = np.array(columns["image"])
     place = {name: i for i, name in enumerate(shape.board.names)}
     index = np.array([place.get(name, -1) for name in columns["target"]], dtype=np.intp)
-    x, y, dx, dy = (np.array(_floats(columns[name])) for name in _IMAGE_COLUMNS[2:6])
+    x, y, dx, dy, sigma_x, sigma_y, rho = (np.array(_floats(columns[name])) for name in _IMAGE_NUMBERS)
+    sigma = np.stack([sigma_x, sigma_y], axis=1)
+    correlation = np.where(np.eye(2, dtype=np.bool_), 1.0, rho[:, None, None])
+    covariance = correlation * (sigma[:, :, None] * sigma[:, None])
     photos = []
     for name, pose in poses.items():
         own = images == name
@@ -273,7 +331,8 @@ def _read_photos(
                 index[own],
                 np.stack([x[own], y[own]], axis=1),
                 np.stack([dx[own], dy[own]], axis=1),
-                *apart.get(name, (float("nan"), float("nan"))),
+                covariance[own],
+                *of_each.get(name, (float("nan"),) * 3),
             )
         )
     return tuple(photos)

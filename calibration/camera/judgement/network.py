@@ -28,6 +28,8 @@ _SAME_PLACE_SHARE = 0.005
 #: Where one uncertain direction makes a photo's misfit, three of its sigmas happen by chance to 1 photo in 400; a photo
 #: that is predicted this many times worse than the middle one has a weight in the result that nothing else has.
 _CONTRADICTS, _ALONE = 3.0, 5.0
+#: What to do about a network that lacks something.
+_PLAN = "; `heliogauge camera plan` proposes the next photos"
 #: More of the board at the sensor's limit moves edges: light spills over.
 _SATURATED_SHARE = 0.05
 
@@ -78,7 +80,8 @@ def check_network(poses: Sequence[RigidTransform], covered: Coverage) -> Iterato
         yield Doubt(
             "network_flat",
             f"flat network: the board is never tilted by more than {np.degrees(most):.0f} deg, so focal length and "
-            "distance are hardly separated; tilt it by 30 to 45 deg to all sides",
+            "distance are hardly separated; tilt it by 30 to 45 deg to all sides"
+            f"{_PLAN}",
             {"largest_tilt_rad": most},
         )
     difference = np.abs(np.angle(np.exp(1j * (angles[:, None, 1] - angles[None, :, 1]))))
@@ -89,14 +92,15 @@ def check_network(poses: Sequence[RigidTransform], covered: Coverage) -> Iterato
             "network_without_roll",
             f"no roll: the camera is turned about its axis by {np.degrees(half_turns):.0f} deg at most, so principal "
             "point, tangential distortion and pixel aspect lean on the board's shape; turn it by 90 deg for some "
-            "photos",
+            f"photos{_PLAN}",
             {"largest_roll_rad": max(roll, half_turns)},
         )
     depth = float(distances.max() / distances.min())
     if depth < _LEAST_DEPTH_RATIO:
         yield Doubt(
             "network_without_depth",
-            f"no depth: all photos are from nearly one distance (ratio {depth:.2f}); take some from half as far again",
+            f"no depth: all photos are from nearly one distance (ratio {depth:.2f}); take some from half as far again"
+            f"{_PLAN}",
             {"depth_ratio": depth},
         )
     if covered.share < _LEAST_COVERED_SHARE or covered.radius_share < _LEAST_RADIUS_SHARE:

@@ -4,6 +4,7 @@ import numpy as np
 
 from calibration.camera.files.result import (
     BoardShape,
+    CommonErrors,
     Intrinsic,
     PhotoResult,
     Quality,
@@ -35,6 +36,8 @@ def assemble_result(name: str, camera_name: str, solved: Solved) -> Result:
             one.index,
             one.pixels_px,
             residuals[whole.photo_index == i],
+            one.covariance_px2,
+            float(mixed.sizes.components.noise[i]),
             float(solved.apart_px[i]),
             float(solved.apart_expected_px[i]),
         )
@@ -51,6 +54,8 @@ def assemble_result(name: str, camera_name: str, solved: Solved) -> Result:
         mixed.prior_sigma_m,
         mixed.datum,
     )
+    sizes = mixed.sizes
+    common = CommonErrors(sizes.names, sizes.components.effects, sizes.components.point, network.board.pitch_m)
     quality = Quality(
         rms_length(mixed.residuals_px), adjusted.rms_as_drawn_px, adjusted.factor, mixed.redundancy, adjusted.rejected
     )
@@ -67,6 +72,7 @@ def assemble_result(name: str, camera_name: str, solved: Solved) -> Result:
         photos,
         {},
         shape,
+        common,
         quality,
         sigma_map(camera, distance),
         radial_profile(camera, pixels),

@@ -4,6 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from calibration.camera.adjustment.another_photo import predict_photo
 from calibration.camera.adjustment.board_adjustment import Adjusted, adjust_as_drawn, adjust_with_shape, counted_alike
 from calibration.camera.adjustment.other_photos import (
     adjust_others,
@@ -71,7 +72,8 @@ def solve_network(
                 others = adjust_others(network, adjusted, photo)
                 known = known_from_others(others)
                 fit = fit_pose(known, points, adjusted.state.cam_from_world(photo))
-                apart[photo], expected[photo] = fit.rms_px, others.expected_rms_px(points, fit.cam_from_board)
+                apart[photo] = fit.rms_px
+                expected[photo] = predict_photo(others, points, fit.cam_from_board).expected_rms_px
                 if _MIRROR_GAIN * mirrored_rms_px(known, network.board, points) < apart[photo]:
                     mirrored.append(photo)
                 stage.advance()

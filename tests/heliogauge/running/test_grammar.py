@@ -27,6 +27,7 @@ COMMANDS = FOR_ALL + [
     "camera init",
     "camera synth",
     "camera measure",
+    "camera plan",
     "camera import opencv",
     "camera export opencv",
     "camera export colmap",
