@@ -131,6 +131,7 @@ def read_rings(
     dictionary: RingDictionary,
     limits: RingLimits | None = None,
     radii: RingRadii | None = None,
+    others: Sequence[RingRadii] = (),
 ) -> RingReadings:
     """Read the code rings round all dots of a photo.
 
@@ -138,6 +139,7 @@ def read_rings(
     dictionary: The codes that may occur.
     limits: How good a ring must be.
     radii: Where the rings lie; found from the photo's own rings if absent.
+    others: Where rings of the sheet lie in other photos: read there, too, after the photo's own.
     """
     if not dots:
         return RingReadings((), {}, (), None)
@@ -149,6 +151,7 @@ def read_rings(
     own = _Rings.measured(profiles, profiles.inner, profiles.outer, n_bits, dictionary.has_full_ring)
     spread = np.hypot(_OWN_SPREAD, _EDGE_PX / (sizes * np.nan_to_num(profiles.inner, nan=VENDOR_RADII.inner)))
     families = (radii,) if radii is not None else _families(profiles, own, sizes, spread, dictionary, allowed)
+    families = (*families, *others)
     found: list[RingReading | None] = [None] * len(dots)
     refused: dict[int, str] = {}
     good = own.within(allowed)

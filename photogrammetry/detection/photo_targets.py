@@ -42,6 +42,7 @@ class TargetSearch(ShortRepr):
     with_uncoded: Also return dots without a code ring.
     most_misfit: Residual of a dot without code as a share of its contrast, above which it is none.
     radii: Where the code rings lie; found from each photo's own rings if absent.
+    other_radii: Where they lie in other photos of the sheet; for photos whose own rings do not say it.
     """
 
     dictionary: RingDictionary | None = None
@@ -50,6 +51,7 @@ class TargetSearch(ShortRepr):
     with_uncoded: bool = True
     most_misfit: float = 0.08
     radii: RingRadii | None = None
+    other_radii: tuple[RingRadii, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -85,6 +87,7 @@ class PhotoTargets:
     radii: Where the photo's code rings lie, those of most rings first; empty without rings.
     fitting_bits: Number of sectors into which the rings divide, where it is another than the dictionary's: none of them
         is a detection then.
+    elsewhere: Rings that read like codes at other radii than the photo's others.
     """
 
     detections: Detections
@@ -98,6 +101,7 @@ class PhotoTargets:
     unused: tuple[UnusedTarget, ...]
     radii: tuple[RingRadii, ...] = ()
     fitting_bits: int | None = None
+    elsewhere: int = 0
 
 
 def measure_targets(image_dn: npt.NDArray[np.generic], photo: str, search: TargetSearch) -> PhotoTargets:
@@ -111,7 +115,7 @@ def measure_targets(image_dn: npt.NDArray[np.generic], photo: str, search: Targe
     dots = [candidate.ellipse for candidate in candidates]
     rings = RingReadings((None,) * len(dots), {}, (), None)
     if search.dictionary is not None:
-        rings = read_rings(pyramid, dots, search.dictionary, search.ring_limits, search.radii)
+        rings = read_rings(pyramid, dots, search.dictionary, search.ring_limits, search.radii, search.other_radii)
     unused = [_no_code(dots[k], why) for k, why in rings.refused.items()]
     ringed = [(k, reading) for k, reading in enumerate(rings.rings) if reading is not None]
     taken = [dots[k] for k, _ in ringed]
@@ -151,6 +155,7 @@ def measure_targets(image_dn: npt.NDArray[np.generic], photo: str, search: Targe
         tuple(unused),
         rings.radii,
         rings.fitting_bits,
+        len(rings.refused),
     )
 
 

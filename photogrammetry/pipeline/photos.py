@@ -1,11 +1,12 @@
 """Photos to image points: read, find targets, measure, several photos at a time."""
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from itertools import islice
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 
@@ -32,6 +33,11 @@ from photogrammetry.targets.ring_codes import VENDOR_RADII, RingRadii, Sense
 _MANY_CLIPPED = 0.2
 #: Share by which rings lie elsewhere than stated from which it is said; ink that spreads moves them by less.
 _UNUSUAL_RADII = 0.05
+#: Different codes of a photo that agree on where the rings lie, so that other photos are read there: as many as make a
+#: second family of rings in one photo.
+_SHARES = 3
+
+_Read = TypeVar("_Read")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -115,6 +121,7 @@ class UnreadRings:
     stated: Where the dictionary says that they lie.
     fitting_bits: Number of sectors into which they divide, where it is not that of the dictionary.
     bits: That of the dictionary.
+    elsewhere: Rings that read like codes where none of the photo's others lies.
     """
 
     mirrored: int
@@ -124,6 +131,7 @@ class UnreadRings:
     stated: RingRadii = VENDOR_RADII
     fitting_bits: int | None = None
     bits: int = 0
+    elsewhere: int = 0
 
 
 def measure_each(
@@ -141,13 +149,47 @@ def measure_each(
             f"images.photos: {len(twice)} names occur in two folders ({twice[0]}); give photos other names"
         )
 
-    def one(file: Path) -> OnePhoto:
+    def one(file: Path, asked: TargetSearch) -> OnePhoto:
         image = read_image(file)
-        return measure_photo(image, file.name, section, search).with_thumbnail(make_thumbnail(image))
+        return measure_photo(image, file.name, section, asked).with_thumbnail(make_thumbnail(image))
 
-    found: list[OnePhoto] = []
-    with progress.stage("measure photos", len(files)) as stage, ThreadPoolExecutor(jobs) as pool:
-        waiting = [pool.submit(one, file) for file in files]
+    return read_together("measure photos", one, files, search, lambda found: found, jobs=jobs, progress=progress)
+
+
+def read_together(
+    name: str,
+    work: Callable[[Path, TargetSearch], _Read],
+    files: Sequence[Path],
+    search: TargetSearch,
+    photo_of: Callable[[_Read], OnePhoto],
+    *,
+    jobs: int | None,
+    progress: Progress,
+) -> list[_Read]:
+    """Read photos of one sheet side by side, weak ones again where the others say where its rings lie.
+
+    name: Of the stage.
+    work: Reads one photo; the first error ends it.
+    photo_of: What of that the photo shows.
+    jobs: Photos at a time.
+    Returns: What came of each, in the order of the files.
+    """
+    found = _side_by_side(name, lambda file: work(file, search), files, jobs, progress)
+    again, weak = weak_photos([photo_of(one) for one in found], search)
+    if weak:
+        chosen = [files[k] for k in weak]
+        better = _side_by_side(f"{name} again", lambda file: work(file, again), chosen, jobs, progress)
+        for k, one in zip(weak, better, strict=True):
+            found[k] = one
+    return found
+
+
+def _side_by_side(
+    name: str, work: Callable[[Path], _Read], files: Sequence[Path], jobs: int | None, progress: Progress
+) -> list[_Read]:
+    found: list[_Read] = []
+    with progress.stage(name, len(files)) as stage, ThreadPoolExecutor(jobs) as pool:
+        waiting = [pool.submit(work, file) for file in files]
         try:
             for future in waiting:
                 found.append(future.result())
@@ -156,6 +198,27 @@ def measure_each(
             pool.shutdown(wait=False, cancel_futures=True)
             raise
     return found
+
+
+def weak_photos(found: Sequence[OnePhoto], search: TargetSearch) -> tuple[TargetSearch, list[int]]:
+    """Say which photos may show more where the rings of another photo say where the sheet has its rings.
+
+    found: The photos, each by itself.
+    Returns: A search that reads rings there, too, and the photos worth it: those whose own rings do not say where they
+        lie (few, small or blurred), or with rings that none of their own confirms. Without a photo of `_SHARES` codes
+        that says it, none.
+    """
+    rings = [one.unread for one in found]
+    sure = [
+        (len(set(one.detections.names)), ring.radii)
+        for one, ring in zip(found, rings, strict=True)
+        if ring is not None and ring.radii is not None and len(set(one.detections.names)) >= _SHARES
+    ]
+    if not sure or search.radii is not None:
+        return search, []
+    best = max(sure, key=lambda one: one[0])[1]
+    weak = [k for k, ring in enumerate(rings) if ring is not None and (ring.radii is None or ring.elsewhere)]
+    return replace(search, other_radii=(best,)), weak
 
 
 def measure_photo(image: Image, name: str, section: TargetsSection, search: TargetSearch) -> OnePhoto:
@@ -195,7 +258,12 @@ def measure_photo(image: Image, name: str, section: TargetsSection, search: Targ
         radii = rings.radii[0] if rings.radii else None
         bits = search.dictionary.n_bits
         unread = replace(
-            unread, radii=radii, stated=search.dictionary.radii, fitting_bits=rings.fitting_bits, bits=bits
+            unread,
+            radii=radii,
+            stated=search.dictionary.radii,
+            fitting_bits=rings.fitting_bits,
+            bits=bits,
+            elsewhere=rings.elsewhere,
         )
     return OnePhoto(coded, shapes[:count], size, tuple(refused), dots, shapes[count:], unread)
 

@@ -1,7 +1,6 @@
 """What is read in single photos, without a network: codes with their centres, and what was refused."""
 
-from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
@@ -19,10 +18,17 @@ from heliogauge.results.thumbnails import write_thumbnails
 from heliogauge.running.progress import Progress, SilentProgress
 from heliogauge.validate import FlagArray
 from photogrammetry.detection.detections import Detections
+from photogrammetry.detection.photo_targets import TargetSearch
 from photogrammetry.keys.targets import TargetsSection
 from photogrammetry.pipeline.inputs import build_search
 from photogrammetry.pipeline.overlay import draw_overlay
-from photogrammetry.pipeline.photos import OnePhoto, find_systematic_faults, measure_photo, without_doubled
+from photogrammetry.pipeline.photos import (
+    OnePhoto,
+    find_systematic_faults,
+    measure_photo,
+    read_together,
+    without_doubled,
+)
 
 OVERLAY_FOLDER = "overlays"
 _PHOTO_SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp"})
@@ -112,7 +118,7 @@ class TargetsResult(InstrumentResult):
 def read_single_photos(
     files: Sequence[Path], section: TargetsSection, *, jobs: int | None = None, progress: Progress | None = None
 ) -> TargetsResult:
-    """Read the targets of photos, each by itself.
+    """Read the targets of photos, each by itself but for where the sheet has its rings.
 
     files: The photos; of a folder all photos in it.
     section: What is searched for.
@@ -125,12 +131,12 @@ def read_single_photos(
     with progress.stage("hash inputs"):
         hashes = hash_files(paths)
 
-    def one(file: Path) -> tuple[OnePhoto, bytes]:
+    def one(file: Path, asked: TargetSearch) -> tuple[OnePhoto, bytes]:
         image = read_image(file)
-        found = without_doubled(measure_photo(image, file.name, section, search))
+        found = without_doubled(measure_photo(image, file.name, section, asked))
         return found.with_thumbnail(make_thumbnail(image)), draw_overlay(image, found)
 
-    found = _side_by_side(one, paths, jobs, progress)
+    found = read_together("read photos", one, paths, search, lambda both: both[0], jobs=jobs, progress=progress)
     photos = tuple(photo for photo, _ in found)
     doubts: tuple[Doubt, ...] = find_systematic_faults(photos)
     name = paths[0].name if len(paths) == 1 else f"{len(paths)} photos of targets"
@@ -161,22 +167,6 @@ def _photo_paths(files: Sequence[Path]) -> list[Path]:
         if path.stem in stems:
             raise InputError(f"photos: {stems[path.stem]} and {path} have one name; read them one after the other")
         stems[path.stem] = path
-    return found
-
-
-def _side_by_side(
-    work: Callable[[Path], tuple[OnePhoto, bytes]], paths: Sequence[Path], jobs: int | None, progress: Progress
-) -> list[tuple[OnePhoto, bytes]]:
-    found = []
-    with progress.stage("read photos", len(paths)) as stage, ThreadPoolExecutor(jobs) as pool:
-        waiting = [pool.submit(work, path) for path in paths]
-        try:
-            for future in waiting:
-                found.append(future.result())
-                stage.advance()
-        except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
-            raise
     return found
 
 

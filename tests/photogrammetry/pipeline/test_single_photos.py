@@ -1,6 +1,7 @@
 """Targets of single photos from the command line: tables, overlays, report."""
 
 import csv
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -8,9 +9,12 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from data_synth.targets import image_truth, render_photo, target_scene
+from data_synth.targets import PRINT_KINDS, image_truth, render_photo, target_scene, wall_scenes
 from heliogauge.images.photos import write_image
 from photogrammetry.cli import app
+from photogrammetry.keys.targets import TargetsSection
+from photogrammetry.pipeline.single_photos import read_single_photos
+from photogrammetry.targets import ring_dictionary
 
 
 @pytest.fixture(scope="module")
@@ -56,3 +60,28 @@ def test_overlay_and_report_show_the_photo(read):
     text = (out / "report.html").read_text(encoding="utf-8")
     assert "Targets read" in text
     assert "Nothing was refused" in text
+
+
+@pytest.mark.slow
+def test_photos_of_one_sheet_share_where_its_rings_lie(tmp_path):
+    """A blurred target alone in its photo, rings at 2.25 to 3.48 radii: the photo itself does not say where."""
+    codes = ring_dictionary("aicon-12").codes
+    kind = PRINT_KINDS["radii 2.25/3.48"]
+    weak = replace(kind, diameters_px=(9, 11), conditions=replace(kind.conditions, blur_sigma_px=2.0))
+    alone = []
+    for seed in range(8):
+        rng = np.random.default_rng(seed)
+        (scene,) = wall_scenes([codes[5 * seed]], weak, rng)
+        write_image(tmp_path / f"weak_{seed}.png", render_photo(scene, scene.views[0], rng))
+        found = read_single_photos([tmp_path / f"weak_{seed}.png"], TargetsSection(dictionary="aicon-12"))
+        alone.append(found.photos[0].detections.names)
+    rng = np.random.default_rng(9)
+    (scene,) = wall_scenes(codes[:9], replace(kind, diameters_px=(20, 29)), rng)
+    write_image(tmp_path / "sheet.png", render_photo(scene, scene.views[0], rng))
+    both = read_single_photos([tmp_path], TargetsSection(dictionary="aicon-12"))
+    names = {one.detections.photo: one.detections.names for one in both.photos}
+    assert set(names["sheet.png"]) == {code.name for code in codes[:9]}
+    together = [names[f"weak_{seed}.png"] for seed in range(8)]
+    # Found when written: 5 of 8 alone, 8 together; none wrong.
+    assert together == [(codes[5 * seed].name,) for seed in range(8)]
+    assert sum(len(one) for one in alone) < 8
