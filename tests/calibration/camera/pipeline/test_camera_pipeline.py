@@ -100,7 +100,7 @@ def test_results_on_disk(chessboard: Result, tmp_path: Path) -> None:
 
 
 def rms_of_opencv_poses(result: Result) -> float:
-    """Fit the pose of each photo with OpenCV, camera and board as they are, and return the RMS length of what is left."""
+    """Fit the pose of each photo with OpenCV, camera and board as they are; return the RMS length of what is left."""
     matrix, distortion = to_opencv(result.camera)
     squares = []
     for one in result.photos:
