@@ -93,9 +93,11 @@ def main() -> None:
         print(f"peak memory {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6:.2f} GB")
         print(json.loads((out / "summary.json").read_text(encoding="utf-8"))["durations_s"])
         table, lens = read_table_csv(out / "points.csv"), read_table_csv(out / "camera_millimetres.csv")
-    own = np.array([[float(cell) for cell in table[f"{axis}_m"]] for axis in "xyz"]).T
-    sigma = np.array([[float(cell) for cell in table[f"sigma_{axis}_m"]] for axis in "xyz"]).T
-    far = truth[[int(name) for name in table["id"]]]
+    # Targets that one photo shows have no coordinates.
+    found = [place for place, cell in enumerate(table["x_m"]) if cell]
+    own = np.array([[float(table[f"{axis}_m"][place]) for place in found] for axis in "xyz"]).T
+    sigma = np.array([[float(table[f"sigma_{axis}_m"][place]) for place in found] for axis in "xyz"]).T
+    far = truth[[int(table["id"][place]) for place in found]]
     own, far = own - own.mean(axis=0), far - far.mean(axis=0)
     left, _, right = np.linalg.svd(own.T @ far)
     errors = own - far @ (left @ np.diag([1, 1, np.linalg.det(left @ right)]) @ right).T

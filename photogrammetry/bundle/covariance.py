@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from heliogauge.validate import BoolArray, FloatArray, IntArray
+from photogrammetry.bundle.coupling import SolvedRays
 from photogrammetry.bundle.system import SchurSystem
 
 # A direction of unit length with less than this of a parameter leaves the parameter held.
@@ -30,6 +31,26 @@ class _Carried(NamedTuple):
     core: FloatArray
 
 
+class _Half(NamedTuple):
+    """Half of the inverse of the normal matrix times something: dense part (g, k) and targets (e, 3, k)."""
+
+    dense: FloatArray
+    targets: FloatArray
+
+
+class ImagePointCofactors(NamedTuple):
+    """Inverse of the normal matrix as the image points of one camera see it.
+
+    photos (f, 6 + k, 6 + k): Pose and free intrinsics of each of its photos, in their order.
+    crossed (m, 3, 6 + k): Target of each image point with pose and intrinsics.
+    targets (n, 3, 3): Each target.
+    """
+
+    photos: FloatArray
+    crossed: FloatArray
+    targets: FloatArray
+
+
 class BundleCovariance:
     """Joint covariance of everything that was estimated, under one datum.
 
@@ -50,44 +71,33 @@ class BundleCovariance:
         self._datum_dense, self._datum_targets = system.split_datum()
 
     @cached_property
-    def _halves(self) -> FloatArray:
-        """Half columns of all eliminated targets, shape (g, 3 e): ``Q_pp = R R^T + half^T half``."""
-        halves = np.empty(
-            (self._layout.n_global - self._elimination.factor.lost.shape[1], 3 * self._layout.eliminated.size)
-        )
-        for block in self._system.couplings(self._elimination):
-            matrix = block.matrix
-            if block.rows is not None:
-                matrix = np.zeros((self._layout.n_global, block.matrix.shape[1]))
-                matrix[block.rows] = block.matrix
-            own = -self._elimination.factor.half(matrix).reshape(len(halves), -1, 3)
-            turned = np.swapaxes(self._elimination.roots[block.first : block.last], 1, 2)
-            halves[:, 3 * block.first : 3 * block.last] = np.einsum("gei,eij->gej", own, turned, optimize=True).reshape(
-                len(halves), -1
-            )
-        return halves
+    def _solved_rays(self) -> SolvedRays:
+        """Inverse of the reduced matrix times the coupling, where each ray has its own unknowns; scaled."""
+        return self._elimination.coupling.solved(self._elimination.factor)
 
-    def _dense_halves(self, columns: IntArray) -> FloatArray:
-        """Half columns of unknowns of the dense part, shape (g, k)."""
-        unit = np.zeros((self._layout.n_global, columns.size))
-        unit[columns, np.arange(columns.size)] = 1 / self._system.dense_scale[columns]
-        return self._elimination.factor.half(unit)
+    def _half(self, dense: FloatArray, targets: FloatArray) -> "_Half":
+        """Return half of the inverse of the normal matrix times a right-hand side, shapes (g, k) and (e, 3, k)."""
+        roots, coupling = self._elimination.roots, self._elimination.coupling
+        own = np.swapaxes(roots, 1, 2) @ targets
+        reduced = dense / self._system.dense_scale[:, None] - coupling.times(own)
+        return _Half(self._elimination.factor.half(reduced), own)
+
+    def _back(self, half: "_Half") -> tuple[FloatArray, FloatArray]:
+        """Return the inverse of the normal matrix times what `_half` was given, shapes (g, k) and (e, 3, k)."""
+        dense = self._elimination.factor.back(half.dense)
+        targets = self._elimination.roots @ (half.targets - self._elimination.coupling.turned_times(dense))
+        return dense / self._system.dense_scale[:, None], targets
 
     @cached_property
     def _carried(self) -> "_Carried":
         """``Q G M^T``, dense part (g, d) and targets (e, 3, d), and ``M G^T Q G M^T``, (d, d); ``M = (G^T K)^-1``."""
         layout, system = self._layout, self._system
-        count = system.movements.count
-        if not count:
+        if not system.movements.count:
             return _Carried(np.zeros((layout.n_global, 0)), np.zeros((layout.eliminated.size, 3, 0)), np.zeros((0, 0)))
-        inverse = np.linalg.inv(self._system.overlap)
-        half = self._elimination.factor.half(self._datum_dense / system.dense_scale[:, None])
-        half += self._halves @ self._datum_targets.reshape(3 * layout.eliminated.size, count)
-        roots = self._elimination.roots
-        own = roots @ (np.swapaxes(roots, 1, 2) @ self._datum_targets)
-        targets = (self._halves.T @ half).reshape(layout.eliminated.size, 3, count) + own
-        dense = self._elimination.factor.back(half) / system.dense_scale[:, None]
-        core = half.T @ half + np.einsum("eid,eif->df", self._datum_targets, own)
+        inverse = np.linalg.inv(system.overlap)
+        half = self._half(self._datum_dense, self._datum_targets)
+        dense, targets = self._back(half)
+        core = half.dense.T @ half.dense + np.einsum("eid,eif->df", half.targets, half.targets)
         return _Carried(dense @ inverse.T, targets @ inverse.T, inverse @ core @ inverse.T)
 
     def _under_datum(self, raw: FloatArray, movements: FloatArray, carried: FloatArray) -> FloatArray:
@@ -125,12 +135,7 @@ class BundleCovariance:
         dense[6 * layout.n_photos : 6 * layout.n_photos + extra.prior_jacobian.shape[1], first:] = (
             extra.prior_jacobian.T
         )
-        roots = self._elimination.roots
-        half = self._elimination.factor.half(dense / self._system.dense_scale[:, None])
-        half += self._halves @ targets.reshape(3 * layout.eliminated.size, count)
-        own = roots @ (np.swapaxes(roots, 1, 2) @ targets)
-        solved = (self._halves.T @ half).reshape(layout.eliminated.size, 3, count) + own
-        solved_dense = self._elimination.factor.back(half) / self._system.dense_scale[:, None]
+        solved_dense, solved = self._back(self._half(dense, targets))
         # Under the datum: P Q E^T = Q E^T - K (M^T G^T Q E^T).
         seen = self._carried[0].T @ dense + np.einsum("eid,eik->dk", self._carried[1], targets)
         return solved_dense - self._system.dense_movements @ seen, solved - self._target_movements @ seen
@@ -149,15 +154,11 @@ class BundleCovariance:
     @cached_property
     def _target_cofactors(self) -> FloatArray:
         """Cofactor of each eliminated target, shape (e, 3, 3)."""
-        roots, halves = self._elimination.roots, self._halves
-        raw = roots @ np.swapaxes(roots, 1, 2)
-        for i in range(3):
-            for j in range(i + 1):
-                products = np.einsum("ge,ge->e", halves[:, i::3], halves[:, j::3])
-                raw[:, i, j] += products
-                if i != j:
-                    raw[:, j, i] += products
-        return raw
+        roots, coupling = self._elimination.roots, self._elimination.coupling
+        # What image points need is at hand where pairs of rays are cheap; halves are where the whole matrix is.
+        by_rays = coupling.by_pairs or "_solved_rays" in self.__dict__
+        inner = coupling.inner_of(self._solved_rays) if by_rays else coupling.inner(self._elimination.factor)
+        return np.asarray(roots @ (np.eye(3) + inner) @ np.swapaxes(roots, 1, 2))
 
     @cached_property
     def points(self) -> FloatArray:
@@ -207,12 +208,8 @@ class BundleCovariance:
     @cached_property
     def lost_movements(self) -> tuple[FloatArray, FloatArray]:
         """Directions that nothing holds, under the datum: scaled dense part (g, k), targets (e, 3, k) [m]."""
-        lost, layout = self._elimination.factor.lost, self._layout
-        targets = np.zeros((layout.eliminated.size, 3, lost.shape[1]))
-        for block in self._system.couplings(self._elimination):
-            part = lost if block.rows is None else lost[block.rows]
-            inner = (block.matrix.T @ part).reshape(block.last - block.first, 3, lost.shape[1])
-            targets[block.first : block.last] = -self._elimination.roots[block.first : block.last] @ inner
+        lost = self._elimination.factor.lost
+        targets = -self._elimination.roots @ self._elimination.coupling.turned_times(lost)
         # A loose photo leaves the targets at rest under their datum, though not under any other.
         scale = self._system.dense_scale[:, None]
         dense, targets = self._system.under_datum(lost / scale, targets)
@@ -231,25 +228,37 @@ class BundleCovariance:
             )
         return unknown
 
-    @cached_property
-    def target_cofactors(self) -> tuple[FloatArray, FloatArray]:
-        """Inverse of the normal matrix under any datum: dense part with targets (g, n, 3), targets (n, 3, 3).
+    def image_point_cofactors(self, camera: int) -> "ImagePointCofactors":
+        """Return what image points of one camera see of the inverse of the normal matrix under any datum.
 
         What image points and constraints see of it does not depend on the datum.
         """
-        layout, factor, scale = self._layout, self._elimination.factor, self._system.dense_scale
-        crossed = np.zeros((layout.n_global, layout.slot.size, 3))
-        own = np.zeros((layout.slot.size, 3, 3))
-        crossed[:, layout.eliminated] = (
-            factor.back(self._halves).reshape(layout.n_global, layout.eliminated.size, 3) / scale[:, None, None]
-        )
-        own[layout.eliminated] = self._target_cofactors
+        layout, rows, scale = self._layout, self._system.rows[camera], self._system.dense_scale
+        columns = layout.intrinsic_columns[camera]
+        photos = rows.photos[rows.starts[:-1]] if rows.photos.size else rows.photos
+        intrinsics = np.broadcast_to(columns, (photos.size, columns.size))
+        places = np.concatenate([6 * photos[:, None] + np.arange(6), intrinsics], axis=1)
+        slots = layout.slot[rows.targets]
+        crossed = np.zeros((slots.size, 3, 6 + columns.size))
+        inside = np.nonzero(slots >= 0)[0]
+        before = sum(int((layout.slot[one.targets] >= 0).sum()) for one in self._system.rows[:camera])
+        solved, roots = self._solved_rays, self._elimination.roots[slots[inside]]
+        own = (6 * rows.photos[inside][:, None] + np.arange(6))[:, None]
+        crossed[inside, :, :6] = -roots @ solved.poses[before : before + inside.size] / scale[own]
+        of_targets = self._elimination.roots @ solved.intrinsics[:, :, columns - 6 * layout.n_photos] / scale[columns]
+        crossed[inside, :, 6:] = -of_targets[slots[inside]]
+        targets = np.zeros((layout.slot.size, 3, 3))
+        targets[layout.eliminated] = self._target_cofactors
         if layout.kept.size:
-            columns = layout.kept_column[layout.kept][:, None] + np.arange(3)
-            halves = factor.back(self._dense_halves(columns.ravel())) / scale[:, None]
-            crossed[:, layout.kept] = halves.reshape(layout.n_global, *columns.shape)
-            own[layout.kept] = self.dense_cofactors(columns)
-        return crossed, own
+            targets[layout.kept] = self.dense_cofactors(layout.kept_column[layout.kept][:, None] + np.arange(3))
+            kept = np.nonzero(layout.kept_column[rows.targets] >= 0)[0]
+            own_photo = np.repeat(np.arange(photos.size), np.diff(rows.starts))
+            at_target = layout.kept_column[rows.targets][:, None] + np.arange(3)
+            # Some at once: of each block of all unknowns of an image point only a corner is wanted.
+            for part in np.array_split(kept, 1 + kept.size // 4096):
+                both = self.dense_cofactors(np.concatenate([at_target[part], places[own_photo[part]]], axis=1))
+                crossed[part] = both[:, :3, 3:]
+        return ImagePointCofactors(self.dense_cofactors(places), crossed, targets)
 
     def joint(
         self, targets: Sequence[int] | IntArray = (), photos: Sequence[int] | IntArray = (), *, intrinsics: bool = False
@@ -285,11 +294,15 @@ class BundleCovariance:
         scale = self._system.dense_scale[wanted]
         raw[np.ix_(in_dense, in_dense)] = self._elimination.factor.inverse(wanted) / scale[:, None] / scale
         if own.size:
-            halves = self._halves[:, own]
+            roots = self._elimination.roots[slots[slots >= 0]]
+            halves = self._elimination.factor.half(self._elimination.coupling.columns(slots[slots >= 0]))
+            turned = np.swapaxes(roots, 1, 2)
+            halves = -np.einsum("gei,eij->gej", halves.reshape(len(halves), len(roots), 3), turned).reshape(
+                halves.shape
+            )
             crossed = self._elimination.factor.back(halves)[wanted] / scale[:, None]
             raw[np.ix_(in_dense, ~in_dense)], raw[np.ix_(~in_dense, in_dense)] = crossed, crossed.T
             raw[np.ix_(~in_dense, ~in_dense)] = halves.T @ halves
-            roots = self._elimination.roots[slots[slots >= 0]]
             at = np.nonzero(~in_dense)[0].reshape(-1, 3)
             raw[at[:, :, None], at[:, None, :]] += roots @ np.swapaxes(roots, 1, 2)
         movements = gathered(self._system.dense_movements, self._target_movements)

@@ -95,6 +95,11 @@ class Factor(Protocol):
         """Return rows and columns of the inverse, shape (k, k)."""
         ...
 
+    @property
+    def whole_inverse(self) -> FloatArray:
+        """The whole inverse, shape (g, g)."""
+        ...
+
     def inverse_blocks(self, columns: IntArray) -> FloatArray:
         """Return blocks of the inverse, columns of shape (b, k), shape (b, k, k)."""
         ...
@@ -153,12 +158,13 @@ class DenseFactor:
         return np.asarray(half.T @ half)
 
     @cached_property
-    def _whole(self) -> FloatArray:
+    def whole_inverse(self) -> FloatArray:
+        """The whole inverse, shape (g, g)."""
         return self.inverse(np.arange(self._size))
 
     def inverse_blocks(self, columns: IntArray) -> FloatArray:
         """Return blocks of the inverse, columns of shape (b, k), shape (b, k, k)."""
-        return np.asarray(self._whole[columns[:, :, None], columns[:, None, :]])
+        return np.asarray(self.whole_inverse[columns[:, :, None], columns[:, None, :]])
 
 
 class BlockFactor:
@@ -179,7 +185,11 @@ class BlockFactor:
         self._first = len(blocks.border)
         #: Directions that nothing holds: none, or this class is not used.
         self.lost: FloatArray = np.zeros((blocks.size, 0))
-        self._roots: FloatArray = np.linalg.inv(np.linalg.cholesky(blocks.poses))
+        lower = np.linalg.cholesky(blocks.poses)
+        # A photo of two targets: whether its root exists at all is a matter of rounding, and nothing below sees it.
+        if (np.einsum("pii->pi", lower) ** 2 < _LEAST_EIGENVALUE).any():
+            raise np.linalg.LinAlgError("nearly singular")
+        self._roots: FloatArray = np.linalg.inv(lower)
         corner = np.linalg.inv(np.linalg.cholesky(blocks.corner)) if n_others else np.zeros((0, 0))
         self._corner_root: FloatArray = np.asarray(corner)
         tie = np.zeros((blocks.size, 2 * n_others))
@@ -254,6 +264,11 @@ class BlockFactor:
         first, second = order[first], order[second]
         result[first, second] += self._own_values(columns[first], columns[second])
         return result
+
+    @property
+    def whole_inverse(self) -> FloatArray:
+        """The whole inverse, shape (g, g), formed anew at each call."""
+        return self.inverse(np.arange(self._first + len(self._corner_root)))
 
     def inverse_blocks(self, columns: IntArray) -> FloatArray:
         """Return blocks of the inverse, columns of shape (b, k), shape (b, k, k)."""

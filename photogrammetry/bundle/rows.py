@@ -1,6 +1,7 @@
 """Residuals of a bundle adjustment and their derivatives, component by component over all image points at once."""
 
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -11,6 +12,7 @@ from heliogauge.camera.model import Camera
 from heliogauge.validate import FloatArray, IntArray
 from photogrammetry.bundle.datum import free_movements, moved_as_a_whole, similarity_movements
 from photogrammetry.bundle.problem import BundleProblem, CameraModel, Layout, ResidualSpace, layout_of
+from photogrammetry.bundle.rays import Rays, run_starts, runs
 from photogrammetry.bundle.state import (
     BundleState,
     camera_with_intrinsics,
@@ -111,7 +113,7 @@ class BundleModel:
         )
         bounds = np.searchsorted(camera[self.order], np.arange(len(problem.cameras) + 1))
         self.camera_slices = [slice(int(a), int(b)) for a, b in pairwise(bounds.tolist())]
-        self.starts = [_starts(self.photo[part]) for part in self.camera_slices]
+        self.starts = [run_starts(self.photo[part]) for part in self.camera_slices]
         self._fixed = problem.target_indices(problem.fixed)
         self.constraint_targets = tuple(problem.target_indices(one.targets) for one in problem.constraints)
         self.prior_jacobian, self._prior_values = self._priors(start)
@@ -136,6 +138,13 @@ class BundleModel:
                 known = intrinsics_of(camera) if model.prior_values is None else model.prior_values
                 values.extend(root @ known[model.columns])
         return np.array(rows).reshape(len(rows), width), np.array(values, dtype=np.float64)
+
+    @cached_property
+    def rays(self) -> Rays:
+        """The image points of eliminated targets, in the order used here."""
+        slots = self.layout.slot[self.target]
+        which = slots >= 0
+        return Rays(self.photo[which], slots[which], self.layout.n_photos, int(self.layout.eliminated.size))
 
     def retract(self, state: BundleState, step: FloatArray) -> BundleState:
         """Move a state by a step in the order of the layout, shape (n,)."""
@@ -295,26 +304,9 @@ def _inverse_root(covariance: FloatArray) -> FloatArray:
     return np.asarray((vectors / np.sqrt(np.maximum(values, 1e-10))).T / scale)
 
 
-def _starts(photos: IntArray) -> IntArray:
-    return np.concatenate([[0], np.nonzero(np.diff(photos))[0] + 1, [photos.size]]).astype(np.intp)
-
-
 def has_few_points(starts: IntArray) -> bool:
     """Return whether runs of image points, which begin and end at these places, are short on average."""
     return bool(0 < starts[-1] < _FEW_POINTS * (starts.size - 1))
-
-
-class Run(NamedTuple):
-    """Image points of one photo: rows from the first up to the last, which is not among them."""
-
-    photo: int
-    first: int
-    last: int
-
-
-def runs(photos: IntArray, starts: IntArray) -> list[Run]:
-    """List the runs of image points of one photo each."""
-    return [Run(int(photos[first]), first, last) for first, last in pairwise(starts.tolist()) if last > first]
 
 
 def _rotated(rotations: FloatArray, points: FloatArray, photos: IntArray, starts: IntArray) -> FloatArray:

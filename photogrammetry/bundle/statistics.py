@@ -12,7 +12,8 @@ from heliogauge.short_repr import ShortRepr
 from heliogauge.validate import BoolArray, FloatArray, IntArray
 from photogrammetry.bundle.adjustment import BundleOptions, BundleResult, adjust
 from photogrammetry.bundle.problem import BundleProblem
-from photogrammetry.bundle.rows import BundleModel, CameraRows, runs
+from photogrammetry.bundle.rays import runs
+from photogrammetry.bundle.rows import BundleModel, CameraRows
 from photogrammetry.bundle.state import INTRINSIC_NAMES, BundleState, intrinsics_of
 
 # Below this share nothing of an error shows in the residual, and its test has no meaning.
@@ -85,37 +86,19 @@ def _examined(result: BundleResult) -> ImagePointTests:
 
 def _leverages(result: BundleResult, rows: CameraRows) -> FloatArray:
     """Return ``J Q J^T`` of each image point of one camera, shape (m, 2, 2)."""
-    crossed, own = result.covariance.target_cofactors
-    photos = rows.photos[rows.starts[:-1]] if rows.photos.size else rows.photos
-    intrinsics = np.broadcast_to(result.system.layout.intrinsic_columns[rows.camera], (photos.size, rows.n_free))
-    places = np.concatenate([6 * photos[:, None] + np.arange(6), intrinsics], axis=1)
-    dense = result.covariance.dense_cofactors(places)
-    if rows.has_few_points:
-        own_photo = np.repeat(np.arange(photos.size), np.diff(rows.starts))
-        coupling = crossed[places[own_photo], rows.targets[:, None]]
-        return _leverages_at_once(rows, dense[own_photo], coupling, own[rows.targets])
-    shares = np.empty((rows.photos.size, 2, 2))
-    for k, (_, first, last) in enumerate(runs(rows.photos, rows.starts)):
-        part, d_target = rows.jacobian[:, : 6 + rows.n_free, first:last], rows.target_columns[:, :, first:last]
-        targets = rows.targets[first:last]
-        coupling = np.moveaxis(crossed[places[k]][:, targets], 1, 2)
-        # Q times the rows, in the dense part and at the target.
-        along = dense[k] @ part + np.einsum("gim,rim->rgm", coupling, d_target)
-        at_target = np.einsum("gim,rgm->rim", coupling, part)
-        at_target += np.einsum("mij,rjm->rim", own[targets], d_target)
-        both = np.einsum("rgm,sgm->mrs", part, along) + np.einsum("rim,sim->mrs", d_target, at_target)
-        shares[first:last] = both
-    return shares
-
-
-def _leverages_at_once(rows: CameraRows, dense: FloatArray, coupling: FloatArray, own: FloatArray) -> FloatArray:
-    """Return the same with Q of pose and intrinsics, of these with the target, and of the target of each row."""
-    jacobian = np.moveaxis(rows.jacobian, -1, 0)
+    cofactors = result.covariance.image_point_cofactors(rows.camera)
+    jacobian = np.ascontiguousarray(np.moveaxis(rows.jacobian, -1, 0))
     part, d_target = jacobian[:, :, : 6 + rows.n_free], jacobian[:, :, 7 + rows.n_free :]
-    turned = np.swapaxes(part, 1, 2)
-    crossed = d_target @ np.swapaxes(coupling, 1, 2) @ turned
-    both = part @ (dense @ turned) + d_target @ own @ np.swapaxes(d_target, 1, 2)
-    return np.asarray(both + crossed + np.swapaxes(crossed, 1, 2))
+    shares = d_target @ cofactors.crossed @ np.swapaxes(part, 1, 2)
+    shares += np.swapaxes(shares, 1, 2)
+    shares += d_target @ cofactors.targets[rows.targets] @ np.swapaxes(d_target, 1, 2)
+    if rows.has_few_points:
+        own_photo = np.repeat(np.arange(len(cofactors.photos)), np.diff(rows.starts))
+        return np.asarray(shares + part @ cofactors.photos[own_photo] @ np.swapaxes(part, 1, 2))
+    for own, (_, first, last) in zip(cofactors.photos, runs(rows.photos, rows.starts), strict=True):
+        one = part[first:last]
+        shares[first:last] += one @ own @ np.swapaxes(one, 1, 2)
+    return shares
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,14 +1,13 @@
 """Normal equations of a bundle adjustment, targets eliminated (Schur complement), whole blocks at a time."""
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 
 from heliogauge.adjust.gauss_newton import EPSILON
 from heliogauge.validate import BoolArray, FloatArray, IntArray
+from photogrammetry.bundle.coupling import Coupling, couple
 from photogrammetry.bundle.datum import (
     DatumConstraints,
     DatumKind,
@@ -19,27 +18,12 @@ from photogrammetry.bundle.datum import (
 )
 from photogrammetry.bundle.factor import EIGENVALUE_TOLERANCE, BlockFactor, BorderedBlocks, DenseFactor, Factor
 from photogrammetry.bundle.problem import Layout
-from photogrammetry.bundle.rows import BundleModel, CameraRows, ExtraRows, runs
+from photogrammetry.bundle.rays import runs
+from photogrammetry.bundle.rows import BundleModel, CameraRows, ExtraRows
 from photogrammetry.bundle.state import BundleState
 
 # Below this the damping moves a step by less than what it is for; the undamped factors serve then.
 _NO_DAMPING = 1e-3
-# Coupling blocks of targets and dense part are kept in memory up to this size, beyond they are formed again [bytes].
-_KEEP_BYTES = 1.5e9
-_CHUNK_BYTES = 1.5e8
-
-
-class Coupling(NamedTuple):
-    """Coupling of some eliminated targets with the dense part, in scaled coordinates.
-
-    ``matrix`` has shape (r, 3 k) with the rows ``rows`` of the dense part (all if None) and the targets ``first`` to
-    ``last`` of the eliminated ones, each multiplied by the inverse root of its own normal matrix.
-    """
-
-    first: int
-    last: int
-    rows: IntArray | None
-    matrix: FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -171,7 +155,7 @@ class Elimination:
     roots: FloatArray
     lost_targets: FloatArray
     factor: Factor
-    couplings: tuple[Coupling, ...] | None
+    coupling: Coupling
     dense_right: FloatArray
     target_right: FloatArray
 
@@ -210,7 +194,7 @@ class SchurSystem:
         self.largest_scale_ratio = float((scale[norms > 0] / norms[norms > 0]).max(initial=1.0))
         self.rounding: float = EPSILON * float(np.linalg.norm(self.scale * model.values(state)))
         fixed = model.problem.target_indices(model.problem.fixed)
-        self._problem = model.problem
+        self._problem, self._rays = model.problem, model.rays
         #: Movements of the whole network that nothing sees.
         self.movements: Movements = free_movements(similarity_movements(state), extra.jacobians, extra.targets, fixed)
 
@@ -313,88 +297,30 @@ class SchurSystem:
         dense = self.normal.dense.scaled(self.dense_scale, damping)
         # The movements are an exact null space: this gives them the eigenvalue 1 and changes nothing else.
         border = np.linalg.qr(self.dense_movements * self.dense_scale[:, None])[0]
-        keeps = 24.0 * layout.n_global * layout.eliminated.size < _KEEP_BYTES
-        keep = tuple(self._form(roots)) if keeps else None
-        dense_right = self.normal.dense_gradient / self.dense_scale
-        factor = self._factor_by_blocks(dense, keep, border)
-        if factor is not None and keep is not None:
-            for block in keep:
-                rows = slice(None) if block.rows is None else block.rows
-                dense_right[rows] -= block.matrix @ right[block.first : block.last].ravel()
-            return Elimination(roots, lost, factor, keep, dense_right, right)
-        matrix = dense.whole()
-        matrix += border @ border.T
-        for block in self._form(roots) if keep is None else keep:
-            product = block.matrix @ block.matrix.T
-            change = block.matrix @ right[block.first : block.last].ravel()
-            if block.rows is None:
-                matrix -= product
-                dense_right -= change
-            else:
-                matrix[np.ix_(block.rows, block.rows)] -= product
-                dense_right[block.rows] -= change
-        return Elimination(roots, lost, DenseFactor(matrix), keep, dense_right, right)
+        coupling = couple(layout, self._rays, self.rows, roots, self.dense_scale)
+        dense_right = self.normal.dense_gradient / self.dense_scale - coupling.times(right[:, :, None])[:, 0]
+        factor: Factor | None = self._factor_by_blocks(dense, coupling, border)
+        if factor is None:
+            matrix = dense.whole()
+            matrix += border @ border.T
+            matrix -= coupling.gram()
+            factor = DenseFactor(matrix)
+        return Elimination(roots, lost, factor, coupling, dense_right, right)
 
-    def _factor_by_blocks(
-        self, dense: BorderedBlocks, couplings: tuple[Coupling, ...] | None, border: FloatArray
-    ) -> BlockFactor | None:
+    def _factor_by_blocks(self, dense: BorderedBlocks, coupling: Coupling, border: FloatArray) -> BlockFactor | None:
         """Factorise without forming the matrix where what ties the photos together is little; None elsewhere."""
-        n_global, rank = dense.size, 3 * int(self.layout.eliminated.size)
-        if couplings is None or not BlockFactor.pays(n_global, rank + border.shape[1] + 2 * len(dense.corner)):
+        count = int(self.layout.eliminated.size)
+        if not BlockFactor.pays(dense.size, 3 * count + border.shape[1] + 2 * len(dense.corner)):
             return None
-        minus = np.zeros((n_global, rank))
-        for block in couplings:
-            rows = slice(None) if block.rows is None else block.rows
-            minus[rows, 3 * block.first : 3 * block.last] = block.matrix
         try:
-            return BlockFactor(dense, minus, border)
+            return BlockFactor(dense, coupling.columns(np.arange(count)), border)
         except np.linalg.LinAlgError:
             return None
-
-    def couplings(self, elimination: Elimination) -> Iterator[Coupling]:
-        """Yield the coupling blocks of an elimination."""
-        yield from self._form(elimination.roots) if elimination.couplings is None else elimination.couplings
-
-    def _form(self, roots: FloatArray) -> Iterator[Coupling]:
-        layout = self.layout
-        count = int(layout.eliminated.size)
-        at_once = max(1, int(_CHUNK_BYTES / (24.0 * max(layout.n_global, 1))))
-        for first in range(0, count, at_once):
-            yield self._coupling(roots, first, min(first + at_once, count))
-
-    def _coupling(self, roots: FloatArray, first: int, last: int) -> Coupling:
-        layout, scale, count = self.layout, self.dense_scale, last - first
-        matrix = np.zeros((layout.n_global, 3 * count))
-        poses = matrix[: 6 * layout.n_photos].reshape(layout.n_photos, 6, count, 3)
-        for one in self.rows:
-            slot = layout.slot[one.targets]
-            which: slice | IntArray = slice(None)
-            if first > 0 or last < layout.eliminated.size or (slot < 0).any():
-                which = np.nonzero((slot >= first) & (slot < last))[0]
-            own, photos, slot = one.jacobian[:, :, which], one.photos[which], slot[which] - first
-            d_target = _times_roots(own[:, 7 + one.n_free :], roots[first:last], slot)
-            inverse = 1 / scale[: 6 * layout.n_photos].reshape(-1, 6)[photos].T
-            blocks = own[0, :6, None] * d_target[0] + own[1, :6, None] * d_target[1]
-            blocks *= inverse[:, None]
-            poses[photos, :, slot] = np.moveaxis(blocks, -1, 0)
-            for column, place in enumerate(layout.intrinsic_columns[one.camera].tolist()):
-                both = own[:, 6 + column, None] * d_target
-                for axis in range(3):
-                    weights = (both[0, axis] + both[1, axis]) / scale[place]
-                    matrix[place, axis::3] += np.bincount(slot, weights=weights, minlength=count)
-        rows = np.nonzero(matrix.any(axis=1))[0]
-        # Products with a part of the rows pay when the targets of this block are seen by few of the photos.
-        if rows.size < 0.8 * layout.n_global:
-            return Coupling(first, last, rows, matrix[rows])
-        return Coupling(first, last, None, matrix)
 
     def _solve(self, elimination: Elimination, damping: float) -> tuple[FloatArray, float]:
         """Return the step and the promised decrease ``-g.s / 2 + damping |D s|^2 / 2``."""
         dense = -elimination.factor.solve(elimination.dense_right)
-        inner = np.empty_like(elimination.target_right)
-        for block in self.couplings(elimination):
-            part = dense if block.rows is None else dense[block.rows]
-            inner[block.first : block.last] = (block.matrix.T @ part).reshape(-1, 3)
+        inner = elimination.coupling.turned_times(dense[:, None])[:, :, 0]
         targets = -np.einsum("eij,ej->ei", elimination.roots, elimination.target_right + inner)
         # Steps obey the datum, or the estimate would be in another one than its covariance.
         dense_step, target_step = self.under_datum((dense / self.dense_scale)[:, None], targets[:, :, None])
@@ -413,9 +339,3 @@ def _target_roots(blocks: FloatArray, scale: FloatArray, damping: float) -> tupl
     held: BoolArray = values > EIGENVALUE_TOLERANCE * np.maximum(values[:, -1:], 1e-300)
     inverse = np.where(held, 1 / np.sqrt(np.where(held, values, 1.0)), 0.0)
     return vectors * inverse[:, None, :] / scale[:, :, None], (~held).sum(axis=1).astype(np.float64)
-
-
-def _times_roots(d_target: FloatArray, roots: FloatArray, slot: IntArray) -> FloatArray:
-    """Multiply derivatives by targets, shape (2, 3, m), by the roots of their targets."""
-    own = np.ascontiguousarray(roots.reshape(-1, 9)[slot].T).reshape(3, 3, -1)
-    return np.asarray(d_target[:, 0, None] * own[0] + d_target[:, 1, None] * own[1] + d_target[:, 2, None] * own[2])
