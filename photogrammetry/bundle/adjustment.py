@@ -79,12 +79,10 @@ class BundleResult(ShortRepr, VarianceFactorTests):
         """Square root of the variance factor: residuals in units of their stated sigma."""
         return float(np.sqrt(self.variance_factor))
 
-    @cached_property
+    @property
     def whitened_residuals(self) -> FloatArray:
         """Predicted minus observed over sigma, in the order of the observations, shape (m, 2)."""
-        result = np.empty((self.rows.model.photo.size, 2))
-        result[self.rows.model.order] = np.concatenate([one.residuals for one in self.rows.rows], axis=1).T
-        return result
+        return self.rows.whitened_residuals
 
     @cached_property
     def residuals_px(self) -> FloatArray:
@@ -164,13 +162,21 @@ def adjust(problem: BundleProblem, start: BundleState, *, options: BundleOptions
     (inner constraints over the datum's targets); the covariance is that of the named datum.
     """
     options = options or BundleOptions()
+    return _assemble_result(problem, descend(problem, start, options), options)
+
+
+def descend(problem: BundleProblem, start: BundleState, options: BundleOptions) -> Descent[BundleState, BundleRows]:
+    """Adjust as `adjust` does, without covariance: enough on the way to something else.
+
+    InputError: The start does not fit the problem.
+    EstimationError: A target is behind its camera at the start.
+    """
     _check(problem, start)
     model = BundleModel(problem, start, options.loss)
     waiting = [evaluate(model, start)]
     if not np.isfinite(waiting[0].cost):
         _refuse_invisible(model, waiting[0])
-    found = minimise(start, _evaluator(model, waiting), model.retract, options=options.descent)
-    return _assemble_result(problem, found, options)
+    return minimise(start, _evaluator(model, waiting), model.retract, options=options.descent)
 
 
 def _evaluator(model: BundleModel, waiting: list[BundleRows]) -> Callable[[BundleState], BundleRows]:

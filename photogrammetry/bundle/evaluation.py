@@ -32,6 +32,13 @@ class BundleRows:
         return np.concatenate([np.einsum("rm,rm->m", one.residuals, one.residuals) for one in self.rows])
 
     @cached_property
+    def whitened_residuals(self) -> FloatArray:
+        """Predicted minus observed over sigma, in the order of the observations, shape (m, 2)."""
+        result = np.empty((self.model.photo.size, 2))
+        result[self.model.order] = np.concatenate([one.residuals for one in self.rows], axis=1).T
+        return result
+
+    @cached_property
     def cost(self) -> float:
         """Half the sum of the loss; infinite where a target is behind a camera or outside its lens model."""
         known = self.extra.all_residuals
@@ -53,6 +60,12 @@ class BundleRows:
         """Linearise here."""
         self._linearised[:] = [self.weighted(self.root, scale_floor)]
         return self._linearised[0]
+
+    @property
+    def redundancy(self) -> int:
+        """Residuals less rank, with the weights that the loss leaves."""
+        system = self._linearised[0] if self._linearised else self.weighted(self.root)
+        return self.n_residuals - system.rank
 
     def final_system(self, root: FloatArray | None) -> SchurSystem:
         """Linearise for the covariance, with the factors that the descent ended with where they serve.

@@ -11,7 +11,8 @@ from heliogauge.camera.model import Camera
 from heliogauge.errors import EstimationError
 from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.validate import BoolArray, FloatArray, IntArray
-from photogrammetry.bundle.adjustment import BundleOptions, BundleResult, adjust
+from photogrammetry.bundle.adjustment import BundleOptions, descend
+from photogrammetry.bundle.evaluation import BundleRows
 from photogrammetry.bundle.problem import BundleProblem, CameraModel
 from photogrammetry.bundle.state import BundleState, camera_with_intrinsics, intrinsics_of
 from photogrammetry.image_points import ImagePoints
@@ -22,6 +23,8 @@ from photogrammetry.start_values.triangulation import LEAST_ANGLE_RAD, intersect
 TOLERANCE = 5.0
 # Photos between two adjustments, as a share of those oriented: one after each of 1000 photos would be 1000 adjustments.
 _GROWTH = 0.3
+# From so many photos on, others whose pose is nearly as certain come along: they were resected already.
+_MANY_PHOTOS, _NEARLY = 8, 1.5
 # With fewer photos the focal length of a guessed camera follows the poses instead of the targets.
 _PHOTOS_FOR_FOCAL = 4
 # Targets of a resection: its start value needs no more.
@@ -105,7 +108,7 @@ def rows_inside(grown: Growth) -> IntArray:
 
 def grow(grown: Growth) -> None:
     """Add photos until none can be added any more."""
-    while True:
+    while len(grown.poses) < len(grown.table.photos):
         most = max(1, int(_GROWTH * len(grown.poses)))
         added = add_photos(grown, most=most)
         intersect_new(grown)
@@ -155,10 +158,12 @@ def add_photos(grown: Growth, *, most: int) -> int:
     found.sort(key=lambda entry: entry[0])
     # Doubtful poses only when there is nothing else.
     sure = [entry for entry in found if entry[0] < 1e5] or found[:1]
-    for _, photo, one in sure[:most]:
+    limit = _NEARLY * sure[min(most, len(sure)) - 1][0] if sure and len(grown.poses) >= _MANY_PHOTOS else 0.0
+    taken = [entry for place, entry in enumerate(sure) if place < most or entry[0] <= limit]
+    for _, photo, one in taken:
         grown.poses[photo] = one.cam_from_world
         grown.failures.pop(photo, None)
-    return len(sure[:most])
+    return len(taken)
 
 
 def _known_rows(grown: Growth, photo: int) -> IntArray:
@@ -221,13 +226,18 @@ def intersect_new(grown: Growth, *, least_rad: float = 2 * LEAST_ANGLE_RAD) -> N
     rows = np.nonzero(oriented[grown.table.photo_index] & ~grown.known[grown.table.target_index])[0]
     if not rows.size:
         return
-    origins, directions, sigma = np.empty((rows.size, 3)), np.empty((rows.size, 3)), np.empty(rows.size)
-    for photo in np.unique(grown.table.photo_index[rows]).tolist():
-        own = grown.table.photo_index[rows] == photo
-        back, camera = grown.poses[photo].inverse(), grown.camera(photo)
-        origins[own] = back.translation_m
-        directions[own] = back.rotate(camera.cast_rays(grown.table.pixels_px[rows[own]]))
+    photos, directions, sigma = grown.table.photo_index[rows], np.empty((rows.size, 3)), np.empty(rows.size)
+    rotations, centers = np.zeros((oriented.size, 3, 3)), np.zeros((oriented.size, 3))
+    for photo, pose in grown.poses.items():
+        back = pose.inverse()
+        rotations[photo], centers[photo] = back.rotation, back.translation_m
+    owners = grown.camera_of_photo[photos]
+    for place in np.unique(owners).tolist():
+        own, camera = owners == place, grown.cameras[place]
+        rays = camera.cast_rays(grown.table.pixels_px[rows[own]])
+        directions[own] = np.einsum("mij,mj->mi", rotations[photos[own]], rays)
         sigma[own] = ray_sigma_rad(camera, grown.covariance(rows[own]))
+    origins = centers[photos]
     usable = np.isfinite(directions).all(axis=1)
     places = grown.table.target_index[rows[usable]]
     found = intersect_lines(origins[usable], directions[usable], sigma[usable], places, len(grown.points))
@@ -247,9 +257,9 @@ def adjust_growth(grown: Growth) -> None:
         rays = np.bincount(grown.table.target_index[rows], minlength=len(grown.points))
         grown.points[grown.known & (rays < 2)] = np.nan
         rows = rows[rays[grown.table.target_index[rows]] >= 2]
-        result = _adjusted(grown, rows)
-        misses, before = np.linalg.norm(result.whitened_residuals, axis=1), grown.noise.copy()
-        _renew_noise(grown, rows, misses, result.redundancy)
+        adjusted = _adjusted(grown, rows)
+        misses, before = np.linalg.norm(adjusted.whitened_residuals, axis=1), grown.noise.copy()
+        _renew_noise(grown, rows, misses, adjusted.redundancy)
         if (before < 1.5 * grown.noise).all():
             break
 
@@ -279,7 +289,7 @@ def _renew_noise(grown: Growth, rows: IntArray, misses: FloatArray, redundancy: 
     grown.misses[rows] = misses * (before / grown.noise)[cameras]
 
 
-def _adjusted(grown: Growth, rows: IntArray) -> BundleResult:
+def _adjusted(grown: Growth, rows: IntArray) -> BundleRows:
     """Adjust some rows and take the estimates over."""
     table = grown.table.subset(rows).compacted()
     photos, targets = places_of(grown.table.photos, table.photos), places_of(grown.table.targets, table.targets)
@@ -287,12 +297,12 @@ def _adjusted(grown: Growth, rows: IntArray) -> BundleResult:
     models = tuple(_bearable(model, grown, index, rows.size) for index, model in enumerate(grown.models))
     problem = BundleProblem(scaled, models, grown.camera_of_photo[photos])
     options = BundleOptions(loss=Cauchy(), descent=Options(tolerance=1e-2, initial_damping=1e-4, max_iterations=30))
-    result = adjust(problem, grown.state(photos, targets), options=options)
+    result = descend(problem, grown.state(photos, targets), options)
     grown.cameras = list(result.state.cameras)
     grown.points[targets] = result.state.points_m
     for place, photo in enumerate(photos.tolist()):
         grown.poses[photo] = result.state.cam_from_world(place)
-    return result
+    return result.evaluation
 
 
 def places_of(all_names: tuple[str, ...], names: tuple[str, ...]) -> IntArray:
@@ -303,11 +313,15 @@ def places_of(all_names: tuple[str, ...], names: tuple[str, ...]) -> IntArray:
 
 def projected(grown: Growth, rows: IntArray) -> FloatArray:
     """Return where targets should be seen, shape (k, 2) [px]; NaN behind the camera or outside its lens model."""
-    pixels = np.empty((rows.size, 2))
-    for photo in np.unique(grown.table.photo_index[rows]).tolist():
-        own = grown.table.photo_index[rows] == photo
-        points = grown.poses[photo].apply(grown.points[grown.table.target_index[rows[own]]])
-        pixels[own] = grown.camera(photo).project(points)
+    photos, pixels = grown.table.photo_index[rows], np.empty((rows.size, 2))
+    rotations, shifts = np.zeros((len(grown.table.photos), 3, 3)), np.zeros((len(grown.table.photos), 3))
+    for photo, pose in grown.poses.items():
+        rotations[photo], shifts[photo] = pose.rotation, pose.translation_m
+    points = np.einsum("mij,mj->mi", rotations[photos], grown.points[grown.table.target_index[rows]]) + shifts[photos]
+    owners = grown.camera_of_photo[photos]
+    for camera in np.unique(owners).tolist():
+        own = owners == camera
+        pixels[own] = grown.cameras[camera].project(points[own])
     return pixels
 
 

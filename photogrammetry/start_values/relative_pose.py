@@ -11,7 +11,7 @@ from heliogauge.camera.model import Camera
 from heliogauge.errors import EstimationError
 from heliogauge.geometry.rigid import RigidTransform, nearest_rotation
 from heliogauge.validate import BoolArray, FloatArray, IntArray
-from photogrammetry.bundle.adjustment import BundleOptions, adjust
+from photogrammetry.bundle.adjustment import BundleOptions, descend
 from photogrammetry.bundle.problem import BundleProblem, CameraModel
 from photogrammetry.bundle.state import BundleState
 from photogrammetry.image_points import ImagePoints
@@ -20,7 +20,7 @@ from photogrammetry.start_values.triangulation import Triangulation, intersect_l
 LEAST_COMMON = 6
 
 #: A true solution settles in some steps; a false one may crawl for ever.
-_OPTIONS = BundleOptions(loss=Cauchy(), descent=Options(tolerance=1e-2, max_iterations=60))
+_OPTIONS = BundleOptions(loss=Cauchy(), descent=Options(tolerance=1e-2, max_iterations=25))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -147,7 +147,7 @@ def _refined(shared: SharedTargets, pose: RigidTransform, tolerance: float) -> R
     problem = BundleProblem(table, (CameraModel("first"), CameraModel("second")), np.array([0, 1]))
     start = BundleState.from_poses(shared.cameras, [RigidTransform.identity(), pose], first.points_m[which])
     try:
-        result = adjust(problem, start, options=_OPTIONS)
+        result = descend(problem, start, _OPTIONS)
     except (EstimationError, np.linalg.LinAlgError):
         return None
     moved = result.state.cam_from_world(1) @ result.state.cam_from_world(0).inverse()
@@ -157,7 +157,7 @@ def _refined(shared: SharedTargets, pose: RigidTransform, tolerance: float) -> R
     unit = RigidTransform(moved.rotation, moved.translation_m / length)
     points = np.full((shared.pixels_px.shape[1], 3), np.nan)
     points[which] = result.state.cam_from_world(0).apply(result.state.points_m) / length
-    misses = np.linalg.norm(result.whitened_residuals, axis=1).reshape(2, -1).max(axis=0)
+    misses = np.linalg.norm(result.evaluation.whitened_residuals, axis=1).reshape(2, -1).max(axis=0)
     misses_all = np.full(len(points), np.inf)
     misses_all[which] = misses
     inliers = misses_all <= tolerance
