@@ -9,7 +9,7 @@ import numpy as np
 
 from heliogauge.doubts import Doubt
 from heliogauge.errors import InputError
-from heliogauge.results.tables import read_table_csv, write_table_csv
+from heliogauge.results.tables import read_columns_csv, write_table_csv
 from heliogauge.validate import BoolArray, FloatArray
 from photogrammetry.image_points import ImagePoints
 
@@ -60,17 +60,17 @@ def read_image_points_csv(
     InputError: A missing column, cells that are no numbers, a sigma that is not positive, a target twice in one
         image (named with both lines), image points outside their image (with a hint when x and y look swapped).
     """
-    columns = read_table_csv(path, COLUMNS)
-    photos, targets = columns["image"], columns["target"]
+    texts, values = read_columns_csv(path, COLUMNS[:2], COLUMNS[2:], optional=SIGMA_COLUMNS)
+    photos, targets = texts["image"], texts["target"]
     if not photos:
         raise InputError(f"{path}: there are no image points in it")
     _check_names(path, photos, targets)
-    pixels = np.column_stack([_numbers(path, columns, name) for name in COLUMNS[2:]])
+    pixels = np.column_stack([values[name] for name in COLUMNS[2:]])
     if not np.isfinite(pixels).all():
         line = int(np.argmax(~np.isfinite(pixels).all(axis=1))) + 2
         raise InputError(f"{path}, line {line}: x_px and y_px must be numbers")
     doubts: tuple[Doubt, ...] = ()
-    sigmas, missing = _sigmas(path, columns, default_sigma_px)
+    sigmas, missing = _sigmas(path, values, default_sigma_px)
     if missing.any():
         text = (
             f"{path.name}: {int(missing.sum())} of {len(photos)} image points have no sigma; "
@@ -95,8 +95,8 @@ def write_image_points_csv(path: Path, points: ImagePoints) -> None:
     write_table_csv(
         path,
         {
-            "image": [points.photos[i] for i in points.photo_index],
-            "target": [points.targets[i] for i in points.target_index],
+            "image": [points.photos[i] for i in points.photo_index.tolist()],
+            "target": [points.targets[i] for i in points.target_index.tolist()],
             "x_px": points.pixels_px[:, 0].tolist(),
             "y_px": points.pixels_px[:, 1].tolist(),
             "sigma_x_px": sigmas[:, 0].tolist(),
@@ -106,6 +106,8 @@ def write_image_points_csv(path: Path, points: ImagePoints) -> None:
 
 
 def _check_names(path: Path, photos: list[str], targets: list[str]) -> None:
+    if all(photos) and all(targets) and len(set(zip(photos, targets, strict=True))) == len(photos):
+        return
     first: dict[tuple[str, str], int] = {}
     for line, pair in enumerate(zip(photos, targets, strict=True), start=2):
         if not all(pair):
@@ -118,17 +120,9 @@ def _check_names(path: Path, photos: list[str], targets: list[str]) -> None:
         first[pair] = line
 
 
-def _numbers(path: Path, columns: Mapping[str, list[str]], name: str) -> FloatArray:
-    try:
-        return np.array([float(cell) if cell else np.nan for cell in columns[name]])
-    except ValueError as error:
-        raise InputError(f"{path}: column {name} must hold numbers ({error}); is the decimal sign a point?") from error
-
-
-def _sigmas(path: Path, columns: Mapping[str, list[str]], default_px: float) -> tuple[FloatArray, BoolArray]:
-    count = len(columns["image"])
-    own = [_numbers(path, columns, name) if name in columns else np.full(count, np.nan) for name in SIGMA_COLUMNS]
-    sigmas = np.column_stack(own)
+def _sigmas(path: Path, values: Mapping[str, FloatArray], default_px: float) -> tuple[FloatArray, BoolArray]:
+    none = np.full(len(values["x_px"]), np.nan)
+    sigmas = np.column_stack([values.get(name, none) for name in SIGMA_COLUMNS])
     # One sigma serves both axes.
     sigmas = np.where(np.isnan(sigmas), sigmas[:, ::-1], sigmas)
     bad = (sigmas <= 0).any(axis=1) | np.isinf(sigmas).any(axis=1)

@@ -1,6 +1,5 @@
 """What an adjusted network is worth: headline numbers, scale bars kept apart, doubts."""
 
-import contextlib
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -25,8 +24,8 @@ _DOUBLED_RAYS = 2
 _NAMED_ALONE, _LISTED = 3, 10
 #: Probability of naming any good image point of all.
 _FAMILY = 0.01
-#: Of more points than this the hull is found first.
-_FEW_POINTS = 1000
+#: Points whose distances from all others are looked at together.
+_AT_ONCE = 64
 #: Intersections below this many degrees say little of the depth.
 _LEAST_ROLL_RAD = 0.5
 #: Good measurements lose a few image points in a hundred; a wrong start loses every fifth.
@@ -200,16 +199,35 @@ def _posterior_sigma_px(bundle: BundleResult) -> float:
 
 def _extent_m(bundle: BundleResult) -> float:
     """Return the largest distance of two points: of two corners of their hull."""
-    from scipy.spatial import ConvexHull, QhullError
-    from scipy.spatial.distance import pdist
-
     points = bundle.points_m[bundle.problem.observations.n_rays > 0]
-    points = points[np.isfinite(points).all(axis=1)]
-    if len(points) > _FEW_POINTS:
-        with contextlib.suppress(QhullError):
-            # Points in one plane have a hull too once they are joggled, by 1e-11 of their extent.
-            points = points[ConvexHull(points, qhull_options="QJ").vertices]
-    return float(pdist(points).max(initial=0.0))
+    return largest_distance_m(points[np.isfinite(points).all(axis=1)])
+
+
+def largest_distance_m(points_m: FloatArray) -> float:
+    """Return the largest distance of two points, shape (n, 3); 0 for fewer than two.
+
+    No pair is longer than its two distances from the middle together, so most points need not be looked at.
+    """
+    if len(points_m) < 2:
+        return 0.0
+    # A long pair to begin with: from the point that is farthest from the middle to the farthest from that, and back.
+    reach = np.linalg.norm(points_m - 0.5 * (points_m.min(axis=0) + points_m.max(axis=0)), axis=1)
+    longest, place = 0.0, int(np.argmax(reach))
+    for _ in range(3):
+        others = np.linalg.norm(points_m - points_m[place], axis=1)
+        longest, place = max(longest, float(others.max())), int(np.argmax(others))
+    order = np.argsort(-reach)
+    order = order[reach[order] + reach[order[0]] >= longest]
+    outer, reach = points_m[order], reach[order]
+    for first in range(0, len(outer), _AT_ONCE):
+        # The first of these reaches farthest; only with such points as reach far enough can it be the longest.
+        beside = outer[first:][reach[first:] + reach[first] >= longest]
+        if reach[first] + reach[first] < longest:
+            break
+        own = outer[first : first + _AT_ONCE]
+        squares = sum((own[:, axis, None] - beside[:, axis]) ** 2 for axis in range(3))
+        longest = max(longest, float(np.sqrt(np.max(squares))))
+    return longest
 
 
 def _rms(values: Sequence[float]) -> float | None:

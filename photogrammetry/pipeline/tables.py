@@ -28,8 +28,8 @@ def residual_columns(bundle: BundleResult) -> dict[str, Any]:
     table, tests = bundle.problem.observations, examine_image_points(bundle)
     sigma = np.sqrt(np.einsum("mii->mi", table.covariance_px2))
     return {
-        "image": [table.photos[i] for i in table.photo_index],
-        "target": [table.targets[i] for i in table.target_index],
+        "image": [table.photos[i] for i in table.photo_index.tolist()],
+        "target": [table.targets[i] for i in table.target_index.tolist()],
         "x_px": table.pixels_px[:, 0],
         "y_px": table.pixels_px[:, 1],
         "sigma_x_px": sigma[:, 0],

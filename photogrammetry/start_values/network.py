@@ -25,7 +25,14 @@ from photogrammetry.start_values.network_growth import (
     projected,
     rows_inside,
 )
-from photogrammetry.start_values.relative_pose import LEAST_COMMON, RelativePose, SharedTargets, parallax_rad, relate
+from photogrammetry.start_values.relative_pose import (
+    LEAST_COMMON,
+    RelativePose,
+    SharedTargets,
+    parallax_rad,
+    relate,
+    rival_misfit,
+)
 from photogrammetry.start_values.resection import LEAST_TARGETS
 from photogrammetry.start_values.triangulation import LEAST_ANGLE_RAD
 
@@ -259,7 +266,7 @@ def _started(empty: Growth) -> Growth:
             reasons.append(f"{names}: {error}")
             continue
         fine = solutions[0].inliers.mean() > 0.6 and solutions[0].angle_rad > 2 * LEAST_ANGLE_RAD
-        rivals = [one for one in solutions if one.misfit < 2 * solutions[0].misfit + 1]
+        rivals = [one for one in solutions if one.misfit < rival_misfit(solutions[0].misfit)]
         trials = [_tried(empty, (first, second), one) for one in rivals[:4]]
         score, grown = min(trials, key=lambda trial: trial[0])
         if best is None or score < best[0]:

@@ -81,8 +81,8 @@ def relate(shared: SharedTargets, *, tolerance: float = 5.0) -> tuple[RelativePo
 
     shared: What both photos show.
     tolerance: Residuals up to so many sigma are good.
-    Returns: Different solutions, the best first. Targets in one plane have two that fit equally well; a third photo
-        decides.
+    Returns: Different solutions, the best first, without such as cannot be rivals of it. Targets in one plane have two
+        that fit equally well; a third photo decides.
     EstimationError: Fewer than six common targets, or no solution with the targets in front of both cameras.
 
     Candidates come from the essential matrix (five points, RANSAC) and from the decomposition of a homography; each
@@ -92,8 +92,13 @@ def relate(shared: SharedTargets, *, tolerance: float = 5.0) -> tuple[RelativePo
     if count < LEAST_COMMON:
         raise EstimationError(f"relative orientation: {count} common targets, {LEAST_COMMON} are needed")
     found: list[RelativePose] = []
-    for candidate in _candidates(shared, tolerance):
-        refined = _refined(shared, candidate, tolerance)
+    intersected = [(one, _intersected(shared, one)) for one in _candidates(shared, tolerance)]
+    # Those with most targets in front of both cameras first: they tell which others can be rivals at all.
+    for candidate, first in sorted(intersected, key=lambda pair: -int(pair[1].found.sum())):
+        least = tolerance**2 * int((~first.found).sum()) / max(count - 5, 1)
+        if found and least >= rival_misfit(min(one.misfit for one in found)):
+            continue
+        refined = _refined(shared, candidate, first, tolerance)
         if refined is not None and all(_differ(refined, other) for other in found):
             found.append(refined)
     if not found:
@@ -102,6 +107,11 @@ def relate(shared: SharedTargets, *, tolerance: float = 5.0) -> tuple[RelativePo
             "cameras with an angle between the lines of sight"
         )
     return tuple(sorted(found, key=lambda one: one.misfit))
+
+
+def rival_misfit(misfit: float) -> float:
+    """Return up to which misfit another solution is a rival of one."""
+    return 2 * misfit + 1
 
 
 def _candidates(shared: SharedTargets, tolerance: float) -> list[RigidTransform]:
@@ -138,8 +148,9 @@ def _intersected(shared: SharedTargets, pose: RigidTransform) -> Triangulation:
     return intersect_lines(origins[usable], directions[usable], shared.sigma_rad.ravel()[usable], places[usable], count)
 
 
-def _refined(shared: SharedTargets, pose: RigidTransform, tolerance: float) -> RelativePose | None:
-    first = _intersected(shared, pose)
+def _refined(
+    shared: SharedTargets, pose: RigidTransform, first: Triangulation, tolerance: float
+) -> RelativePose | None:
     which = np.nonzero(first.found)[0]
     if which.size < LEAST_COMMON or which.size < 0.4 * len(first.points_m):
         return None
