@@ -6,6 +6,7 @@ what blur makes of an edge, ground beyond, and radii like those of the other rin
 rings is not assumed: it is what its rings agree on.
 """
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -28,6 +29,7 @@ from photogrammetry.targets.ring_codes import (
     VENDOR_RADII,
     RingCode,
     RingRadii,
+    smallest_rotation,
 )
 
 #: Parts of gap and ring in which the level is taken, and how far the quiet zone beyond the ring is looked at [radii].
@@ -56,6 +58,9 @@ _ALONE_PX = 5.0
 #: several divisions the coarsest one counts whose misfit is within this factor of the least, because twice as many
 #: always fit.
 _CLEARLY_BETTER, _AS_GOOD = 2.0, 1.3
+#: Rings of one word beyond this share of all are no codes: of those round the dots of a display's grid 0.90 to 0.98 read
+#: alike, of four codes on a sheet 0.25.
+_MOST_ALIKE = 0.6
 
 
 @dataclass(frozen=True, slots=True)
@@ -449,7 +454,7 @@ def _fitting_bits(
     width = part.outer - part.inner
     profile = part.band(part.inner + _RING_PART[0] * width, part.inner + _RING_PART[1] * width)
     closed = np.concatenate([profile, profile[:, :1]], axis=1)
-    misfits = {}
+    misfits, words = {}, {}
     for bits in range(FEWEST_BITS, MOST_BITS + 1):
         n_angles = bits * ANGLES_PER_SECTOR
         place = np.arange(n_angles) * (profile.shape[1] / n_angles)
@@ -457,12 +462,18 @@ def _fitting_bits(
         share = place - before
         resampled = closed[:, before] * (1 - share) + closed[:, before + 1] * share
         blur = part.edge / (0.5 * (part.inner + part.outer)) * (bits / (2 * np.pi))
-        misfit = np.minimum(_read_sectors(resampled, blur, bits).misfit, 1.0)
+        sectors = _read_sectors(resampled, blur, bits)
+        misfit, words[bits] = np.minimum(sectors.misfit, 1.0), sectors.bits
         misfits[bits] = float(np.sqrt(np.mean(misfit**2)))
     least = min(misfits.values())
     fitting = min(bits for bits, misfit in misfits.items() if misfit <= _AS_GOOD * least)
     clear = misfits[n_bits] >= _CLEARLY_BETTER * misfits[fitting]
-    return fitting if fitting != n_bits and clear else None
+    if fitting == n_bits or not clear:
+        return None
+    # Dots of a grid have rings of neighbours, all alike; codes of a sheet differ.
+    read = words[fitting] @ (1 << np.arange(fitting)[::-1])
+    alike = Counter(smallest_rotation(word, fitting) for word in read.tolist()).most_common(1)[0][1]
+    return None if alike > _MOST_ALIKE * rows.size else fitting
 
 
 def ring_outline(dot: Ellipse, radii: RingRadii = VENDOR_RADII) -> Ellipse:

@@ -88,6 +88,15 @@ def test_two_equal_sheets_are_not_told_apart(panel) -> None:
     assert found.duplicated == ("20",)
 
 
+@pytest.mark.slow
+def test_neighbours_in_a_grid_of_dots_are_no_code_rings(shared_data: Path) -> None:
+    # A display with a grid of dots, no codes: around each dot its eight neighbours make a ring of 20 sectors.
+    image = read_image(shared_data / "opencsp/screen_dots/DSC03996.JPG")
+    found = measure_targets(image, "display", TargetSearch(CODES, with_uncoded=False))
+    assert found.fitting_bits is None
+    assert len(found.detections) == 0
+
+
 def test_rings_of_a_real_sheet_are_found_and_their_division_is_said(shared_data: Path) -> None:
     # A sheet of another program: four codes of eight sectors, its rings at 2.55 to 4.35 radii of the dots.
     image = read_image(shared_data / "photogrammetry/dbat_camcal/images/P8250021.JPG")
