@@ -58,8 +58,8 @@ _ALONE_PX = 5.0
 #: several divisions the coarsest one counts whose misfit is within this factor of the least, because twice as many
 #: always fit.
 _CLEARLY_BETTER, _AS_GOOD = 2.0, 1.3
-#: Rings of one word beyond this share of all are no codes: of those round the dots of a display's grid 0.90 to 0.98 read
-#: alike, of four codes on a sheet 0.25.
+#: Rings of one word beyond this share of all are no codes: of those round the dots of a display's grid 0.90 to 0.98
+#: read alike, of four codes on a sheet 0.25.
 _MOST_ALIKE = 0.6
 
 
