@@ -5,7 +5,8 @@ Run ``OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python benchmarks/fringe_faults.p
 Each fault is put into a measurement that is else good: drawn (exact truth), or the published real facet (its own result
 without the fault is the truth). Seed 0 has the amounts written here; further seeds draw frame and amount. What counts
 as wrong: curvatures, twist or the deviation from the best quadratic more than 3 sigma off, or single nodes scattering
-by more than 3 of their sigmas. Silent: no doubt that the measurement without the fault does not have.
+by more than 3 of their sigmas. Silent: no doubt that the measurement without the fault does not have, and none that
+names the faulty input ("warned": its sigma is not stated, so that the result's is too small by as much).
 """
 
 import argparse
@@ -106,12 +107,16 @@ def plain(value: Any) -> Any:
 
 @dataclass(frozen=True)
 class Fault:
-    """One fault: its kind, its words, and what it does to a folder (in place, or a new one)."""
+    """One fault: its kind, its words, and what it does to a folder (in place, or a new one).
+
+    named_by: Doubts of the good measurement that name the faulty input as one that counts as exact.
+    """
 
     name: str
     kind: str
     apply: Callable[[Folder, "Draw"], Folder | None]
     drawn_only: bool = False
+    named_by: frozenset[str] = frozenset()
 
 
 @dataclass
@@ -504,6 +509,14 @@ def size_stated(name):
     return change
 
 
+def distance_stated(folder, draw):
+    """Measure the distance wrong by two sigma of what is stated."""
+    section = folder.content["mirror"]["distance"]
+    sigma_mm = draw.size(5.0, 0.2, 50)
+    section["distance_m"] += 2e-3 * sigma_mm
+    section["sigma_mm"] = sigma_mm
+
+
 def width_height_exchanged(folder, draw):
     section = folder.content["screen"]
     section["width_m"], section["height_m"] = section["height_m"], section["width_m"]
@@ -520,6 +533,9 @@ def sagging_screen(folder, draw):
 def nothing(folder, draw):
     """Leave it as it is: what a good measurement says."""
 
+
+#: The doubt that the pose of the screen has no sigma.
+POSE_OF_SCREEN = frozenset({"sigma_of_setup_missing", "setup_contradicts_slopes"})
 
 FAULTS = (
     Fault("none", "control", nothing),
@@ -568,13 +584,22 @@ FAULTS = (
     Fault("height 2 sigma off, mm", "set-up", size_stated("height_m")),
     Fault("width and height exchanged", "set-up", width_height_exchanged),
     Fault("screen sags, m", "set-up", sagging_screen, True),
-    Fault("screen moved, m", "set-up", key(("screen", ("translation_m", 0)), 0.1, 0.01, 1, relative=False)),
     Fault(
-        "screen turned, rad", "set-up", key(("screen", ("rotation_vector_rad", 1)), 0.02, 0.002, 0.2, relative=False)
+        "screen moved, m",
+        "set-up",
+        key(("screen", ("translation_m", 0)), 0.1, 0.01, 1, relative=False),
+        named_by=POSE_OF_SCREEN,
+    ),
+    Fault(
+        "screen turned, rad",
+        "set-up",
+        key(("screen", ("rotation_vector_rad", 1)), 0.02, 0.002, 0.2, relative=False),
+        named_by=POSE_OF_SCREEN,
     ),
     Fault("screen's pose inverted", "set-up", screen_inverse),
     Fault("screen's pose in degrees", "set-up", screen_in_degrees),
     Fault("distance", "set-up", key(("mirror", "distance", "distance_m"), 0.01, 5e-4, 0.1)),
+    Fault("distance 2 sigma off, mm", "set-up", distance_stated),
     Fault("camera's focal length", "set-up", key(("camera", "focal_x_px"), 0.01, 1e-3, 0.1)),
     Fault("principal point, px", "set-up", key(("camera", "center_x_px"), 10.0, 1, 40, relative=False)),
     Fault("distortion reversed", "set-up", distortion_reversed),
@@ -684,7 +709,7 @@ def same_nodes(clean: SlopeMap, found: SlopeMap) -> SlopeMap:
     return replace(found, slope_x=slopes[0], slope_y=slopes[1])
 
 
-def verdict(outcome: Outcome, clean: Outcome) -> str:
+def verdict(outcome: Outcome, clean: Outcome, fault: Fault) -> str:
     if outcome.refused:
         return "refused"
     if outcome.errors.get("bug"):
@@ -692,6 +717,8 @@ def verdict(outcome: Outcome, clean: Outcome) -> str:
     wrong = max(outcome.beside(clean).values()) > 3
     if outcome.codes - clean.codes:
         return "doubt, wrong" if wrong else "doubt"
+    if wrong and outcome.codes & fault.named_by:
+        return "warned, wrong"
     return "SILENT, WRONG" if wrong else "good"
 
 
@@ -729,7 +756,7 @@ def main() -> None:
                     print(f"  {fault.name:28} not made here: {type(error).__name__} {str(error)[:60]}")
                     continue
                 outcome = measure(damaged, Path(scratch) / f"fault-{number}")
-                seen = verdict(outcome, usual)
+                seen = verdict(outcome, usual, fault)
                 counts[seen] += 1
                 errors = outcome.beside(usual)
                 worst = max(errors, key=lambda name: errors[name], default="")

@@ -145,11 +145,22 @@ class FringeSetSection(Section):
     )
 
 
+class KnownDisplaySection(Section):
+    """A point of the image whose place on the display is known: orders of fringes are counted from there."""
+
+    image_px: Vector2 = Field(description="Where it is in the image, x and y; must be on the mirror [px].")
+    display: Vector2 = Field(description="Which fractions of the displayed image are seen there, u and v.")
+    sigma_display: Positive = Field(description="Standard deviation of each fraction.")
+
+
 class PatternSection(Section):
     """The fringe sets in the order in which their frames were taken: ``[[pattern.set]]``."""
 
     set: Annotated[tuple[FringeSetSection, ...], Field(min_length=1)] = Field(
         description="The fringe sets in the order in which their frames were taken."
+    )
+    known_point: KnownDisplaySection | None = Field(
+        None, description="A point seen on the display, for fringes of one period, whose orders are counted from it."
     )
 
     @property

@@ -17,6 +17,8 @@ from heliogauge.validate import BoolArray, FloatArray
 _PIXELS = 2000
 #: Median misfit of one period against the next, in turns, above which two sets contradict; chance gives 0.25.
 _CONTRADICTION_TURNS = 0.12
+#: Fringes in view from which a frame's amplitude is told from harmonics and offset.
+_LEAST_VIEW_RAD = 2 * TURN_RAD
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -177,6 +179,8 @@ class FrameContent:
     exposure (n,): Mean light over the pixels' usual mean, as its own set has it.
     sigma_exposure (n,): Standard deviation of that.
     spoilt_share (n,): Share of pixels far (8 robust sigma) from the fit of its own set.
+    contrast (n,): Amplitude of the fringes of the frame's own set, over that of all sets; NaN where less than two
+        turns of them are in view, and harmonics take a share.
     planned_misfit (n,): Root mean square departure from what was planned over that of the fringes themselves.
     """
 
@@ -186,6 +190,7 @@ class FrameContent:
     exposure: FloatArray
     sigma_exposure: FloatArray
     spoilt_share: FloatArray
+    contrast: FloatArray
     planned_misfit: FloatArray
 
 
@@ -209,6 +214,7 @@ def frame_content(
     offset, modulation = np.median(fit.offset, axis=0), np.median(fit.modulation, axis=0)
     explained, step, sigma = np.zeros((n, sets)), np.zeros((n, sets)), np.zeros((n, sets))
     exposure, sigma_exposure, spoilt, misfit = np.ones(n), np.full(n, np.inf), np.zeros(n), np.zeros(n)
+    contrast = np.ones(n)
     total = ((light - light.mean(axis=1, keepdims=True)) ** 2).sum(axis=1) + 1e-12
     everywhere = {axis: position_from_sets(fit, pattern, group, noise).fraction for axis, group in groups.items()}
     for j, (fringes, position) in enumerate(zip(pattern.sets, pattern.frame_slices, strict=True)):
@@ -237,13 +243,14 @@ def frame_content(
         spread = variance + systematic / 36
         sigma[:, j] = np.sqrt(spread * 0.5 * (inverse[1, 1] + inverse[2, 2])) / size
         exposure[position] = coefficients[position, 0]
+        contrast[position] = size[position] if np.ptp(angle) > _LEAST_VIEW_RAD else np.nan
         sigma_exposure[position] = np.sqrt(spread[position] * inverse[0, 0])
         planned = np.median(size[position]) * own * np.cos(angle - fringes.steps_rad[:, None])
         misfit[position] = (light[position] - offset - planned).std(axis=1) / (planned.std() + 1e-12)
         # The best frame of the set gives the usual misfit: where blur or the other sets limit it, all frames share it.
         usual = float(robust_scale_of_rows(left[position]).min()) + 0.02 * float(np.median(modulation))
         spoilt[position] = (np.abs(left[position]) > 8 * usual).mean(axis=1)
-    return FrameContent(explained, wrap_phase(step), sigma, exposure, sigma_exposure, spoilt, misfit)
+    return FrameContent(explained, wrap_phase(step), sigma, exposure, sigma_exposure, spoilt, contrast, misfit)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

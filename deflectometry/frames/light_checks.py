@@ -30,6 +30,7 @@ class FaultKind(StrEnum):
     CORRUPT = "frame_corrupt"
     WRONG_STEP = "fringe_steps_wrong"
     SETS_DISAGREE = "fringe_sets_disagree"
+    CASCADE = "frames_beyond_repair"
     SATURATION = "frames_saturated"
     GAMMA = "fringes_not_sinusoidal"
     EXPOSURE = "light_changes"

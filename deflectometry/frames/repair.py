@@ -14,7 +14,7 @@ from deflectometry.frames.light_checks import FaultKind, FrameFault, saturation_
 from deflectometry.frames.sequence_checks import SampledFrames, check_sampled
 from deflectometry.frames.set_motion import moved_sets
 from deflectometry.fringes.fringe_orders import search_orders
-from deflectometry.fringes.phase import TURN_RAD, LightResponse
+from deflectometry.fringes.phase import TURN_RAD, LightResponse, StepSolver, linear_light, solve_steps
 from deflectometry.setup.patterns import Axis, FringePattern, FringeSet, determines_phase
 from heliogauge.doubts import Doubt
 from heliogauge.errors import EstimationError
@@ -22,8 +22,14 @@ from heliogauge.validate import FloatArray
 
 #: Repairs after one another: each takes away what hid the next.
 _MOST_REPAIRS = 8
+#: Kinds of faults in one sequence that are mended: more have another cause than each repair supposes.
+_MOST_KINDS = 3
 #: Amplitude below which noise alone passes for fringes once in a million, over the noise of an amplitude.
 _NO_FRINGES = 5.26
+#: Misfit of a set, over the usual one, from which a single frame of it is looked for that moved; and pixels for it.
+_MISFIT_OF_ONE, _MISFIT_PIXELS = 1.5, 20_000
+#: Of that misfit at most this share is left with the right frame moved back; any other one makes it larger.
+_MENDED_MISFIT = 0.75
 #: Rounds in which a motion is found: each leaves a tenth of the last.
 _MOTION_ROUNDS = 4
 #: What keeps the light the same from frame to frame.
@@ -133,10 +139,26 @@ def repair_frames(
             break
         state = mended
         faults = check_sampled(state.sampled, state.pattern)
+    else:
+        faults = [*faults, _cascade(state)]
+    if len({doubt.code for doubt in state.repairs}) > _MOST_KINDS:
+        faults = [*faults, _cascade(state)]
     found = tuple(fault for fault in first if fault.severity == "error")
     if any(fault.severity == "error" for fault in faults):
-        return RepairedFrames(frames, pattern, found or tuple(faults), found)
+        given_up = tuple(fault for fault in faults if fault.kind is FaultKind.CASCADE)
+        return RepairedFrames(frames, pattern, given_up + (found or tuple(faults)), found)
     return RepairedFrames(state.frames, state.pattern, tuple(faults), found, state.repairs, state.sigma_periods)
+
+
+def _cascade(state: _State) -> FrameFault:
+    """Say that so much had to be mended that no repair can be believed."""
+    said = "; ".join(doubt.text.split(". ")[0] for doubt in state.repairs[: _MOST_KINDS + 1])
+    return FrameFault(
+        FaultKind.CASCADE,
+        (),
+        f"more is wrong with the frames than can be told apart, and {len(state.repairs)} repairs one after another are "
+        f"no measurement ({said}): take the sequence again, and check order, steps and periods of [[pattern.set]]",
+    )
 
 
 def _mended(state: _State, errors: list[FrameFault]) -> _State | None:
@@ -145,6 +167,9 @@ def _mended(state: _State, errors: list[FrameFault]) -> _State | None:
     for fault in errors:
         if fault.kind in _MISPLACED and fault.remedy is not None:
             shows.update(fault.remedy.shows)
+    if shows and state.stands_still:
+        # What was moved back and then seems to be in another order was not moved by that.
+        return None
     if shows:
         return _reordered(state, shows, [fault for fault in errors if fault.kind in _MISPLACED])
     pattern = next((fault.remedy.pattern for fault in errors if fault.remedy and fault.remedy.pattern), None)
@@ -153,8 +178,8 @@ def _mended(state: _State, errors: list[FrameFault]) -> _State | None:
     model = None
     spoilt = [frame for fault in errors if fault.kind is FaultKind.CORRUPT for frame in fault.frames]
     if not any(fault.kind is FaultKind.LOW_MODULATION for fault in errors):
-        # A set that moved as a whole agrees with itself; a damaged frame spoils its set's mean light.
-        still = None if state.stands_still or spoilt else _standing_still(state)
+        # A set that moved as a whole agrees with itself; a damaged frame spoils the mean light of its set alone.
+        still = None if state.stands_still else _standing_still(state, knocked=bool(spoilt))
         if still is not None:
             return still
         model = _modelled(state)
@@ -323,13 +348,19 @@ def _with_steps(state: _State, steps: Mapping[int, FloatArray], errors: list[Fra
 # --- sets that moved ------------------------------------------------------------------------------------------------
 
 
-def _standing_still(state: _State) -> _State | None:
-    """Move sets back to where the others are, by the edges of their mean light; None where none has moved."""
+def _standing_still(state: _State, *, knocked: bool) -> _State | None:
+    """Move sets back to where the others are, by the edges of their mean light; None where none has moved.
+
+    knocked: Only where several sets have moved alike.
+    """
     first = moved_sets(state.frames, state.pattern)
-    if not first:
+    if not first or (knocked and not _alike(first)):
         return None
     from scipy import ndimage
 
+    single = _single_frame_moved(state, first)
+    if single is not None:
+        return single
     total, frames, found = np.zeros((len(state.pattern.sets), 2)), state.frames, first
     # The shift is found linearly, a tenth too long at half a pixel: from where that has put the sets, again.
     for _ in range(_MOTION_ROUNDS):
@@ -353,6 +384,71 @@ def _standing_still(state: _State) -> _State | None:
     )
     doubt = _moved_doubt(text, total[farthest])
     return state.with_frames(frames).with_doubt(doubt, stands_still=True)
+
+
+def _alike(moved: Mapping[int, FloatArray]) -> bool:
+    """Return whether several sets have moved by the same, within a tenth of it."""
+    shifts = np.array([one[0] for one in moved.values()])
+    spread = np.abs(shifts - np.median(shifts, axis=0)).max()
+    return len(shifts) > 1 and bool(spread < 0.1 * np.hypot(*np.median(shifts, axis=0)))
+
+
+def _single_frame_moved(state: _State, moved: Mapping[int, FloatArray]) -> _State | None:
+    """Move one frame back that alone has moved its set's mean light; None where the sets moved as a whole.
+
+    The mean light of a set of n frames moves by an n-th of what one of its frames does, and that frame no longer fits
+    the others: of all frames of the set, the one is moved back by n times as much that then fits best.
+    """
+    from scipy import ndimage
+
+    solvers = [solve_steps(one.steps_rad) for one in state.pattern.sets]
+    places = state.pattern.frame_slices
+    shares = [
+        _misfit(state, state.frames[where].astype(np.float32), solver)
+        for where, solver in zip(places, solvers, strict=True)
+    ]
+    usual = float(np.median(shares))
+    for number in sorted(moved, key=lambda one: -shares[one]):
+        where, solver = places[number], solvers[number]
+        if solver.redundancy == 0 or shares[number] < _MISFIT_OF_ONE * usual:
+            continue
+        images = state.frames[where].astype(np.float32)
+
+        def misfit(k: int, shift_px: FloatArray, images: npt.NDArray[np.float32], solver: StepSolver) -> float:
+            back = images.copy()
+            back[k] = ndimage.shift(images[k], -shift_px[::-1], order=5, mode="nearest")
+            return _misfit(state, back, solver)
+
+        # The shift of mean light is found linearly, up to a quarter too long.
+        total = 0.8 * len(images) * moved[number][0]
+        tried = [misfit(k, total, images, solver) for k in range(len(images))]
+        best = int(np.argmin(tried))
+        if tried[best] > _MENDED_MISFIT * shares[number]:
+            return None
+        # The squared misfit is a parabola about the true shift.
+        for axis in (0, 1, 0, 1):
+            step = 0.1 * np.eye(2)[axis]
+            low, here, high = (misfit(best, total + sign * step, images, solver) ** 2 for sign in (-1, 0, 1))
+            total = total + step * float(np.clip(0.5 * (low - high) / max(low + high - 2 * here, 1e-12), -3, 3))
+        frames = state.frames.astype(np.float32)
+        frame = where.start + best
+        frames[frame] = ndimage.shift(images[best], -total[::-1], order=5, mode="nearest")
+        text = (
+            f"{state.describe(frame)}: moved by ({total[0]:+.3f}, {total[1]:+.3f}) px against the others; moved back. "
+            "The camera or the mirror moved: fix both"
+        )
+        return state.with_frames(frames).with_doubt(_moved_doubt(text, total))
+    return None
+
+
+def _misfit(state: _State, frames: npt.NDArray[np.float32], solver: StepSolver) -> float:
+    """Return the residual of a set over its modulation, RMS over pixels with fringes: edges show most of a motion."""
+    stride = max(1, math.isqrt(frames[0].size // _MISFIT_PIXELS))
+    light, _ = linear_light(frames[:, ::stride, ::stride].reshape(len(frames), -1).astype(np.float64), state.response)
+    power = ((solver.estimate[1:] @ light) ** 2).sum(axis=0)
+    lit = power > 0.1 * np.quantile(power, 0.99)
+    left = ((solver.residual @ light[:, lit]) ** 2).sum(axis=0)
+    return math.sqrt(float(np.mean(left)) / max(float(np.mean(power[lit])), 1e-12))
 
 
 # --- what the frames have beside their fringes ----------------------------------------------------------------------

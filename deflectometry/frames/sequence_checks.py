@@ -53,6 +53,10 @@ __all__ = ["FaultKind", "FrameFault", "SampledFrames", "check_frames", "check_sa
 #: A step error of this size moves the phase by as much as 1 DN of noise at a modulation of 100 DN with 4 frames.
 _STEP_TOLERANCE_RAD = math.radians(0.5)
 
+#: Departure of one frame's contrast from its set's, with at least two fringes in view: good frames of the published
+#: facet are within 0.013 (a response that misfits included), drawn ones within 0.003.
+_CONTRAST_TOLERANCE = 0.04
+
 #: Noise of all sets together over that of the usual set, from which single sets are spoilt.
 _SPOILT_POOL = 3.0
 
@@ -255,6 +259,9 @@ def _check_content(sample: FrameSample, fit: SetFit, pattern: FringePattern, noi
     for fault in _corrupt(content, pattern, named):
         named.update(fault.frames)
         yield fault
+    for fault in _blurred(content, pattern, named):
+        named.update(fault.frames)
+        yield fault
     yield from _wrong_steps(content, fit, pattern, groups, named)
     if not named:
         yield from check_exposure(content, pattern)
@@ -452,6 +459,27 @@ def _corrupt(content: FrameContent, pattern: FringePattern, named: set[int]) -> 
         text = f"{pattern.describe_frame(frame)} {seen}: a damaged or obstructed image; take it again"
         remedy = Remedy(shows={frame: None}) if whole else None
         yield FrameFault(FaultKind.CORRUPT, (frame,), text, remedy=remedy)
+
+
+def _blurred(content: FrameContent, pattern: FringePattern, named: set[int]) -> Iterator[FrameFault]:
+    """Yield faults of frames whose fringes are weaker or stronger than those of the rest of their set."""
+    for position in pattern.frame_slices:
+        frames = list(range(position.start, position.stop))
+        if named.intersection(frames):
+            continue
+        # More or less of all light is no blur: the mean light follows it.
+        for against in (np.ones(len(content.contrast)), content.exposure):
+            ratio = content.contrast[position] / against[position]
+            ratio = ratio / np.median(ratio)
+            odd = np.abs(ratio - 1) > _CONTRAST_TOLERANCE
+            frames = [k for k in frames if odd[k - position.start]]
+        for frame in frames:
+            share = float(ratio[frame - position.start])
+            text = (
+                f"{pattern.describe_frame(frame)} has {share:.0%} of the contrast of the other frames of its set: "
+                "blurred by a movement or a change of focus, or shown at another level; take it again"
+            )
+            yield FrameFault(FaultKind.CORRUPT, (frame,), text, remedy=Remedy(shows={frame: None}))
 
 
 def _differs(found: StepEstimate, planned: FloatArray, *, flicker: float = 0.0) -> bool:

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy.typing as npt
 
+from deflectometry.fringes.known_point import KnownDisplayPoint, counted_positions
 from deflectometry.fringes.phase import LightResponse, NoiseModel
 from deflectometry.fringes.screen_map import ScreenMap, ScreenMapLimits, measure_screen_map, modulation_image
 from deflectometry.setup.patterns import FringePattern
@@ -22,6 +23,7 @@ class Observation(ShortRepr):
     lit (h, w): Bright minus dark frame: shows the mirror against its surroundings [DN].
     noise: Noise of a reading; estimated without it.
     limits: Error probabilities and saturation.
+    known_point: From where fringe orders are counted, for fringes without coarser ones.
     """
 
     frames: npt.NDArray[Any]
@@ -30,6 +32,7 @@ class Observation(ShortRepr):
     lit: Float32Array | None = None
     noise: NoiseModel | None = None
     limits: ScreenMapLimits = field(default_factory=ScreenMapLimits)
+    known_point: KnownDisplayPoint | None = None
 
     def modulation_image(self) -> Float32Array:
         """Return the fringes' mean amplitude, shape (h, w) [DN, or the response's unit]."""
@@ -37,6 +40,9 @@ class Observation(ShortRepr):
 
     def screen_map(self, region: BoolArray) -> ScreenMap:
         """Measure the display point that each pixel of a region sees."""
+        counted = None
+        if self.known_point is not None:
+            counted = counted_positions(self.frames, self.pattern, region, self.known_point, self.response)
         return measure_screen_map(
             self.frames,
             self.pattern,
@@ -44,4 +50,5 @@ class Observation(ShortRepr):
             region=region,
             noise=self.noise,
             limits=self.limits,
+            counted=counted,
         )

@@ -1,7 +1,7 @@
 """From fringe frames to the display point that each pixel sees, in blocks of rows that stay in the cache."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -27,6 +27,9 @@ from heliogauge.validate import BoolArray, FlagArray, Float32Array, FloatArray, 
 
 #: Pixels of one block: 32 frames of float32 are then 2 MB, the second-level cache of one core.
 _BLOCK_PIXELS = 16384
+#: Periods of a set that stands for counted positions, so few that it covers the display twice; and their sigma in
+#: periods of the coarsest set: enough to decide its order, a hundredth of its information.
+_COUNTED_PERIODS, _COUNTED_SIGMA = 0.5, 0.15
 #: Pixels from which the noise is estimated: 8 sets of 4 frames then give it to 0.3 %.
 _NOISE_PIXELS = 8000
 
@@ -100,10 +103,14 @@ class _SetPlan:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _AxisPlan:
-    """The sets of one axis, coarsest first."""
+    """The sets of one axis, coarsest first.
+
+    counted: Positions from known orders come first in the search.
+    """
 
     search: OrderSearch
     sets: tuple[_SetPlan, ...]
+    counted: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -129,6 +136,7 @@ def measure_screen_map(
     region: BoolArray | None = None,
     noise: NoiseModel | None = None,
     limits: ScreenMapLimits | None = None,
+    counted: Mapping[Axis, FloatArray] | None = None,
 ) -> ScreenMap:
     """Measure the display point that each pixel sees.
 
@@ -138,6 +146,8 @@ def measure_screen_map(
     region (h, w): Pixels to measure; the others are flagged as outside the mirror.
     noise: Noise of a reading; estimated from the fit's residuals without it.
     limits: Error probabilities and saturation.
+    counted (h, w): Position of each pixel for axes whose fringes have no order of their own
+        (`deflectometry.fringes.known_point.counted_positions`); it decides the order.
     Returns: Positions with sigmas; every doubtful pixel is NaN, with its reason in the flags.
     InputError: Frames, region or noise that do not fit the pattern.
     EstimationError: No region, three-step sets without a given noise, or periods whose order cannot be searched.
@@ -153,7 +163,8 @@ def measure_screen_map(
     window = _bounding_window(region, frames.shape[1:])
     sample = _sample(frames, region, _saturation(frames.dtype, chosen))
     model = noise if noise is not None else _estimate_noise(sample, pattern, response)
-    plan = _make_plan(frames.dtype, pattern, response, model, chosen)
+    by_axis = counted or {}
+    plan = _make_plan(frames.dtype, pattern, response, model, chosen, frozenset(by_axis))
     systematic = _systematic_phases(plan, sample)
     plan = _with_systematic(plan, systematic, sample)
     shape = frames.shape[1:]
@@ -164,7 +175,8 @@ def measure_screen_map(
             value.fill(np.nan)
         flags.fill(SampleFlag.OUTSIDE_MIRROR)
     for block in _blocks(window):
-        part, part_flags = _measure_block(plan, frames[:, block[0], block[1]])
+        orders = [by_axis[axis][block].ravel() if axis in by_axis else None for axis in Axis]
+        part, part_flags = _measure_block(plan, frames[:, block[0], block[1]], orders)
         if region is not None:
             part_flags[~region[block]] = SampleFlag.OUTSIDE_MIRROR
         rejected = part_flags != 0
@@ -282,7 +294,9 @@ def _systematic_phases(plan: _Plan, sample: npt.NDArray[Any]) -> FloatArray:
             fits = [_fit_set(plan, fringes, light, variance, unused[0], unused[1]) for fringes in axis.sets]
             cycles = [turns.astype(np.float64) for turns, _ in fits]
             weights = [weight.astype(np.float64) for _, weight in fits]
-            found.append(estimate_systematic_phase(axis.search, cycles, weights))
+            # Sets among each other: counted positions are made of the coarsest one.
+            search = search_orders(axis.search.periods[1:]) if axis.counted and len(fits) > 1 else axis.search
+            found.append(estimate_systematic_phase(search, cycles, weights) if len(fits) > 1 else 0.0)
     return np.array(found)
 
 
@@ -298,7 +312,7 @@ def _with_systematic(plan: _Plan, systematic_rad: FloatArray, sample: npt.NDArra
             share = 0.5 * float((distortion**2).sum()) / max(one.solver.redundancy, 1)
             variance = float(phase) ** 2 / one.information_scale
             known.append(replace(one, systematic_variance=variance, distortion_share=share))
-        axes.append(_AxisPlan(axis.search, tuple(known)))
+        axes.append(replace(axis, sets=tuple(known)))
     return replace(plan, axes=tuple(axes))
 
 
@@ -331,16 +345,18 @@ def _make_plan(
     response: LightResponse | None,
     noise: NoiseModel,
     limits: ScreenMapLimits,
+    counted: frozenset[Axis],
 ) -> _Plan:
     """Prepare matrices, tables and thresholds."""
     axes = []
     redundancy = 0
     for axis in Axis:
         sets = pattern.sets_of(axis)
-        search = search_orders([fringes.periods for fringes, _ in sets])
-        plans = tuple(_plan_set(*sets[position], limits) for position in search.positions)
+        first = int(axis in counted)
+        search = search_orders([_COUNTED_PERIODS] * first + [fringes.periods for fringes, _ in sets])
+        plans = tuple(_plan_set(*sets[position - first], limits) for position in search.positions[first:])
         redundancy += sum(plan.solver.redundancy for plan in plans)
-        axes.append(_AxisPlan(search, plans))
+        axes.append(_AxisPlan(search, plans, bool(first)))
     light_table, variance_table = _tables(dtype, response, noise)
     return _Plan(
         axes=tuple(axes),
@@ -369,8 +385,13 @@ def _plan_set(fringes: FringeSet, position: slice, limits: ScreenMapLimits) -> _
     )
 
 
-def _measure_block(plan: _Plan, raw: npt.NDArray[Any]) -> tuple[list[Float32Array], FlagArray]:
-    """Measure one block; return u, v, sigma_u, sigma_v, modulation and the flags, each of shape (rows, columns)."""
+def _measure_block(
+    plan: _Plan, raw: npt.NDArray[Any], counted: list[FloatArray | None]
+) -> tuple[list[Float32Array], FlagArray]:
+    """Measure one block; return u, v, sigma_u, sigma_v, modulation and the flags, each of shape (rows, columns).
+
+    counted: Positions (pixels,) from counted orders for each axis, where it has some.
+    """
     n, *shape = raw.shape
     readings = np.empty((n, *shape), dtype=np.float32)
     np.copyto(readings, raw, casting="unsafe")
@@ -382,15 +403,21 @@ def _measure_block(plan: _Plan, raw: npt.NDArray[Any]) -> tuple[list[Float32Arra
     positions: list[Float32Array] = []
     sigmas: list[Float32Array] = []
     with np.errstate(divide="ignore", invalid="ignore"):
-        for axis in plan.axes:
+        for axis, known in zip(plan.axes, counted, strict=True):
             cycles, information = [], []
             for fringes in axis.sets:
                 turns, weight = _fit_set(plan, fringes, light, variance, modulation, disagreement)
                 cycles.append(turns)
                 information.append(weight)
-            position, total, odds = combine_orders(axis.search, cycles, information)
-            sigma = 1.0 / np.sqrt(total)
             seen = information[0] > 0
+            if known is not None:
+                weight = np.where(np.isfinite(known), (axis.search.periods[1] / _COUNTED_SIGMA) ** 2, 0.0)
+                cycles.insert(0, (_COUNTED_PERIODS * np.nan_to_num(known)).astype(np.float32))
+                information.insert(0, weight.astype(np.float32))
+            position, total, odds = combine_orders(axis.search, cycles, information)
+            if known is not None:
+                odds = np.where(np.isfinite(known), odds, -np.inf)
+            sigma = 1.0 / np.sqrt(total)
             flags |= np.where(seen, np.uint32(0), np.uint32(SampleFlag.LOW_MODULATION))
             flags |= np.where(seen & ~(odds >= plan.least_log_odds), np.uint32(SampleFlag.FRINGE_ORDER_UNCERTAIN), 0)
             beyond = np.abs(position - 0.5) - 0.5 > plan.off_screen_sigmas * sigma

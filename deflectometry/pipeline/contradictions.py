@@ -94,21 +94,25 @@ def _exchanges(observation: Observation, setup: Setup) -> Iterator[_Exchange]:
         ("top and bottom of the images are exchanged", (slice(None, None, -1), slice(None))),
         ("the images are turned by 180 deg", (slice(None, None, -1), slice(None, None, -1))),
     )
+    known, size_px = observation.known_point, np.array(observation.frames.shape[:0:-1])
     for words, (rows, columns) in both:
         frames = np.ascontiguousarray(observation.frames[:, rows, columns])
         lit = None if observation.lit is None else np.ascontiguousarray(observation.lit[rows, columns])
-        yield _Exchange(words, replace(observation, frames=frames, lit=lit), setup)
+        point = None if known is None else known.in_image(np.array([columns.step or 1, rows.step or 1]), size_px)
+        yield _Exchange(words, replace(observation, frames=frames, lit=lit, known_point=point), setup)
     for words, axes in (
         ("left and right of the displayed pattern are exchanged", (Axis.X,)),
         ("top and bottom of the displayed pattern are exchanged", (Axis.Y,)),
         ("the displayed pattern is turned by 180 deg", (Axis.X, Axis.Y)),
     ):
         sets = tuple(_mirrored(one) if one.axis in axes else one for one in observation.pattern.sets)
-        yield _Exchange(words, replace(observation, pattern=FringePattern(sets)), setup)
+        point = None if known is None else known.mirrored(axes)
+        yield _Exchange(words, replace(observation, pattern=FringePattern(sets), known_point=point), setup)
     other = {Axis.X: Axis.Y, Axis.Y: Axis.X}
     exchanged = FringePattern(tuple(replace(one, axis=other[one.axis]) for one in observation.pattern.sets))
     words = 'axis = "x" and axis = "y" of [[pattern.set]] are exchanged'
-    yield _Exchange(words, replace(observation, pattern=exchanged), setup)
+    point = None if known is None else replace(known, display=known.display[::-1])
+    yield _Exchange(words, replace(observation, pattern=exchanged, known_point=point), setup)
     screen = setup.screen
     if isinstance(screen, RectangularScreen):
         turned = replace(setup, screen=RectangularScreen(screen.height_m, screen.width_m))

@@ -16,6 +16,7 @@ from deflectometry.pose.mirrors_in_image import find_mirrors
 from deflectometry.setup.camera_and_screen import Setup
 from deflectometry.shape.common_modes import common_modes
 from deflectometry.shape.facet_pixels import solve_shape_of_pixels, thinned, usable_facets
+from deflectometry.shape.fine_structure import fine_share
 from deflectometry.shape.gridding import grid_slopes, plan_grid
 from deflectometry.shape.pixel_slopes import SlopeImage, measure_slopes
 from deflectometry.shape.smooth_shape import Align, ShapeSolution
@@ -52,6 +53,8 @@ class Evaluation(ShortRepr):
     maps: Slope map of each measured facet, with nothing taken out but by the alignment.
     choices: How the slopes are reported.
     doubts: What makes pose, facets or maps doubtful.
+    sigma_turn_rad: Standard deviation of the mirror's orientation from the reflection, where all display points share
+        an error [rad].
     """
 
     located: LocatedMirror
@@ -62,6 +65,7 @@ class Evaluation(ShortRepr):
     maps: dict[str, SlopeMap]
     choices: Choices
     doubts: tuple[Doubt, ...] = ()
+    sigma_turn_rad: float = 0.0
 
 
 def evaluate_frames(
@@ -99,6 +103,18 @@ def evaluate_frames(
     with progress.stage("uncertainty"):
         few = [thinned(sample, max(MODE_PIXELS // len(samples), 60)) for sample in samples]
         modes = common_modes(setup, few, solution, located.pose, align=align)
+        fine = {
+            one.facet.name: fine_share(
+                setup,
+                one,
+                solution,
+                located.pose,
+                images[one.facet.name],
+                surfaces[one.facet.name],
+                located.edge_width_px,
+            )
+            for one in few
+        }
     with progress.stage("maps", steps=len(images)) as stage:
         plan = plan_grid(images, located.facets, choices.grid_step_m, choices.align)
         gridded = {}
@@ -110,5 +126,9 @@ def evaluate_frames(
             stage.advance()
     past = edge.doubt if mirror.known_pose is None else None
     doubts = gather_doubts(past, located.doubts, usable.doubts, *(one.doubts for one in gridded.values()))
-    maps = {name: one.slope_map for name, one in gridded.items()}
-    return Evaluation(located, screen_map, masks.facet_index, solution, images, maps, choices, doubts)
+    maps = {name: replace(one.slope_map, fine_share=fine[name]) for name, one in gridded.items()}
+    # A screen point that is off by s turns the normal by half of s over the distance.
+    off_m = setup.sigma_shift * setup.size_m
+    mirror_m = (setup.cam_from_screen.inverse() @ solution.cam_from_mirror).translation_m
+    sigma_turn = 0.5 * float(np.linalg.norm(off_m) / np.linalg.norm(mirror_m))
+    return Evaluation(located, screen_map, masks.facet_index, solution, images, maps, choices, doubts, sigma_turn)

@@ -10,6 +10,7 @@ from calibration.screen import ScreenResponse
 from deflectometry.frames.image_file_checks import check_noise, saturation_level
 from deflectometry.frames.repair import repair_frames
 from deflectometry.frames.sequence_checks import shorten_faults
+from deflectometry.fringes.known_point import KnownDisplayPoint
 from deflectometry.fringes.observation import Observation
 from deflectometry.fringes.phase import NoiseModel
 from deflectometry.fringes.screen_map import ScreenMapLimits
@@ -47,7 +48,16 @@ def observe(measurement: DeflectometryMeasurement, pattern: FringePattern, frame
         lit=lit,
         noise=None if section.pixel_noise_dn is None else NoiseModel(section.pixel_noise_dn),
         limits=ScreenMapLimits(saturation_dn=saturation),
+        known_point=read_known_point(measurement),
     )
+
+
+def read_known_point(measurement: DeflectometryMeasurement) -> KnownDisplayPoint | None:
+    """Read from where fringe orders are counted, where that is stated."""
+    section = measurement.model.pattern.known_point
+    if section is None:
+        return None
+    return KnownDisplayPoint(np.asarray(section.image_px), np.asarray(section.display), section.sigma_display)
 
 
 def read_response(measurement: DeflectometryMeasurement) -> ScreenResponse | None:

@@ -77,6 +77,9 @@ def run(
         usable = mend_frames(observation, strict=options.strict)
     observation = usable.observation
     setup = replace(setup, sigma_periods=usable.sigma_periods)
+    known = observation.known_point
+    if known is not None:
+        setup = replace(setup, sigma_shift=known.sigma_shift(observation.pattern))
     mirror = describe_mirror(measurement, setup)
     if mirror.known_pose is not None:
         refuse_impossible(setup, mirror.known_pose.cam_from_mirror)
@@ -99,6 +102,7 @@ def run(
         frames.doubts,
         check_compression([file.name for file in measurement.fringe_files]),
         usable.doubts,
+        None if known is None else known.doubt(observation.pattern),
         check_missing_sigmas(measurement, setup),
         None if states_screen_size(measurement) else size_doubt(setup, evaluation),
         evaluation.doubts,

@@ -139,7 +139,7 @@ def turn_in_sigmas(evaluation: Evaluation) -> float:
         return 0.0
     before, after = located.pose.cam_from_mirror, evaluation.solution.cam_from_mirror
     turn = RigidTransform(after.rotation @ before.rotation.T, np.zeros(3)).rotation_vector_rad
-    covariance = located.pose.covariance[:3, :3] + _MOUNTING_RAD**2 * np.eye(3)
+    covariance = located.pose.covariance[:3, :3] + (_MOUNTING_RAD**2 + evaluation.sigma_turn_rad**2) * np.eye(3)
     return float(np.sqrt(turn @ np.linalg.solve(covariance, turn)))
 
 

@@ -45,6 +45,7 @@ class LocatedMirror:
         `pose` only where that was given.
     evidence: The adjustment, where the outline gave the pose.
     doubts: What makes the pose doubtful.
+    edge_width_px: Width of the mirror's edges in the image; NaN where none were measured [px].
     """
 
     facets: tuple[Facet, ...]
@@ -54,6 +55,7 @@ class LocatedMirror:
     outline_pose: RigidTransform
     evidence: MirrorPose | None = None
     doubts: tuple[Doubt, ...] = ()
+    edge_width_px: float = float("nan")
 
 
 def find_pose(observation: Observation, setup: Setup, mirror: MirrorInput) -> LocatedMirror:
@@ -76,6 +78,7 @@ def find_pose(observation: Observation, setup: Setup, mirror: MirrorInput) -> Lo
             source,
             checked.outline_pose,
             doubts=gather_doubts(checked.doubt),
+            edge_width_px=checked.edge_width_px,
         )
     if not mirror.facets:
         return _find_without_outline(observation, image, setup, mirror)
@@ -92,6 +95,7 @@ def find_pose(observation: Observation, setup: Setup, mirror: MirrorInput) -> Lo
         evidence.cam_from_mirror,
         evidence,
         evidence.doubts,
+        evidence.edge_width_px,
     )
 
 
@@ -114,4 +118,5 @@ def _find_without_outline(
         source = "reflection at the middle of the mirror and the measured distance (no outline given)"
     facet = rough.facet(mirror.name, mirror.design, setup.camera, pose.cam_from_mirror)
     doubts = () if evidence is None else evidence.doubts
-    return LocatedMirror((facet,), pose, rough.margin_px, source, pose.cam_from_mirror, evidence, doubts)
+    width_px = rough.edge_width_px
+    return LocatedMirror((facet,), pose, rough.margin_px, source, pose.cam_from_mirror, evidence, doubts, width_px)

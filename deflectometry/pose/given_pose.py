@@ -33,12 +33,14 @@ class OutlineCheck:
         mirror is.
     margin_px: Distance to the outline below which a pixel may mix the mirror with its surroundings [px].
     residual_rms_px: RMS distance of the projected outline from the edges; NaN where no edges were found [px].
+    edge_width_px: Width of the edges; NaN where none were found [px].
     doubt: The outline lies off the edges by more than pose and image allow, or could not be compared.
     """
 
     outline_pose: RigidTransform
     margin_px: float
     residual_rms_px: float
+    edge_width_px: float = float("nan")
     doubt: Doubt | None = None
 
 
@@ -65,7 +67,7 @@ def check_given_pose(
         doubt = Doubt(
             "given_pose_unchecked", f"the given pose of the mirror could not be held against the image: {error}"
         )
-        return OutlineCheck(pose, SHARP_MARGIN_PX, float("nan"), doubt)
+        return OutlineCheck(pose, SHARP_MARGIN_PX, float("nan"), doubt=doubt)
     edges = fit.edges.subset(fit.used)
     residuals, derivatives = edges.rows(camera, pose)
     rms = float(np.sqrt(np.mean(residuals**2)))
@@ -79,7 +81,7 @@ def check_given_pose(
             f"allow {allowed:.2f} px); check [mirror.pose], or leave it out and the outline gives the pose",
             {"residual_rms_px": rms, "allowed_px": allowed},
         )
-    return OutlineCheck(fit.pose, edge_margin_px(edges.width_px, fit.sigma_px), rms, off)
+    return OutlineCheck(fit.pose, edge_margin_px(edges.width_px, fit.sigma_px), rms, edges.width_px, off)
 
 
 def _refuse_strayed(

@@ -27,12 +27,14 @@ class ImageOutline:
     contour_px (n, 2): Corners of its outline (x, y) [px].
     centroid_px (2,): Its middle (x, y) [px].
     margin_px: Distance to the outline below which a pixel mixes the mirror with its surroundings [px].
+    edge_width_px: Width of its edges; NaN without any [px].
     """
 
     region: BoolArray
     contour_px: FloatArray
     centroid_px: FloatArray
     margin_px: float
+    edge_width_px: float
 
     def pose(
         self, screen_map: ScreenMap, knowledge: Knowledge, design: Quadric, setup: Setup
@@ -127,7 +129,8 @@ def outline_from_image(image_dn: Float32Array) -> ImageOutline:
     edges = measure_edges(image_dn, corners, normals, reach_px=reach, noise_dn=found.noise_dn, width_px=None)
     corners = corners + np.nan_to_num(edges.offset_px)[:, None] * normals
     width = float(np.nan_to_num(edges.width_px))
-    return ImageOutline(region.astype(bool), corners, largest.centroid_px, max(0.5 * np.sqrt(2.0), 0.5 * width + 0.5))
+    margin_px = max(0.5 * np.sqrt(2.0), 0.5 * width + 0.5)
+    return ImageOutline(region.astype(bool), corners, largest.centroid_px, margin_px, edges.width_px)
 
 
 def _evenly(contour_px: FloatArray, count: int) -> FloatArray:

@@ -95,6 +95,10 @@ def first_screen(results: Results, view: MapView) -> Html:
     return page.first_screen(summary.name, line, verdict, rows, view)
 
 
+#: Doubts about the curl of the slopes: where there is one, the curl is no passed check.
+_CURL_CODES = {"curl_above_noise", "slopes_of_no_surface", "setup_contradicts_slopes"}
+
+
 def passed_checks(summary: Summary) -> list[str]:
     """Return the checks whose numbers say that all is well."""
     numbers, codes = summary.numbers, {one.code for one in summary.doubts}

@@ -186,6 +186,7 @@ class Setup(ShortRepr):
     sigma_size_m (2,): Standard deviations of its width and height [m].
     sigma_sag_m: Standard deviation of how far its middle stands out of the plane of its edges [m].
     sigma_periods (2,): Relative standard deviations of the scale of u and of v, where periods were estimated.
+    sigma_shift (2,): Standard deviations of u and v that all pixels share, where orders were counted from a point.
     """
 
     camera: Camera
@@ -196,7 +197,14 @@ class Setup(ShortRepr):
     sigma_size_m: FloatArray = field(default_factory=lambda: np.zeros(2))
     sigma_sag_m: float = 0.0
     sigma_periods: FloatArray = field(default_factory=lambda: np.zeros(2))
+    sigma_shift: FloatArray = field(default_factory=lambda: np.zeros(2))
 
     def __post_init__(self) -> None:
         matrix = covariance_matrix("covariance_cam_from_screen", self.covariance_cam_from_screen, 6)
         object.__setattr__(self, "covariance_cam_from_screen", matrix)
+
+    @property
+    def size_m(self) -> FloatArray:
+        """Width and height of the displayed image through its middle, shape (2,) [m]."""
+        corners = self.screen.points_m(np.array([0.0, 1.0, 0.5, 0.5]), np.array([0.5, 0.5, 0.0, 1.0]))
+        return np.asarray(np.linalg.norm(corners[[1, 3]] - corners[[0, 2]], axis=1))

@@ -137,8 +137,7 @@ def _screen_sizes(setup: Setup) -> Iterator[tuple[str, Warp]]:
     A width off by s moves the point at u by s (u - 1/2), an RMS of s / sqrt(12) over the display; a bulge that is s
     high in the middle and 0 at two edges is a Legendre polynomial of order 2 with an RMS of 2 s / (3 sqrt(5)).
     """
-    corners = setup.screen.points_m(np.array([0.0, 1.0, 0.5, 0.5]), np.array([0.5, 0.5, 0.0, 1.0]))
-    size_m = np.linalg.norm(corners[[1, 3]] - corners[[0, 2]], axis=1)
+    size_m = setup.size_m
     # v runs downwards: a greater height moves the points of large v to smaller y.
     for axis, (order, sign) in enumerate((((1, 0), 1.0), ((0, 1), -1.0))):
         if setup.sigma_size_m[axis] > 0:
@@ -146,6 +145,8 @@ def _screen_sizes(setup: Setup) -> Iterator[tuple[str, Warp]]:
         if setup.sigma_periods[axis] > 0:
             by_periods = float(setup.sigma_periods[axis] * size_m[axis])
             yield "fringe periods", Warp(axis, order, by_periods / math.sqrt(12.0))
+        if setup.sigma_shift[axis] > 0:
+            yield "known point", Warp(axis, (0, 0), float(setup.sigma_shift[axis] * size_m[axis]))
     if setup.sigma_sag_m > 0:
         for order in ((2, 0), (0, 2)):
             yield "screen sag", Warp(2, order, setup.sigma_sag_m * 2.0 / (3.0 * math.sqrt(5.0)))

@@ -64,6 +64,8 @@ def assemble_maps(mirror: Sequence[Facet], maps: Mapping[str, SlopeMap], align: 
         x_m=x_m,
         y_m=y_m,
         **dict(zip(VALUE_FIELDS, fields, strict=True)),
+        # Set-up and blur are those of all facets.
+        fine_share=np.max([one.fine_share for one in maps.values()], axis=0),
         noise_correlation=max(1.0, variance_of_means / variance_of_nodes) if variance_of_nodes > 0 else 1.0,
         common=_joint_modes(parts, 0.5 * (low + high)[:2], 0.5 * float((high - low)[:2].max())),
         flags=flags,

@@ -44,7 +44,7 @@ def common_modes(
     to it would count five times too much, a principal point in y half of its true share.)
     """
     return modes_of_inputs(
-        setup, samples, solution, lambda cam_from_mirror: _perturbations(setup, cam_from_mirror, located), align=align
+        setup, samples, solution, lambda cam_from_mirror: moved_inputs(setup, cam_from_mirror, located), align=align
     )
 
 
@@ -102,7 +102,7 @@ class MovedInput:
     cam_from_mirror: RigidTransform
 
 
-def _perturbations(setup: Setup, cam_from_mirror: RigidTransform, located: UncertainPose) -> Iterator[MovedInput]:
+def moved_inputs(setup: Setup, cam_from_mirror: RigidTransform, located: UncertainPose) -> Iterator[MovedInput]:
     """Yield the inputs moved by one sigma along each principal direction of each covariance."""
     for step in principal_steps(located.covariance):
         yield MovedInput(MIRROR_POSE, setup, cam_from_mirror.moved(step))

@@ -306,6 +306,7 @@ def _write_map(group: Any, slope_map: SlopeMap) -> None:
             **words,
             "measured_share": slope_map.measured_share,
             "noise_correlation": slope_map.noise_correlation,
+            "fine_share": slope_map.fine_share,
             "orientation": ORIENTATION,
         },
     )
@@ -390,6 +391,7 @@ def _read_map(group: Any, where: str) -> SlopeMap:
         flags=group["flag"][...],
         aperture=group["aperture"][...] != 0,
         noise_correlation=float(group.attrs["noise_correlation"]),
+        fine_share=np.asarray(group.attrs.get("fine_share", np.zeros(2))),
         common=_read_common_modes(group),
         design=str(plain_value(group.attrs["design"])),
         frame=str(plain_value(group.attrs["frame"])),

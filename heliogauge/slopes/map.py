@@ -1,7 +1,7 @@
 """SlopeMap: the common product of every method, with its uncertainty in two shares."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -143,6 +143,9 @@ class SlopeMap(ShortRepr):
         The frame of x, y, z in words.
     removed : str
         What was taken out of the measured slopes ("nothing", "tilt by rotation about ...").
+    fine_share : ndarray, shape (2,)
+        Relative standard deviation, in x and in y, of what the slopes have beside the smooth shape that common modes
+        hold: blur lowers waviness, a wrong scale stretches it.
     """
 
     x_m: FloatArray
@@ -161,10 +164,12 @@ class SlopeMap(ShortRepr):
     design: str
     frame: str
     removed: str
+    fine_share: FloatArray = field(default_factory=lambda: np.zeros(2))
 
     def __post_init__(self) -> None:
         for name in ("x_m", "y_m"):
             object.__setattr__(self, name, float_array(name, getattr(self, name), (None,)))
+        object.__setattr__(self, "fine_share", float_array("fine_share", self.fine_share, (2,)))
         shape = self.shape
         for name in VALUE_FIELDS:
             object.__setattr__(self, name, float_array(name, getattr(self, name), shape, finite=False))

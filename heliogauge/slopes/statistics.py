@@ -184,8 +184,9 @@ def statistics(slope_map: SlopeMap, *, removed: Removal = Removal.NOTHING) -> Sl
     Removal is of slopes, as in `remove`; the angles are those of the normals with the slopes that are left.
 
     Sigma is first order: with e the slope errors left, g = dSD/de and c the map's noise correlation,
-    ``var SD = c sum g^2 sigma^2 + sum_k (g . mode_k)^2``, where g is projected like the errors. Because e contains
-    the noise, the random part overcounts by half the squared covariance of each node's angles, which is taken off; it
+    ``var SD = c sum g^2 sigma^2 + sum_k (g . mode_k)^2 + (g . f w)^2``, where g is projected like the errors, w is what
+    a quadratic leaves without its noise, and f the map's `fine_share`. Because e contains the noise, the random part
+    overcounts by half the squared covariance of each node's angles, which is taken off; it
     matters only where SD is near the noise. The expected value of SD^2 contains ``noise_rms^2``; it is reported, not
     subtracted.
 
@@ -204,7 +205,9 @@ def statistics_of_removals(
     """
     nodes = nodes or measured_nodes(slope_map)
     patterns = Patterns.of(nodes)
-    fits = fit_removals(nodes, patterns, removals)
+    # What a quadratic leaves is what blur and a wrong scale change.
+    fine = bool(slope_map.fine_share.any())
+    fits = fit_removals(nodes, patterns, [*removals, Removal.QUADRATIC] if fine else removals)
     every = _PatternSums.zero(nodes.common.coefficients.shape[2])
     sums_of_fits = [_AngleSums.zero(nodes.common.coefficients.shape[2]) for _ in fits]
     mean = np.zeros(2)
@@ -220,11 +223,15 @@ def statistics_of_removals(
             else:
                 sums.add(block, block.errors, angles)
     mean /= nodes.count
+    waves = np.maximum(sums_of_fits[-1].squares - sums_of_fits[-1].noise, 0.0) if fine else np.zeros(2)
+    by_waves = slope_map.fine_share * waves
     found = []
-    for fit, sums in zip(fits, sums_of_fits, strict=True):
+    for fit, sums in zip(fits[: len(removals)], sums_of_fits, strict=False):
         sdx, sdy = np.sqrt(sums.squares / nodes.count).tolist()
         noise_x, noise_y = np.sqrt(sums.noise / nodes.count).tolist()
-        sigma_x, sigma_y, sigma = (sums.sigma_of_rms(nodes, fit, every, chosen) for chosen in ([0], [1], [0, 1]))
+        sigma_x, sigma_y, sigma = (
+            sums.sigma_of_rms(nodes, fit, every, by_waves, chosen) for chosen in ([0], [1], [0, 1])
+        )
         found.append(
             SlopeStatistics(
                 sdx_rad=sdx,
@@ -351,8 +358,13 @@ class _AngleSums:
         self.pull_parts += (pull.reshape(4, -1) @ block.both.T).reshape(self.pull_parts.shape)
         self.pull_variance_parts += (weighted.reshape(4, -1) @ block.basis.T).reshape(2, 2, 5)
 
-    def sigma_of_rms(self, nodes: MeasuredNodes, fit: RemovalFit, every: _PatternSums, chosen: list[int]) -> float:
-        """Return the sigma of the RMS of one component, or of both: with n rms^2 changing by 2 pull . d(errors)."""
+    def sigma_of_rms(
+        self, nodes: MeasuredNodes, fit: RemovalFit, every: _PatternSums, by_waves: FloatArray, chosen: list[int]
+    ) -> float:
+        """Return the sigma of the RMS of one component, or of both: with n rms^2 changing by 2 pull . d(errors).
+
+        by_waves (2,): Sum of pull . d(errors) for 1 sigma of the waviness's scale.
+        """
         squares = float(self.squares[chosen].sum())
         if squares == 0:
             return 0.0
@@ -370,7 +382,9 @@ class _AngleSums:
         overcount = 0.5 * float(self.noise_squares[np.ix_(chosen, chosen)].sum())
         moments = moments - np.tensordot(share, every.moments[taken], axes=1)
         common = float(np.sum(nodes.modes_times(moments[None]) ** 2))
-        variance = nodes.noise_correlation * max(random - overcount, 0.0) + common
+        # One blur and one scale for both directions.
+        scale = float(by_waves[chosen].sum()) ** 2
+        variance = nodes.noise_correlation * max(random - overcount, 0.0) + common + scale
         return float(np.sqrt(variance / (nodes.count * squares)))
 
 

@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
+from calibration.screen import ScreenResponse
 from deflectometry.frames.frame_model import Oddity, OddityKind, estimate_frames
+from deflectometry.frames.light_checks import FaultKind
 from deflectometry.frames.repair import repair_frames
 from deflectometry.fringes.phase import NoiseModel
 from deflectometry.setup.patterns import Axis, FringePattern, make_pattern
@@ -126,3 +128,44 @@ def test_all_late_and_permuted_frames_are_put_in_order(readings: np.ndarray) -> 
     repaired = repair_frames(frames[order], PATTERN)
     assert [doubt.code for doubt in repaired.repairs] == ["frames_reordered"]
     assert (repaired.frames == frames).all()
+
+
+@pytest.mark.parametrize("frame", [10, 26])
+def test_one_moved_frame_is_moved_back_and_not_its_set(frame: int) -> None:
+    frames = Scene(cover=0.5, noise_dn=2.0).readings(PATTERN, np.random.default_rng(3))
+    # Edges as a lens draws them.
+    frames = np.stack([ndimage.gaussian_filter(one, 0.7) for one in frames])
+    frames[frame] = ndimage.shift(frames[frame], (-0.2, 0.7), order=5, mode="nearest")
+    repaired = repair_frames(np.clip(np.rint(frames), 0, 255).astype(np.uint8), PATTERN)
+    assert not repaired.errors
+    (moved,) = [doubt for doubt in repaired.repairs if doubt.code == "frames_moved"]
+    assert moved.text.startswith(f"frame {frame} ")
+    assert moved.numbers["shift_x_px"] == pytest.approx(0.7, abs=0.05)
+    assert moved.numbers["shift_y_px"] == pytest.approx(-0.2, abs=0.05)
+
+
+@pytest.mark.parametrize("gamma", [1.0, 1.6])
+def test_a_blurred_frame_is_left_out_with_a_response_too(gamma: float) -> None:
+    camera_dn = np.linspace(10, 220, 60)
+    response = ScreenResponse(camera_dn, ((camera_dn - 10) / 210) ** (1 / gamma)) if gamma != 1 else None
+    frames = Scene(offset_dn=115, gamma=gamma).readings(PATTERN, np.random.default_rng(3))
+    frames[30] = ndimage.gaussian_filter(frames[30], 1.2)
+    repaired = repair_frames(np.clip(np.rint(frames), 0, 255).astype(np.uint8), PATTERN, response=response)
+    assert not repaired.errors
+    (left,) = [doubt for doubt in repaired.repairs if doubt.code == "frames_left_out"]
+    assert left.text.startswith("frame 30 ")
+    assert repaired.pattern.n_frames == 31
+
+
+def test_so_many_kinds_of_faults_are_refused() -> None:
+    frames = Scene(cover=0.5, noise_dn=2.0).readings(PATTERN, np.random.default_rng(3))
+    frames = np.stack([ndimage.gaussian_filter(one, 0.7) for one in frames])
+    # A knock, exchanged frames, a blurred one, light beside the fringes: each alone is mended.
+    for k in range(24, 32):
+        frames[k] = ndimage.shift(frames[k], (0.0, 0.6), order=3, mode="nearest")
+    frames[[1, 2]] = frames[[2, 1]]
+    frames[14] = ndimage.gaussian_filter(frames[14], 1.0)
+    frames[18] += 12.0
+    repaired = repair_frames(np.clip(np.rint(frames), 0, 255).astype(np.uint8), PATTERN)
+    assert [fault.kind for fault in repaired.errors][:1] == [FaultKind.CASCADE]
+    assert repaired.repairs == ()

@@ -1,0 +1,208 @@
+"""Fringes of one period only: orders counted from pixel to pixel, from a point whose place on the display is known."""
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from deflectometry.fringes.phase import TURN_RAD, LightResponse, linear_light, solve_steps
+from deflectometry.setup.patterns import Axis, FringePattern, FringeSet
+from heliogauge.doubts import Doubt, Severity
+from heliogauge.errors import EstimationError, InputError
+from heliogauge.validate import BoolArray, FloatArray, IntArray, float_array, positive
+
+#: Below this share of the usual modulation a pixel's phase is no step on the way to its neighbours.
+_LEAST_MODULATION = 0.3
+#: Neighbours whose unwrapped phases differ by another number of turns than the wrapped ones: where more than this share
+#: of them do, no way from pixel to pixel is sure.
+_MOST_CUTS = 0.01
+#: Standard deviations that the known point may be off, at the least, before another order would be nearer.
+_SURE_SIGMAS = 3.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class KnownDisplayPoint:
+    """A point of the image whose place on the display is known.
+
+    image_px (2,): Where it is in the image, x and y [px].
+    display (2,): Which fractions u and v of the displayed image are seen there.
+    sigma_display: Standard deviation of each fraction.
+    InputError: A sigma that is not positive.
+    """
+
+    image_px: FloatArray
+    display: FloatArray
+    sigma_display: float
+
+    def __post_init__(self) -> None:
+        for name in ("image_px", "display"):
+            object.__setattr__(self, name, float_array(f"known point {name}", getattr(self, name), (2,)))
+        positive("known point sigma_display", self.sigma_display, "fractions of the displayed image")
+
+    def sigma_shift(self, pattern: FringePattern) -> FloatArray:
+        """Return the standard deviations of u and v that all pixels share, shape (2,).
+
+        0 where three sigma are less than half a period: then the order is sure, and the phase gives the rest.
+        """
+        sigma = np.zeros(2)
+        for number, axis in enumerate(Axis):
+            periods = coarsest_set(pattern, axis)[0].periods
+            if periods >= 1.0 and _SURE_SIGMAS * self.sigma_display > 0.5 / periods:
+                sigma[number] = self.sigma_display
+        return sigma
+
+    def in_image(self, direction: IntArray, size_px: IntArray) -> "KnownDisplayPoint":
+        """Return the point in images whose columns or rows were reversed: direction (2,) is -1 for such an axis."""
+        return replace(self, image_px=np.where(direction < 0, size_px - 1 - self.image_px, self.image_px))
+
+    def mirrored(self, axes: tuple[Axis, ...]) -> "KnownDisplayPoint":
+        """Return the point on a display that showed the pattern mirrored along some axes."""
+        off = [1 - w if axis in axes else w for axis, w in zip(Axis, self.display, strict=True)]
+        return replace(self, display=np.array(off))
+
+    def doubt(self, pattern: FringePattern) -> Doubt:
+        """Say what rests on the point."""
+        sigma = self.sigma_shift(pattern)
+        periods = [coarsest_set(pattern, axis)[0].periods for axis in Axis]
+        counted = " and ".join(
+            f"{axis} ({number:g} periods)" for axis, number in zip(Axis, periods, strict=True) if number >= 1
+        )
+        numbers = {"sigma_display_share": self.sigma_display}
+        if not sigma.any():
+            return Doubt(
+                "orders_from_known_point",
+                f"fringes of {counted} have no coarser ones: their orders are counted from pixel to pixel, from "
+                "[pattern.known_point], which is known to less than a sixth of a period. Parts of the mirror that hang "
+                "together by no pixels are left out, and a step of the surface by which the fringes jump half a period "
+                "would pass unseen",
+                numbers,
+                Severity.NOTE,
+            )
+        return Doubt(
+            "known_point_uncertain",
+            f"fringes of {counted} have no coarser ones, and [pattern.known_point] is known to "
+            f"{self.sigma_display:.2g} of the display only, more than a sixth of a period: slopes are relative. All of "
+            "them share an error, which is in their sigmas: it tilts the mirror as a whole and stretches its "
+            "curvature. Show a set below one period, or give the point more precisely",
+            numbers,
+        )
+
+
+def coarsest_set(pattern: FringePattern, axis: Axis) -> tuple[FringeSet, slice]:
+    """Return the set of fewest periods of an axis, and its frames."""
+    return min(pattern.sets_of(axis), key=lambda pair: pair[0].periods)
+
+
+def counted_positions(
+    frames: npt.NDArray[Any],
+    pattern: FringePattern,
+    region: BoolArray,
+    point: KnownDisplayPoint,
+    response: LightResponse | None,
+) -> dict[Axis, FloatArray]:
+    """Return the position on the display that each pixel sees, for axes whose fringes have no order of their own.
+
+    frames (n, h, w): Frames in the order of the pattern [DN].
+    region (h, w): Pixels of the mirror.
+    Returns (h, w): Fraction by axis, from its coarsest set; NaN where no pixels lead from the known point.
+    InputError: Every axis has a set below one period, so that nothing is to be counted.
+    EstimationError: The point is not on the mirror, or the phase steps by half a period between neighbours.
+    """
+    found = {}
+    for number, axis in enumerate(Axis):
+        fringes, where = coarsest_set(pattern, axis)
+        if fringes.periods < 1.0:
+            continue
+        light, _ = linear_light(frames[where][:, region].astype(np.float64), response)
+        _, cosine, sine = solve_steps(fringes.steps_rad).estimate @ light
+        modulation = np.hypot(cosine, sine)
+        good = np.zeros(region.shape, dtype=np.bool_)
+        good[region] = modulation > _LEAST_MODULATION * np.median(modulation)
+        turns = np.zeros(region.shape)
+        turns[region] = np.arctan2(sine, cosine) / TURN_RAD
+        counted = _count_turns(turns, good, _nearest(good, point), fringes, axis)
+        at_point = _read(counted, point.image_px)
+        # Of all whole numbers of turns, the one that brings the point nearest to where it is known to be.
+        order = round(float(point.display[number]) * fringes.periods - at_point)
+        found[axis] = (counted + order) / fringes.periods
+    if not found:
+        raise InputError(
+            "[pattern.known_point]: both axes have a set below one period, whose orders need no point; leave it out"
+        )
+    return found
+
+
+def _nearest(good: BoolArray, point: KnownDisplayPoint) -> int:
+    """Return the flat index of the pixel of the mirror that the point lies on."""
+    column, row = point.image_px
+    rows, columns = np.nonzero(good)
+    away = np.hypot(rows - row, columns - column)
+    if not away.size or away.min() > 1.0:
+        raise EstimationError(
+            f"[pattern.known_point]: image_px = [{column:g}, {row:g}] is not on the mirror, where fringes are seen"
+            + (f"; the nearest such pixel is {away.min():.0f} px away" if away.size else "")
+        )
+    return int(np.ravel_multi_index((rows[away.argmin()], columns[away.argmin()]), good.shape))
+
+
+def _read(counted: FloatArray, image_px: FloatArray) -> float:
+    """Return the value at a point of the image: that of a plane through the pixels around it."""
+    column, row = np.rint(image_px).astype(int)
+    rows, columns = slice(max(row - 1, 0), row + 2), slice(max(column - 1, 0), column + 2)
+    around = counted[rows, columns]
+    y, x = np.mgrid[rows.start : rows.start + around.shape[0], columns.start : columns.start + around.shape[1]]
+    seen = np.isfinite(around)
+    plane = np.stack([np.ones(seen.sum()), x[seen] - image_px[0], y[seen] - image_px[1]], axis=1)
+    return float(np.linalg.lstsq(plane, around[seen], rcond=None)[0][0])
+
+
+def _count_turns(turns: FloatArray, good: BoolArray, start: int, fringes: FringeSet, axis: Axis) -> FloatArray:
+    """Add whole turns so that neighbours differ by less than half of one, along the surest ways from a pixel.
+
+    The tree of smallest steps (Kruskal) leads from the start to every pixel; along it each step is the wrapped
+    difference. A step next to half a turn, where noise decides, is taken last.
+    """
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import breadth_first_order, minimum_spanning_tree
+
+    index = np.arange(turns.size).reshape(turns.shape)
+    pairs = []
+    for first, second in ((index[:, :-1], index[:, 1:]), (index[:-1], index[1:])):
+        both = good.flat[first] & good.flat[second]
+        pairs.append(np.stack([first[both], second[both]]))
+    one, other = np.concatenate(pairs, axis=1)
+    flat = turns.ravel()
+    step = flat[other] - flat[one]
+    step -= np.rint(step)
+    # A weight of zero would be no edge.
+    graph = coo_array((np.abs(step) + 1e-3, (one, other)), shape=(turns.size, turns.size)).tocsr()
+    tree = minimum_spanning_tree(graph)
+    reached, before = breadth_first_order(tree, start, directed=False)
+    counted = _sum_along(flat, np.asarray(reached), np.asarray(before))
+    result = np.full(turns.size, np.nan)
+    result[reached] = counted[reached] + flat[start]
+    cut = np.abs(result[other] - result[one] - step) > 0.5
+    if np.count_nonzero(cut) > _MOST_CUTS * max(step.size, 1):
+        raise EstimationError(
+            f"{axis} fringes, {fringes.periods:g} periods: they step by half a period and more between neighbouring "
+            f"pixels ({np.count_nonzero(cut) / step.size:.1%} of them contradict each other), so that their orders "
+            "cannot be counted; show fewer periods, or come nearer with the camera"
+        )
+    # Where two ways to a pixel disagree neither is believed.
+    result[one[cut]] = np.nan
+    result[other[cut]] = np.nan
+    return result.reshape(turns.shape)
+
+
+def _sum_along(turns: FloatArray, reached: IntArray, before: IntArray) -> FloatArray:
+    """Sum the wrapped steps from the root of a tree to each node; doubling the way in every round."""
+    parent = np.arange(turns.size)
+    parent[reached[1:]] = before[reached[1:]]
+    total = turns - turns[parent]
+    total -= np.rint(total)
+    for _ in range(math.ceil(math.log2(max(reached.size, 2))) + 1):
+        total = total + total[parent]
+        parent = parent[parent]
+    return np.asarray(total)

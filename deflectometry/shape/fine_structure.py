@@ -1,0 +1,118 @@
+"""How well the size of a mirror's waviness is known: blur lowers it, and a wrong scale of the screen stretches it."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from deflectometry.pose.pose_observations import UncertainPose
+from deflectometry.setup.camera_and_screen import Setup
+from deflectometry.shape.common_modes import moved_inputs
+from deflectometry.shape.facet_pixels import PixelSamples, spread_indices, trace_samples
+from deflectometry.shape.pixel_slopes import SlopeImage
+from deflectometry.shape.smooth_shape import FittedSurface, ShapeSolution, slopes_at
+from heliogauge.geometry.rigid import RigidTransform
+from heliogauge.validate import BoolArray, FloatArray
+
+#: Step on the display for the derivative of the slopes, a thousandth of its width and height.
+_STEP = 1e-3
+#: Pixels that stand for a facet: what a step on the display does to the slope changes little over it.
+_PIXELS = 25
+#: An edge with Gaussian blur of standard deviation s (pixel included) has a width, height over steepest slope, of
+#: s sqrt(2 pi); the windows by which edges are found widen it by this much, quadratically: on drawn edges of six kinds
+#: with s from 0.42 to 2.5 px the widths are sqrt(2 pi s^2 + 1.6^2) within 0.05 px.
+_WINDOW_PX = 1.6
+#: A facet with fewer measured pixels shows no waviness.
+_FEWEST_PIXELS = 200
+#: Waviness below this share of the noise's variance is not told from it: 200 pixels give a variance to a tenth.
+_LEAST_WAVINESS = 0.1
+
+
+def fine_share(
+    setup: Setup,
+    sample: PixelSamples,
+    solution: ShapeSolution,
+    located: UncertainPose,
+    image: SlopeImage,
+    surface: FittedSurface,
+    edge_width_px: float,
+) -> FloatArray:
+    """Return the relative standard deviation of the waviness in x and in y, shape (2,).
+
+    sample, image, surface: Pixels, slopes and smooth shape of one facet.
+    located: The mirror's pose.
+    edge_width_px: Width of the mirror's edges in the image; NaN where it was not measured [px].
+
+    Common modes are smooth: they hold what one sigma of the set-up does to the mirror's shape, but not that waviness is
+    measured on the scale of the screen's size and distance. The image is blurred as its edges are wide, and waviness
+    with it; the share that this takes away is about the share that the same blur takes away once more.
+    """
+    scale = _scale_share(setup, sample, solution, located, surface)
+    return np.asarray(np.hypot(scale, _blur_share(image, edge_width_px)))
+
+
+def _scale_share(
+    setup: Setup, sample: PixelSamples, solution: ShapeSolution, located: UncertainPose, surface: FittedSurface
+) -> FloatArray:
+    """Return what one sigma of each input does to the change of slope with the display point, as a share (2,)."""
+    chosen = spread_indices(len(sample.pixels_px), _PIXELS)
+    few = replace(sample, pixels_px=sample.pixels_px[chosen], u=sample.u[chosen], v=sample.v[chosen])
+    cam_from_mirror = solution.cam_from_mirror
+    start = np.linalg.inv(_slopes_by_display(setup, few, cam_from_mirror, surface))
+    total = np.zeros(2)
+    for one in moved_inputs(setup, cam_from_mirror, located):
+        ratio = _slopes_by_display(one.setup, few, one.cam_from_mirror, surface) @ start
+        total += np.square(np.nanmedian(np.diagonal(ratio, axis1=1, axis2=2), axis=0) - 1.0)
+    return np.asarray(np.sqrt(total))
+
+
+def _slopes_by_display(
+    setup: Setup, sample: PixelSamples, cam_from_mirror: RigidTransform, surface: FittedSurface
+) -> FloatArray:
+    """Return the derivatives of slope_x and slope_y after u and v at each pixel, shape (n, 2, 2)."""
+    facet_from_cam = (cam_from_mirror @ sample.facet.ensemble_from_facet).inverse()
+    camera = facet_from_cam.translation_m
+    slopes = []
+    for right, down in ((0.0, 0.0), (_STEP, 0.0), (0.0, _STEP)):
+        (traced,) = trace_samples(setup, [replace(sample, u=sample.u + right, v=sample.v + down)])
+        points = surface.intersect(camera, facet_from_cam.rotation @ traced.rays_cam)
+        screen = facet_from_cam.rotation @ traced.screen_cam_m + camera[:, None]
+        slopes.append(np.stack(slopes_at(points, camera, screen)))
+    changes = np.stack([slopes[1] - slopes[0], slopes[2] - slopes[0]], axis=1) / _STEP
+    return np.moveaxis(changes, -1, 0)
+
+
+def _blur_share(image: SlopeImage, edge_width_px: float) -> FloatArray:
+    """Return the share of the waviness that a blur as wide as the edges takes away, shape (2,)."""
+    blur_px = float(np.sqrt(max(edge_width_px**2 - _WINDOW_PX**2, 0.0) / (2 * np.pi)))
+    seen = np.isfinite(image.slope_x) & np.isfinite(image.slope_y)
+    if not blur_px > 0 or np.count_nonzero(seen) < _FEWEST_PIXELS:
+        return np.zeros(2)
+    left = _beside_quadratic(image, seen)
+    from scipy.ndimage import gaussian_filter
+
+    weight = gaussian_filter(seen.astype(np.float64), blur_px, mode="constant")
+    # Where a third of the weight is beyond the mirror a blurred slope is no mean about its pixel.
+    inner = seen & (weight > 2 / 3)
+    single = np.zeros((2 * int(np.ceil(4 * blur_px)) + 3,) * 2)
+    single[len(single) // 2, len(single) // 2] = 1.0
+    of_noise = float(np.square(gaussian_filter(single, blur_px, mode="constant")).sum())
+    lost = []
+    for waves, sigma in zip(left, (image.sigma_x, image.sigma_y), strict=True):
+        noise = float(np.mean(np.square(sigma[inner], dtype=np.float64)))
+        blurred = gaussian_filter(waves, blur_px, mode="constant")[inner] / weight[inner]
+        before = float(np.mean(waves[inner] ** 2)) - noise
+        after = float(np.mean(blurred**2)) - of_noise * noise
+        lost.append(1.0 - np.sqrt(min(max(after, 0.0) / before, 1.0)) if before > _LEAST_WAVINESS * noise else 0.0)
+    return np.array(lost)
+
+
+def _beside_quadratic(image: SlopeImage, seen: BoolArray) -> FloatArray:
+    """Return what the best quadratic surface leaves of the slopes, shape (2, h, w); 0 where nothing was seen."""
+    x, y = image.x_m[seen] - image.x_m[seen].mean(), image.y_m[seen] - image.y_m[seen].mean()
+    zero, one = np.zeros_like(x), np.ones_like(x)
+    columns = np.array([[x, zero], [zero, y], [y, x], [one, zero], [zero, one]]).reshape(5, -1)
+    slopes = np.concatenate([image.slope_x[seen], image.slope_y[seen]])
+    found = np.linalg.solve(columns @ columns.T, columns @ slopes)
+    left = np.zeros((2, *seen.shape))
+    left[:, seen] = (slopes - found @ columns).reshape(2, -1)
+    return left
