@@ -121,6 +121,7 @@ TARGETS: tuple[Target, ...] = (
     *_on("opencv", 4.0, "camera import opencv {in}/camera.yaml -o {out}"),
     *_on("camera", 2.0, "camera export opencv {in} -o {out}", "camera export colmap {in} -o {out}",
          "camera compare {in} {camera}"),
+    *_on("camera", 0.2, "camera plan {in} -o {out} --no-report --photos 1"),
     *_on("opencsp", 5.0, "deflectometry import opencsp {in}/measurement.h5 {in}/camera.h5 {in}/display.h5 "
          "{in}/orientation.h5 {in}/f.json -o {out}"),
 )  # fmt: skip

@@ -15,7 +15,7 @@ from calibration.camera.judgement.projection_sigma import map_nodes, sigma_map, 
 from calibration.camera.planning.candidate_views import Lengths, candidate_views
 from calibration.camera.start_values.board_network import BoardNetwork
 from heliogauge.camera.model import Camera
-from heliogauge.errors import EstimationError
+from heliogauge.errors import EstimationError, InputError
 from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.validate import FloatArray
 from photogrammetry import ImagePoints
@@ -86,9 +86,14 @@ def adjusted_again(result: Result) -> MixedAdjustment:
     """Return the adjustment that gave a result, with the sizes of the random effects that it found.
 
     result: A calibration, also one that was read from its folder.
+    InputError: The files of the result do not belong together.
     EstimationError: The image points do not hold the calibration.
     """
     shape, common = result.shape, result.common
+    if any((one.index < 0).any() for one in result.photos):
+        raise InputError("calibration: image_points.csv has points that points.csv does not have")
+    if not all(0 < one.noise_ratio < np.inf for one in result.photos):
+        raise InputError("calibration: photos.csv: noise_ratio is missing; calibrate again")
     points = tuple(
         BoardPoints(one.name, one.index[one.used], one.pixels_px[one.used], one.covariance_px2[one.used])
         for one in result.photos

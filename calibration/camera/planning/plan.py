@@ -17,6 +17,7 @@ from calibration.camera.start_values.intrinsics import tilt_and_roll
 from heliogauge.camera.model import Camera
 from heliogauge.doubts import Doubt, Severity
 from heliogauge.errors import InputError
+from heliogauge.files.faults import explain_faults
 from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.measurement.writer import write_text
 from heliogauge.results.folder import (
@@ -37,6 +38,8 @@ from heliogauge.validate import FloatArray, positive
 _LITTLE_SHARE = 0.05
 #: The camera may be nearer or farther than it was by this factor, the depth a calibration is asked for.
 _REACH = 1.5
+#: A settled adjustment moves by less than a tenth of a sigma when it is done again.
+_SAME_SIGMAS = 0.5
 _FILES = ("cameras.json", "points.csv", "board.csv", "common_errors.csv", "image_points.csv", "photos.csv")
 _INTRINSIC_KEYS = {name: f"{name}_factor" for name in ("k1", "k2", "k3", "p1", "p2", "skew")} | {
     "aspect": "aspect_ratio"
@@ -212,10 +215,12 @@ def run(folder: Path, options: PlanOptions | None = None, progress: Progress | N
     with progress.stage("read the calibration"):
         if (folder / "summary.json").is_file() and (kind := read_summary(folder / "summary.json").kind) != Result.kind:
             raise InputError(f"{folder}: results of kind {kind!r}; those of `heliogauge camera measure` are needed")
-        calibration = open_calibration(folder)
         hashes = hash_files([folder / name for name in _FILES], folder)
+        with explain_faults(folder, "a folder of results as `heliogauge camera measure` writes it"):
+            calibration = open_calibration(folder)
+            today = Expectation((adjusted_again(calibration),))
+            _check_same(calibration, today)
     lengths = _lengths(calibration, options)
-    today = Expectation((adjusted_again(calibration),))
     with progress.stage("choose photos", options.photos) as stage:
         photos = choose_photos(
             today,
@@ -235,6 +240,18 @@ def run(folder: Path, options: PlanOptions | None = None, progress: Progress | N
         durations_s=dict(progress.durations_s),
         input_sha256=hashes,
     )
+
+
+def _check_same(calibration: Result, today: Expectation) -> None:
+    """Refuse files that do not hold one calibration: the camera they give anew is not the one that is stated."""
+    stated, again = calibration.camera.parameters, today.camera.parameters
+    sigma = calibration.camera.sigma_parameters
+    off = np.abs(again - stated)[sigma > 0] / sigma[sigma > 0]
+    if not (off < _SAME_SIGMAS).all():
+        raise InputError(
+            f"plan: points.csv, image_points.csv and common_errors.csv give a camera {off.max():.2g} sigmas off "
+            "cameras.json: they are not of one calibration: calibrate again"
+        )
 
 
 def _lengths(calibration: Result, options: PlanOptions) -> Lengths:

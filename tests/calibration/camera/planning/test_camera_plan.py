@@ -1,6 +1,7 @@
 """Photos to take next: what they are worth is what a calibration with them states, and others are worth less."""
 
 import json
+import shutil
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -231,6 +232,15 @@ def test_impossible_wishes_are_named(weak_result: Path, tmp_path: Path) -> None:
             plan.run(weak_result, options)
     with pytest.raises(EstimationError, match="no view shows the whole board"):
         plan.run(weak_result, plan.PlanOptions(nearest=0.001, farthest=0.002))
+    changed = Path(shutil.copytree(weak_result, tmp_path / "changed"))
+    text = (changed / "cameras.json").read_text(encoding="utf-8")
+    focal = json.loads(text)["cameras"]["camera"]["focal_x_px"]
+    (changed / "cameras.json").write_text(text.replace(repr(focal), repr(1.1 * focal)), encoding="utf-8")
+    with pytest.raises(InputError, match="not of one calibration"):
+        plan.run(changed)
+    (changed / "common_errors.csv").write_text("what,sigma,unit\nlow,0.01,px\n", encoding="utf-8")
+    with pytest.raises(InputError, match="point x, point y, point z is missing"):
+        plan.run(changed)
     summary = json.loads((weak_result / "summary.json").read_text(encoding="utf-8"))
     (tmp_path / "summary.json").write_text(json.dumps(summary | {"kind": "observer"}), encoding="utf-8")
     with pytest.raises(InputError, match="kind 'observer'"):
