@@ -102,8 +102,10 @@ def _explain(moments: CurlMoments, words: str, mode: CommonModes) -> _Explanatio
 
 def _change_of_quadratic(one: _Explanation, moments: CurlMoments) -> FloatArray:
     """Return the changes of A, B and E of the best-fit quadratic [1/m]."""
-    x, y = moments.x_m - moments.x_m.mean(), moments.y_m - moments.y_m.mean()
-    along_x, along_y = one.amount * one.mode.evaluate(moments.x_m, moments.y_m)[0]
+    row, column = np.nonzero(moments.slope_map.valid)
+    x_m, y_m = moments.slope_map.x_m[column], moments.slope_map.y_m[row]
+    x, y = x_m - x_m.mean(), y_m - y_m.mean()
+    along_x, along_y = one.amount * one.mode.evaluate(x_m, y_m)[0]
     zero, unit = np.zeros_like(x), np.ones_like(x)
     columns = np.stack([[2 * x, zero], [zero, 2 * y], [y, x], [unit, zero], [zero, unit]]).reshape(5, -1)
     solved = np.linalg.lstsq(columns.T, np.concatenate([along_x, along_y]), rcond=None)[0]

@@ -1,10 +1,12 @@
 """Smooth curl of a slope map: means over the mirror that are zero for every surface, with their covariance."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 
-from heliogauge.slopes.map import CommonModes, SlopeMap, monomials
+from heliogauge.slopes.map import CommonModes, SlopeMap
 from heliogauge.validate import BoolArray, FloatArray
 
 #: Degree of the polynomials: shear of the slopes that is the same everywhere, and its change to second order.
@@ -13,21 +15,23 @@ _DEGREE = 2
 _RISE_SHARE = 0.1
 
 
+#: Nodes that are worked on at once: what belongs to them stays in the second-level cache.
+_BLOCK = 8192
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class CurlMoments:
     """Weighted means of ``d slope_x / dy - d slope_y / dx`` over a map.
 
     values_per_m (k,): The means [1/m].
     covariance (k, k): From random and common errors of measurement [1/m^2].
-    weights (2, k, n): What a slope in x or y of each valid node adds to each mean [1/m].
-    x_m, y_m (n,): Those nodes [m].
+    slope_map: The map.
     """
 
     values_per_m: FloatArray
     covariance: FloatArray
-    weights: FloatArray
-    x_m: FloatArray
-    y_m: FloatArray
+    slope_map: SlopeMap
+    _weights: "_Weights"
 
     @property
     def chi_square(self) -> float:
@@ -36,8 +40,7 @@ class CurlMoments:
 
     def of_modes(self, modes: CommonModes) -> FloatArray:
         """Return the same means of smooth slope errors, shape (k, number of modes) [1/m]."""
-        along_x, along_y = modes.evaluate(self.x_m, self.y_m).swapaxes(0, 1)
-        return np.asarray(self.weights[0] @ along_x.T + self.weights[1] @ along_y.T)
+        return self._weights.of_modes(modes)
 
 
 def curl_moments(slope_map: SlopeMap) -> CurlMoments | None:
@@ -56,37 +59,90 @@ def curl_moments(slope_map: SlopeMap) -> CurlMoments | None:
     complete[inner] = valid[2:, 1:-1] & valid[:-2, 1:-1] & valid[1:-1, 2:] & valid[1:-1, :-2] & valid[inner]
     if np.count_nonzero(complete) < 100:
         return None
-    x_m, y_m = np.meshgrid(slope_map.x_m, slope_map.y_m)
-    scale = 0.5 * max(float(np.ptp(x_m[valid])), float(np.ptp(y_m[valid])))
-    u, v = (x_m - x_m[valid].mean()) / scale, (y_m - y_m[valid].mean()) / scale
-    window = _window(complete)
-    by_node = monomials(u, v, _DEGREE) * (window / window.sum())
-    along_x, along_y = np.zeros_like(by_node), np.zeros_like(by_node)
-    # Sums of differences, moved from the slopes to the weights.
-    by_y, by_x = (by_node[:, *inner] / (one[2:] - one[:-2])[place] for one, place in _steps(slope_map))
-    along_x[:, 2:, 1:-1] += by_y
-    along_x[:, :-2, 1:-1] -= by_y
-    along_y[:, 1:-1, 2:] -= by_x
-    along_y[:, 1:-1, :-2] += by_x
-    weights = np.stack([along_x[:, valid], along_y[:, valid]])
-    errors = slope_map.slope_error_x[valid], slope_map.slope_error_y[valid]
-    sigmas = slope_map.sigma_random_x[valid], slope_map.sigma_random_y[valid]
-    values = sum((w @ error for w, error in zip(weights, errors, strict=True)), np.zeros(len(by_node)))
-    random = sum(((w * s**2) @ w.T for w, s in zip(weights, sigmas, strict=True)), np.zeros((len(by_node),) * 2))
-    found = CurlMoments(values, slope_map.noise_correlation * random, weights, x_m[valid], y_m[valid])
-    modes = found.of_modes(slope_map.common)
-    return CurlMoments(values, found.covariance + modes @ modes.T, weights, found.x_m, found.y_m)
+    weights = _Weights.of(slope_map, valid, complete)
+    values, random = np.zeros(len(_POWERS)), np.zeros((len(_POWERS),) * 2)
+    for rows, weights_x, weights_y in weights.blocks():
+        # Nodes without a value have no weight.
+        known = valid[rows].ravel()
+        for one, slopes, design, sigma in (
+            (weights_x, slope_map.slope_x, slope_map.design_slope_x, slope_map.sigma_random_x),
+            (weights_y, slope_map.slope_y, slope_map.design_slope_y, slope_map.sigma_random_y),
+        ):
+            errors = np.where(known, (slopes[rows] - design[rows]).ravel(), 0.0)
+            values += one @ errors
+            random += (one * np.where(known, sigma[rows].ravel(), 0.0) ** 2) @ one.T
+    modes = weights.of_modes(slope_map.common)
+    return CurlMoments(values, slope_map.noise_correlation * random + modes @ modes.T, slope_map, weights)
 
 
-def _steps(slope_map: SlopeMap) -> tuple[tuple[FloatArray, tuple[slice | None, ...]], ...]:
-    """Return rows and columns of the grid, and how their differences stand beside nodes (k, ny, nx)."""
-    return (slope_map.y_m, (slice(None), None)), (slope_map.x_m, (None, slice(None)))
+#: Powers of x and of y of each polynomial.
+_POWERS = [(order - j, j) for order in range(_DEGREE + 1) for j in range(order + 1)]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Weights:
+    """What slopes in x and y of each node add to each mean.
+
+    x_m, y_m: The map's grid [m].
+    columns (d + 1, nx), rows (d + 1, ny): Powers of the places.
+    window (ny, nx): Weight of each node's curl, with a sum of 1.
+    """
+
+    x_m: FloatArray
+    y_m: FloatArray
+    columns: FloatArray
+    rows: FloatArray
+    window: FloatArray
+
+    @classmethod
+    def of(cls, slope_map: SlopeMap, valid: BoolArray, complete: BoolArray) -> "_Weights":
+        powers, places = np.arange(_DEGREE + 1)[:, None], []
+        for grid, count in ((slope_map.x_m, valid.sum(axis=0)), (slope_map.y_m, valid.sum(axis=1))):
+            places.append((grid - grid @ count / count.sum(), np.ptp(grid[count > 0])))
+        scale = 0.5 * max(float(side) for _, side in places)
+        window = _window(complete)
+        columns, rows = ((place / scale) ** powers for place, _ in places)
+        return cls(slope_map.x_m, slope_map.y_m, columns, rows, window / window.sum())
+
+    def blocks(self) -> Iterator[tuple[slice, FloatArray, FloatArray]]:
+        """Yield some rows, and the weights (k, b) of their slopes in x and in y [1/m]."""
+        height, width = self.window.shape
+        # Sums of differences over two steps, moved from the slopes to the weights; none at the edge.
+        along_x, along_y = (np.zeros(grid.size) for grid in (self.x_m, self.y_m))
+        for one, grid in ((along_x, self.x_m), (along_y, self.y_m)):
+            one[1:-1] = 1 / (grid[2:] - grid[:-2])
+        step = max(1, _BLOCK // width)
+        for start in range(0, height, step):
+            rows = slice(start, min(start + step, height))
+            above = slice(max(start - 1, 0), min(rows.stop + 1, height))
+            by_y = np.zeros((rows.stop - rows.start + 2, width))
+            by_y[above.start - start + 1 : above.stop - start + 1] = self.window[above] * along_y[above, None]
+            by_x = self.window[rows] * along_x
+            powers_y = np.zeros((_DEGREE + 1, len(by_y)))
+            powers_y[:, above.start - start + 1 : above.stop - start + 1] = self.rows[:, above]
+            weights_x, weights_y = np.zeros((2, len(_POWERS), *by_x.shape))
+            for number, (power_x, power_y) in enumerate(_POWERS):
+                part = by_y * powers_y[power_y][:, None]
+                np.multiply(part[:-2] - part[2:], self.columns[power_x], out=weights_x[number])
+                part = by_x * np.multiply.outer(self.rows[power_y, rows], self.columns[power_x])
+                weights_y[number, :, :-1] = part[:, 1:]
+                weights_y[number, :, 1:] -= part[:, :-1]
+            yield rows, weights_x.reshape(len(_POWERS), -1), weights_y.reshape(len(_POWERS), -1)
+
+    def of_modes(self, modes: CommonModes) -> FloatArray:
+        """Return the means of smooth slope errors, shape (k, number of modes) [1/m]."""
+        total = np.zeros((len(_POWERS), len(modes.sources)))
+        if not modes.sources:
+            return total
+        for rows, weights_x, weights_y in self.blocks():
+            values = np.stack(list(modes.on_grid(self.x_m, self.y_m[rows]))).reshape(len(modes.sources), 2, -1)
+            total += weights_x @ values[:, 0].T + weights_y @ values[:, 1].T
+        return total
 
 
 def _window(complete: BoolArray) -> FloatArray:
     """Return weights that rise smoothly from 0 at the edge of what is measured to 1."""
-    from scipy.ndimage import distance_transform_edt
-
-    away = np.asarray(distance_transform_edt(np.pad(complete, 1)))[1:-1, 1:-1]
+    inside = np.pad(complete.astype(np.uint8), 1)
+    away = cv2.distanceTransform(inside, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[1:-1, 1:-1].astype(np.float64)
     share = np.minimum(away / (_RISE_SHARE * np.sqrt(np.count_nonzero(complete))), 1.0)
     return np.asarray(share**2 * (3 - 2 * share))
