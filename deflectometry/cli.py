@@ -57,14 +57,6 @@ def measure_command(
     verbose: Verbose = False,
 ) -> None:
     """Evaluate a measurement folder: slope_map.nc, pixels.nc, cameras.json, summary.json, report.html."""
-    from deflectometry.exchange.measure_slopes import load_slopes
-    from deflectometry.exchange.measure_slopes import run as run_slopes
-    from deflectometry.keys import load_deflectometry
-    from deflectometry.pipeline.choices import Options
-    from deflectometry.pipeline.measure import run
-    from deflectometry.poses.keys import load_poses
-    from deflectometry.poses.pipeline.measure import run as run_poses
-    from deflectometry.shape.smooth_shape import Align
     from heliogauge.errors import InputError
     from heliogauge.measurement.load import kind_of
     from heliogauge.running.terminal import terminal_progress
@@ -75,6 +67,9 @@ def measure_command(
     if kind == "slopes":
         if (align, grid_step_mm) != (None, None):
             raise InputError(f"{folder}: slopes have no alignment, and their grid is in measurement.toml; leave it out")
+        from deflectometry.exchange.measure_slopes import load_slopes
+        from deflectometry.exchange.measure_slopes import run as run_slopes
+
         removal = None if remove is None else Removal(remove)
         deliver(
             out,
@@ -86,6 +81,11 @@ def measure_command(
             as_json=as_json,
         )
         return
+    from deflectometry.pipeline.choices import Options
+    from deflectometry.pipeline.measure import run
+    from deflectometry.shape.smooth_shape import Align
+    from heliogauge.results.frame import InstrumentResult
+
     options = Options(
         align=None if align is None else Align(align),
         grid_step_mm=grid_step_mm,
@@ -93,13 +93,21 @@ def measure_command(
         strict=strict,
         jobs=jobs,
     )
+
+    def measure() -> InstrumentResult:
+        # What the other kind needs is not loaded.
+        if kind == "deflectometry-poses":
+            from deflectometry.poses.keys import load_poses
+            from deflectometry.poses.pipeline.measure import run as run_poses
+
+            return run_poses(load_poses(folder), options, progress)
+        from deflectometry.keys import load_deflectometry
+
+        return run(load_deflectometry(folder), options, progress)
+
     deliver(
         out,
-        lambda: (
-            run_poses(load_poses(folder), options, progress)
-            if kind == "deflectometry-poses"
-            else run(load_deflectometry(folder), options, progress)
-        ),
+        measure,
         progress,
         force=force,
         quiet=quiet,

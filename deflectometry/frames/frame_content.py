@@ -10,7 +10,7 @@ import numpy.typing as npt
 from deflectometry.fringes.fringe_orders import combine_orders, search_orders
 from deflectometry.fringes.phase import TURN_RAD, LightResponse, NoiseModel, solve_steps, wrap_phase
 from deflectometry.setup.patterns import Axis, FringePattern
-from heliogauge.adjust.robust_scale import quantile, robust_scale_of_rows
+from heliogauge.adjust.robust_scale import robust_scale_of_rows
 from heliogauge.validate import BoolArray, FloatArray
 
 #: Pixels that the checks look at: 2000 give a frame's step to 0.1 deg at a signal to noise of 20.
@@ -53,7 +53,7 @@ def sample_frames(frames: npt.NDArray[Any], region: BoolArray | None, response: 
     values = raw.astype(np.float32)
     finite = np.isfinite(values).all(axis=0)
     spread = spread_of_frames(np.where(finite, values, np.float32(0)))
-    lit = np.flatnonzero(finite & (spread > 0.3 * quantile(spread, 0.99))) if spread.size else np.zeros(0, int)
+    lit = np.flatnonzero(finite & (spread > 0.3 * np.quantile(spread, 0.99))) if spread.size else np.zeros(0, int)
     lit = lit[:: max(1, -(-lit.size // _PIXELS))]
     readings = values[:, lit].astype(np.float64)
     return FrameSample(readings, readings if response is None else response.linearise(readings), raw)

@@ -16,7 +16,7 @@ import numpy.typing as npt
 from deflectometry.frames.frame_content import agreeing_sets, fit_sets, position_from_sets, spread_of_frames
 from deflectometry.fringes.phase import TURN_RAD, LightResponse, NoiseModel
 from deflectometry.setup.patterns import Axis, FringePattern
-from heliogauge.adjust.robust_scale import quantile, robust_scale
+from heliogauge.adjust.robust_scale import robust_scale
 from heliogauge.validate import FloatArray, IntArray
 
 #: Pixels that determine the parameters, and readings: 400 pixels give an offset to a twentieth of the noise.
@@ -266,7 +266,7 @@ def _lit(frames: npt.NDArray[np.generic], most: int) -> IntArray:
     stride = max(1, int(np.sqrt(height * width / (10 * most))))
     thin = frames[:, ::stride, ::stride].astype(np.float32)
     spread = spread_of_frames(np.nan_to_num(thin).reshape(len(thin), -1)).reshape(thin.shape[1:])
-    rows, columns = np.nonzero(spread > 0.3 * quantile(spread, 0.99))
+    rows, columns = np.nonzero(spread > 0.3 * np.quantile(spread, 0.99))
     kept = slice(None, None, max(1, rows.size // most))
     return np.asarray(rows[kept] * stride * width + columns[kept] * stride)
 

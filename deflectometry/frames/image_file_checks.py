@@ -8,7 +8,6 @@ import numpy.typing as npt
 
 from deflectometry.fringes.phase import NoiseModel, solve_steps
 from deflectometry.setup.patterns import FringePattern
-from heliogauge.adjust.robust_scale import quantile
 from heliogauge.camera.model import Camera
 from heliogauge.doubts import Doubt
 from heliogauge.errors import EstimationError, InputError
@@ -77,7 +76,7 @@ def check_noise(frames: npt.NDArray[Any], pattern: FringePattern, noise: NoiseMo
         return None
     # Without fringes a pixel has the noise of darkness; the median pixel that has some stands for the mirror.
     spread = readings.std(axis=0)
-    on_mirror = spread > 0.3 * quantile(spread, 0.99)
+    on_mirror = spread > 0.3 * np.quantile(spread, 0.99)
     seen_dn = float(np.sqrt(np.median(left[on_mirror]) / freedom)) if on_mirror.any() else float("nan")
     stated_dn = float(noise.sigma_read_dn)
     ratio = stated_dn / max(seen_dn, 0.29)

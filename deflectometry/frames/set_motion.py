@@ -7,7 +7,7 @@ import numpy.typing as npt
 
 from deflectometry.fringes.phase import solve_steps
 from deflectometry.setup.patterns import FringePattern
-from heliogauge.adjust.robust_scale import quantile, robust_scale
+from heliogauge.adjust.robust_scale import robust_scale
 from heliogauge.validate import FloatArray
 
 #: Pixels looked at; the edges of a mirror that fills 800 x 800 px are 5000 of 50 000.
@@ -40,7 +40,7 @@ def sets_shifts(frames: npt.NDArray[Any], pattern: FringePattern) -> tuple[Float
     # Where light changes little from pixel to pixel there is no edge, and fringes that are left weigh more.
     along = np.stack([0.5 * (usual[2] - usual[1]), 0.5 * (usual[4] - usual[3])])
     steep = np.hypot(*along)
-    chosen = steep > 0.2 * quantile(steep, 0.995)
+    chosen = steep > 0.2 * np.quantile(steep, 0.995)
     shifts, sigmas = np.zeros((2, len(means), 2))
     if np.count_nonzero(chosen) < 50 or not np.isfinite(usual).all():
         return shifts, sigmas + np.inf

@@ -48,8 +48,7 @@ def spread_indices(count: int, most: int) -> IntArray:
     if count <= most:
         return np.arange(count)
     part = np.arange(most)
-    places = np.sort(((part + part * 0.6180339887498949 % 1.0) * (count / most)).astype(np.intp))
-    return places[np.diff(places, prepend=-1) > 0]
+    return np.unique(((part + part * 0.6180339887498949 % 1.0) * (count / most)).astype(np.intp))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

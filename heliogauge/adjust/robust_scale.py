@@ -34,22 +34,3 @@ def robust_scale_of_rows(deviations: FloatArray) -> FloatArray:
     deviations (n, k): Errors about zero.
     """
     return np.asarray(SIGMA_PER_MAD * np.nanmedian(np.abs(deviations), axis=1))
-
-
-def quantile(values: npt.NDArray[Any], share: float) -> float:
-    """Return the value below which a share of all values lies, linear between two of them.
-
-    values (...): Numbers, at least one.
-    share: From 0 to 1.
-
-    What numpy's own gives, without the import of numpy's masked arrays that comes with it (5 % of the processor time of
-    a small facet).
-
-    >>> quantile(np.array([3.0, 1.0, 2.0, 5.0]), 0.5)
-    2.5
-    """
-    place = share * (values.size - 1)
-    below = int(place)
-    above = min(below + 1, values.size - 1)
-    ordered = np.partition(values.ravel(), (below, above))
-    return float(ordered[below] + (place - below) * (ordered[above] - ordered[below]))
