@@ -16,6 +16,8 @@ _PIXELS = 50_000
 #: and an edge two pixels wide whose two levels change by that moves by a fiftieth of a pixel.
 _LEAST_PX = 0.02
 _SIGNIFICANT = 6.0
+#: Share of the steepest edge from which on a pixel counts as one of an edge.
+_STEEP_SHARE = 0.2
 
 
 def sets_shifts(frames: npt.NDArray[Any], pattern: FringePattern) -> tuple[FloatArray, FloatArray]:
@@ -29,18 +31,26 @@ def sets_shifts(frames: npt.NDArray[Any], pattern: FringePattern) -> tuple[Float
     """
     height, width = frames.shape[1:]
     stride = max(1, int(np.sqrt(height * width / _PIXELS)))
-    rows, columns = (part.ravel() for part in np.mgrid[1 : height - 1 : stride, 1 : width - 1 : stride])
     around = ((0, 0), (0, -1), (0, 1), (-1, 0), (1, 0))
-    means = np.empty((len(pattern.sets), 5, rows.size))
+    places = [
+        (slice(1 + down, height - 1 + down, stride), slice(1 + right, width - 1 + right, stride))
+        for down, right in around
+    ]
+    size = len(range(1, height - 1, stride)) * len(range(1, width - 1, stride))
+    every = np.empty((len(pattern.sets), len(around), size), dtype=np.float32)
     for number, (one, where) in enumerate(zip(pattern.sets, pattern.frame_slices, strict=True)):
         weights = solve_steps(one.steps_rad).estimate[0].astype(np.float32)
-        for place, (down, right) in enumerate(around):
-            means[number, place] = weights @ frames[where, rows + down, columns + right].astype(np.float32)
+        for target, place in zip(every[number], places, strict=True):
+            np.matmul(weights, frames[where, *place].reshape(one.n_frames, -1).astype(np.float32), out=target)
+    # Where light changes little from pixel to pixel there is no edge, and fringes that are left weigh more. The mean of
+    # all sets tells where; what the edges are like is for their median, which one that moved does not change.
+    mean = every.mean(axis=0)
+    rough = np.hypot(mean[2] - mean[1], mean[4] - mean[3])
+    means = every[:, :, rough > 0.5 * _STEEP_SHARE * np.quantile(rough, 0.995)].astype(np.float64)
     usual = np.median(means, axis=0)
-    # Where light changes little from pixel to pixel there is no edge, and fringes that are left weigh more.
     along = np.stack([0.5 * (usual[2] - usual[1]), 0.5 * (usual[4] - usual[3])])
     steep = np.hypot(*along)
-    chosen = steep > 0.2 * np.quantile(steep, 0.995)
+    chosen = steep > 0.5 * _STEEP_SHARE * float(np.quantile(rough, 0.995))
     shifts, sigmas = np.zeros((2, len(means), 2))
     if np.count_nonzero(chosen) < 50 or not np.isfinite(usual).all():
         return shifts, sigmas + np.inf

@@ -8,6 +8,7 @@ error, exit 2. Any other exception is a bug and shows its traceback. Ctrl-C ends
 143; both unwind the stack, so that a result that is being written is removed.
 """
 
+import gc
 import os
 import re
 import signal
@@ -41,6 +42,9 @@ from heliogauge.running.commands import (
     say_ending,
 )
 from heliogauge.running.help_text import HelpContext, show_whole, write_commands
+
+#: Objects with references, made and still there, before cycles among them are looked for; Python's own number is 700.
+_NEW_OBJECTS = 50_000
 
 
 def group_of(instrument: Instrument) -> Any:
@@ -340,6 +344,8 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
     SystemExit: Always: 0 success, 2 a user's mistake or an undetermined measurement, 130 Ctrl-C, 143 terminated.
     """
     signal.signal(signal.SIGTERM, _terminate)
+    # Looking for cycles among the objects of a hundred thousand definitions is a tenth of a short command.
+    gc.set_threshold(_NEW_OBJECTS)
     for stream in (sys.stdout, sys.stderr):
         # A console that cannot show a sign (Windows' code pages, a log in ASCII) gets a stand-in, not a traceback.
         if isinstance(stream, TextIOWrapper):
