@@ -207,8 +207,9 @@ def statistics_of_removals(
     patterns = Patterns.of(nodes)
     # What a quadratic leaves is what blur and a wrong scale change.
     fine = bool(slope_map.fine_share.any())
-    fits = fit_removals(nodes, patterns, [*removals, Removal.QUADRATIC] if fine else removals)
-    every = _PatternSums.zero(nodes.common.coefficients.shape[2])
+    asked = [*removals, Removal.QUADRATIC] if fine and Removal.QUADRATIC not in removals else list(removals)
+    fits = fit_removals(nodes, patterns, asked)
+    every = _BlockSums.zero(nodes.common.coefficients.shape[2])
     sums_of_fits = [_AngleSums.zero(nodes.common.coefficients.shape[2]) for _ in fits]
     mean = np.zeros(2)
     for part in nodes.blocks():
@@ -217,18 +218,16 @@ def statistics_of_removals(
         mean += angles.sum(axis=1)
         every.add(block)
         for fit, sums in zip(fits, sums_of_fits, strict=True):
-            if fit.taken:
-                left = block.errors - fit.change(block.basis)
-                sums.add(block, left, block.angles(left))
-            else:
-                sums.add(block, block.errors, angles)
+            sums.add(block, block.angles(block.errors - fit.change(block.basis)) if fit.taken else angles)
     mean /= nodes.count
-    waves = np.maximum(sums_of_fits[-1].squares - sums_of_fits[-1].noise, 0.0) if fine else np.zeros(2)
-    by_waves = slope_map.fine_share * waves
+    by_waves = np.zeros(2)
+    if fine:
+        rough = sums_of_fits[asked.index(Removal.QUADRATIC)]
+        by_waves = slope_map.fine_share * np.maximum(rough.squares - every.noise, 0.0)
     found = []
     for fit, sums in zip(fits[: len(removals)], sums_of_fits, strict=False):
         sdx, sdy = np.sqrt(sums.squares / nodes.count).tolist()
-        noise_x, noise_y = np.sqrt(sums.noise / nodes.count).tolist()
+        noise_x, noise_y = np.sqrt(every.noise / nodes.count).tolist()
         sigma_x, sigma_y, sigma = (
             sums.sigma_of_rms(nodes, fit, every, by_waves, chosen) for chosen in ([0], [1], [0, 1])
         )
@@ -257,6 +256,7 @@ class _Block:
     """Some of the nodes: design slopes, errors and variance (2, b).
 
     across: `across_normal` of the design.
+    turns (3, b): How the angles change with the measured slopes: each with its own, and with the other's.
     both (5 + n_terms, b): Parts of the patterns, then monomials.
     """
 
@@ -264,13 +264,16 @@ class _Block:
     errors: FloatArray
     variance: FloatArray
     across: tuple[FloatArray, FloatArray, FloatArray]
+    turns: FloatArray
     both: FloatArray
 
     @classmethod
     def of(cls, nodes: MeasuredNodes, patterns: Patterns, part: slice) -> "_Block":
-        design, variance = nodes.design[:, part], nodes.variance[:, part]
+        design, errors = nodes.design[:, part], nodes.errors[:, part]
         both = np.concatenate([patterns.basis(nodes.x_m[part], nodes.y_m[part], design), nodes.terms(part)])
-        return cls(design, nodes.errors[:, part], variance, across_normal(*design), both)
+        ((by_x, mixed), (_, by_y)) = d_angles_d_slopes(*(design + errors))
+        turns = np.stack([by_x, mixed, by_y])
+        return cls(design, errors, nodes.variance[:, part], across_normal(*design), turns, both)
 
     @property
     def basis(self) -> FloatArray:
@@ -282,20 +285,34 @@ class _Block:
 
 
 @dataclass(slots=True, eq=False)
-class _PatternSums:
-    """Sums over the nodes of the patterns' parts: times parts times variance in x and in y, and times monomials."""
+class _BlockSums:
+    """Sums over the nodes that no removal changes.
+
+    squares_of_parts (2, 5, 5): Of the patterns' parts times each other times variance, in x and in y.
+    moments_of_parts (5, n_terms): Of the patterns' parts times monomials.
+    noise (2,), noise_squares (2, 2): Of the angles' random variances, and of their squared covariances.
+    """
 
     squares_of_parts: FloatArray
     moments_of_parts: FloatArray
+    noise: FloatArray
+    noise_squares: FloatArray
 
     @classmethod
-    def zero(cls, n_terms: int) -> "_PatternSums":
-        return cls(np.zeros((2, 5, 5)), np.zeros((5, n_terms)))
+    def zero(cls, n_terms: int) -> "_BlockSums":
+        return cls(np.zeros((2, 5, 5)), np.zeros((5, n_terms)), np.zeros(2), np.zeros((2, 2)))
 
     def add(self, block: _Block) -> None:
+        (by_x, mixed, by_y), (variance_x, variance_y) = block.turns, block.variance
         for axis in (0, 1):
             self.squares_of_parts[axis] += (block.basis * block.variance[axis]) @ block.basis.T
         self.moments_of_parts += block.basis @ block.both[5:].T
+        noise_x = by_x * by_x * variance_x + mixed * mixed * variance_y
+        noise_y = mixed * mixed * variance_x + by_y * by_y * variance_y
+        both = mixed * (by_x * variance_x + by_y * variance_y)
+        shared = float(both @ both)
+        self.noise += noise_x.sum(), noise_y.sum()
+        self.noise_squares += [[float(noise_x @ noise_x), shared], [shared, float(noise_y @ noise_y)]]
 
     @property
     def squares(self) -> FloatArray:
@@ -312,44 +329,30 @@ class _PatternSums:
 class _AngleSums:
     """Sums over the nodes that the RMS of the angles and its sigma are made of, after one removal.
 
-    squares, noise (2,): Of the squared angles, and of their random variances.
-    noise_squares (2, 2): Of the squared covariances of the two angles.
+    squares (2,): Of the squared angles.
     pulls (2, 2): Of pulls times pulls times variance; a pull is how half the squared angle changes with the slopes.
     pull_parts (2, 2, 5 + n_terms): Of pulls times the patterns' parts and monomials.
     pull_variance_parts (2, 2, 5): Of pulls times variance times the patterns' parts.
     """
 
     squares: FloatArray
-    noise: FloatArray
-    noise_squares: FloatArray
     pulls: FloatArray
     pull_parts: FloatArray
     pull_variance_parts: FloatArray
 
     @classmethod
     def zero(cls, n_terms: int) -> "_AngleSums":
-        shapes = ((2,), (2,), (2, 2), (2, 2), (2, 2, 5 + n_terms), (2, 2, 5))
-        squares, noise, noise_squares, pulls, parts, weighted = (np.zeros(shape) for shape in shapes)
-        return cls(squares, noise, noise_squares, pulls, parts, weighted)
+        return cls(np.zeros(2), np.zeros((2, 2)), np.zeros((2, 2, 5 + n_terms)), np.zeros((2, 2, 5)))
 
-    def add(self, block: _Block, left: FloatArray, angles: FloatArray) -> None:
-        """Add some nodes, with the errors (2, b) that a removal leaves and their angles."""
-        slope_x, slope_y = block.design + left
-        square_x, square_y = slope_x * slope_x, slope_y * slope_y
-        length = np.sqrt(1 + square_x + square_y)
-        # `across_normal` over the length of the normal: how the angles change with the slopes.
-        inverse = 1 / length
-        share = inverse * inverse / (length + 1)
-        by_x, mixed, by_y = inverse - square_x * share, -slope_x * slope_y * share, inverse - square_y * share
-        variance_x, variance_y = block.variance
-        noise_x = by_x * by_x * variance_x + mixed * mixed * variance_y
-        noise_y = mixed * mixed * variance_x + by_y * by_y * variance_y
-        both = mixed * (by_x * variance_x + by_y * variance_y)
+    def add(self, block: _Block, angles: FloatArray) -> None:
+        """Add some nodes with the angles (2, b) that a removal leaves.
+
+        How angles change with slopes is taken at the measured slopes: those that are left differ from them by so little
+        that a mirror's sigma changes by less than the product of slope and what was removed.
+        """
+        by_x, mixed, by_y = block.turns
         self.squares += float(angles[0] @ angles[0]), float(angles[1] @ angles[1])
-        self.noise += noise_x.sum(), noise_y.sum()
-        shared = float(both @ both)
-        self.noise_squares += [[float(noise_x @ noise_x), shared], [shared, float(noise_y @ noise_y)]]
-        pull = np.empty((2, 2, left.shape[1]))
+        pull = np.empty((2, 2, angles.shape[1]))
         for row, (angle, along_x, along_y) in enumerate(zip(angles, (by_x, mixed), (mixed, by_y), strict=True)):
             np.multiply(angle, along_x, out=pull[row, 0])
             np.multiply(angle, along_y, out=pull[row, 1])
@@ -359,7 +362,7 @@ class _AngleSums:
         self.pull_variance_parts += (weighted.reshape(4, -1) @ block.basis.T).reshape(2, 2, 5)
 
     def sigma_of_rms(
-        self, nodes: MeasuredNodes, fit: RemovalFit, every: _PatternSums, by_waves: FloatArray, chosen: list[int]
+        self, nodes: MeasuredNodes, fit: RemovalFit, every: _BlockSums, by_waves: FloatArray, chosen: list[int]
     ) -> float:
         """Return the sigma of the RMS of one component, or of both: with n rms^2 changing by 2 pull . d(errors).
 
@@ -379,7 +382,7 @@ class _AngleSums:
         random = float(self.pulls[np.ix_(chosen, chosen)].sum())
         random -= 2 * float(share @ np.einsum("kci,ci->k", shares, weighted))
         random += float(share @ every.squares[np.ix_(taken, taken)] @ share)
-        overcount = 0.5 * float(self.noise_squares[np.ix_(chosen, chosen)].sum())
+        overcount = 0.5 * float(every.noise_squares[np.ix_(chosen, chosen)].sum())
         moments = moments - np.tensordot(share, every.moments[taken], axes=1)
         common = float(np.sum(nodes.modes_times(moments[None]) ** 2))
         # One blur and one scale for both directions.
