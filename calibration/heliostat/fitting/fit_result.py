@@ -6,6 +6,7 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 
+from calibration.heliostat.fitting.drift_noise import Drift
 from calibration.heliostat.fitting.observability import Combination
 from calibration.heliostat.kinematic_model.design import HeliostatDesign
 from calibration.heliostat.observations.observations import Observations
@@ -72,6 +73,7 @@ class HeliostatFit:
     unobservable: Combinations that the priors decide.
     basins: Starts tried.
     doubts: What a user must know before believing the numbers.
+    drift: What it knows of noise that moves the drives' zeros; None where every row was taken for itself.
     """
 
     design: HeliostatDesign
@@ -89,6 +91,7 @@ class HeliostatFit:
     unobservable: tuple[Combination, ...]
     basins: int
     doubts: tuple[Doubt, ...]
+    drift: Drift | None = None
 
     @property
     def names(self) -> tuple[str, ...]:

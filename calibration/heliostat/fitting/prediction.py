@@ -1,11 +1,12 @@
 """Where a fitted heliostat will send its beam, how sure that is, and where it was never asked."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
+from calibration.heliostat.fitting.drift_noise import Drift, drive_zeros, row_days
 from calibration.heliostat.fitting.fit_model import REFUTED_FROM, FitModel, descend
 from calibration.heliostat.fitting.fit_result import FitOptions, HeliostatFit
 from calibration.heliostat.fitting.observability import plausible_scales
@@ -79,6 +80,8 @@ def predict_rows(found: HeliostatFit, observations: Observations, options: FitOp
     Returns: One entry per row; the beam's sigma is the line of sight's or the normal's for other kinds.
     InputError: A row needs a camera or target that the fit does not have.
     """
+    if found.drift is not None:
+        return _predict_rows_with_drift(found, found.drift, observations)
     wide = _Wide.of(found)
     rows = evaluate(found.design, found.values, observations, columns=wide.columns)
     sigma = rows.sigma_beam_rad
@@ -91,6 +94,20 @@ def predict_rows(found: HeliostatFit, observations: Observations, options: FitOp
     positions = observations.sun if _by_sun(found) else normals
     spread = wide.spread(jacobian, blocked_inflation(found, options))
     return _prediction(found, *spread, misfit, positions, observations.readings, rows.computable, sigma)
+
+
+def _predict_rows_with_drift(found: HeliostatFit, drift: Drift, observations: Observations) -> Prediction:
+    """Predict rows whose drives' zeros have to do with those of the rows that were fitted."""
+    seen = _AlongDrives.of(found, observations)
+    covariance, parameters = seen.covariance(found, drift, row_days(observations))
+    normals = mirror_poses(
+        found.design, found.values, observations.readings, observations.approach, outside="nan"
+    ).normals(found.design)
+    positions = observations.sun if _by_sun(found) else normals
+    noise = min(drift.noise.white, 1.0) * seen.sigma_rad
+    return _assembled(
+        found, covariance, parameters, positions, observations.readings, seen.computable, noise
+    )
 
 
 def predict_aim(
@@ -115,9 +132,11 @@ def predict_aim(
     aimed = aim(found.design, found.values, suns, points)
     usable = np.asarray(aimed.converged & aimed.within_limits)
     readings = np.where(usable[:, None], aimed.readings, np.nan)
+    places = suns if _by_sun(found) else np.where(usable[:, None], aimed.normals, np.nan)
+    if found.drift is not None:
+        return _predict_aim_with_drift(found, found.drift, suns, points, readings, usable, places)
     wide = _Wide.of(found)
     jacobian = np.full((len(suns), 2, wide.columns.size), np.nan)
-    positions = np.where(usable[:, None], aimed.normals, np.nan)
     if usable.any():
         # As if the spot were seen at the aim point with a sigma of 1 m: whitened times 1 / distance is the angle.
         seen = BeamSpots.at_points(
@@ -128,8 +147,109 @@ def predict_aim(
         jacobian[usable] = own * rows.sigma_beam_rad[:, None, None]
     misfit = np.full(len(suns), _typical_misfit(found))
     spread = wide.spread(jacobian, blocked_inflation(found, options) if inflation is None else inflation)
-    places = suns if _by_sun(found) else positions
     return _prediction(found, *spread, misfit, places, readings, usable, np.zeros(len(suns)))
+
+
+def _predict_aim_with_drift(
+    found: HeliostatFit,
+    drift: Drift,
+    suns: FloatArray,
+    points: FloatArray,
+    readings: FloatArray,
+    usable: BoolArray,
+    places: FloatArray,
+) -> Prediction:
+    """Predict aims on days of which nothing is known but how far the drives' zeros wander."""
+    covariance, parameters = np.full((len(suns), 2, 2), np.nan), np.full((len(suns), 2, 2), np.nan)
+    if usable.any():
+        names = ("",) * int(usable.sum())
+        spots = BeamSpots.at_points(Pointings(readings[usable]), suns[usable], points[usable], 1.0, names)
+        # Nothing is measured there: what exceeds the stated sigma is the misfit of the rows that were used.
+        seen = replace(_AlongDrives.of(found, Observations((spots,))), sigma_rad=np.full(len(names), _white_rad(found)))
+        covariance[usable], parameters[usable] = seen.covariance(found, drift, None)
+    return _assembled(found, covariance, parameters, places, readings, usable, np.zeros(len(suns)))
+
+
+def _white_rad(found: HeliostatFit) -> float:
+    """Stated sigma of the rows used, root mean square [rad]."""
+    sigma = found.residuals.sigma_beam_rad[found.used]
+    known = sigma[np.isfinite(sigma)]
+    return float(np.sqrt(np.mean(known**2))) if known.size else 0.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _AlongDrives:
+    """How the beams of some rows move.
+
+    by_parameter (n, 2, k): With the free parameters, in the order of the design [rad].
+    by_drive (n, 2, 2): With the angle of each drive [rad/rad].
+    sigma_rad (n,): Stated sigma of each row [rad].
+    computable (n,): Whether the readings lie within the geometry of the actuators.
+    """
+
+    by_parameter: FloatArray
+    by_drive: FloatArray
+    sigma_rad: FloatArray
+    computable: BoolArray
+
+    @classmethod
+    def of(cls, found: HeliostatFit, observations: Observations) -> "_AlongDrives":
+        """Differentiate at the fit."""
+        columns = _columns(found)
+        both = np.concatenate([columns, found.design.parameters.indices(drive_zeros(found.design))])
+        order = np.unique(both)
+        rows = evaluate(found.design, found.values, observations, columns=order)
+        sigma = rows.sigma_beam_rad
+        moved = _two_components(rows.jacobian, rows.owner, len(observations)) * sigma[:, None, None]
+        moved = moved[:, :, np.searchsorted(order, both)]
+        return cls(moved[:, :, : columns.size], moved[:, :, columns.size :], sigma, rows.computable)
+
+    def covariance(self, found: HeliostatFit, drift: Drift, days: FloatArray | None) -> tuple[FloatArray, FloatArray]:
+        """Covariance of what the fit predicts wrong, without the stated noise, and the parameters' own share of it.
+
+        days (n,): When [d]; None where nothing is known of it. On days like those of the fit its parameters have
+        followed the drives' zeros a part of the way.
+        Returns (n, 2, 2), (n, 2, 2): [rad^2].
+        """
+        noise = drift.noise
+        parameters = self.by_parameter @ found.solution.covariance @ self.by_parameter.transpose(0, 2, 1)
+        total = parameters + noise.drive_variance_rad2 * (self.by_drive @ self.by_drive.transpose(0, 2, 1))
+        if days is not None:
+            followed = drift.shared(days, self.by_drive) @ self.by_parameter.transpose(0, 2, 1)
+            total = total - followed - followed.transpose(0, 2, 1)
+        misfit = np.maximum(noise.white**2 - 1, 0.0) * self.sigma_rad**2
+        return total + misfit[:, None, None] * np.eye(2), parameters
+
+
+def _assembled(
+    found: HeliostatFit,
+    covariance: FloatArray,
+    parameters: FloatArray,
+    positions: FloatArray,
+    readings: FloatArray,
+    usable: BoolArray,
+    noise: FloatArray,
+) -> Prediction:
+    """Assemble a prediction; the misfit's share is what the parameters leave of the whole."""
+    whole = np.trace(covariance, axis1=1, axis2=2)
+    own = np.minimum(np.trace(parameters, axis1=1, axis2=2), whole)
+    sigma = (found.factor * found.residuals.sigma_beam_rad)[found.used]
+    one = 2 * float(np.mean(sigma**2)) if sigma.size else float("nan")
+    leverage, distance = own / one, _nearest(positions, _used_positions(found))
+    reasons = tuple(_why(*pair) for pair in zip(distance, leverage, strict=True))
+    return Prediction(
+        readings,
+        usable,
+        covariance,
+        np.sqrt(own),
+        np.sqrt(whole - own),
+        np.sqrt(2.0) * noise,
+        leverage,
+        distance,
+        np.array([bool(reason) for reason in reasons], dtype=np.bool_),
+        reasons,
+        1.0,
+    )
 
 
 def blocked_inflation(found: HeliostatFit, options: FitOptions | None = None) -> float:
@@ -327,7 +447,7 @@ class _Wide:
         sigmas = own.sigmas.copy()
         for i, name in enumerate(own.names):
             if sigmas[i] == 0 and name in PRIORS:
-                sigmas[i] = PRIORS[name].sigma
+                sigmas[i] = PRIORS[name].of(float(own.values[i]))
         sigmas = np.where(np.isinf(sigmas), plausible_scales(own.values, own.names, own.units), sigmas)
         columns = np.flatnonzero(sigmas > 0)
         rows = found.used[found.residuals.owner]

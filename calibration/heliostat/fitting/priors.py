@@ -11,12 +11,18 @@ from calibration.heliostat.kinematic_model.presets import with_drive_terms
 class PriorSigma:
     """What a number may be wrong by before anything is measured.
 
-    sigma: Standard deviation in the parameter's unit.
+    sigma: Standard deviation in the parameter's unit; a share of its value if relative.
     source: Where that comes from.
+    relative: Whether sigma is a share of the value.
     """
 
     sigma: float
     source: str
+    relative: bool = False
+
+    def of(self, value: float) -> float:
+        """Return the standard deviation of a number of this value."""
+        return self.sigma * abs(value) if self.relative else self.sigma
 
 
 _POST = PriorSigma(5e-3, "posts are plumbed: EN 1090-2 allows a three-hundredth of the height")
@@ -27,6 +33,7 @@ _PLACE = PriorSigma(0.1, "satellite survey of posts in the field")
 _HEIGHT = PriorSigma(2.0, "which point of the post was surveyed, and above which zero, is seldom recorded")
 _PART = PriorSigma(3e-4, "general tolerance ISO 2768-m of parts from 120 to 400 mm: 0.5 mm at most")
 _WEIGHT = PriorSigma(3e-3, "frames of some square metres bend by a few milliradians under their weight")
+_PITCH = PriorSigma(7e-4, "rolled ball screws, ISO 3408-3 grade T10: 0.21 mm in 300 mm", relative=True)
 _ARM = PriorSigma(0.01, "mirror glued and screwed to its arm: a centimetre")
 _WORM = PriorSigma(2e-3, "data sheets of slew drives state a tracking precision of 0.1 degree")
 _PLAY = PriorSigma(4e-3, "data sheets of slew drives state a backlash of 0.1 to 0.2 degree")
@@ -44,6 +51,7 @@ PRIORS: Mapping[str, PriorSigma] = {
     **dict.fromkeys(
         (f"{part}_{axis}" for part in ("initial_stroke", "offset", "pivot_radius") for axis in (1, 2)), _PART
     ),
+    **dict.fromkeys(("increment_1", "increment_2"), _PITCH),
     **dict.fromkeys(("arm_normal", "arm_up"), _ARM),
     **dict.fromkeys((f"worm_{part}_{axis}" for part in ("sin", "cos", "sin2", "cos2") for axis in (1, 2)), _WORM),
     **dict.fromkeys(("backlash_1", "backlash_2"), _PLAY),
@@ -54,7 +62,7 @@ PRIORS: Mapping[str, PriorSigma] = {
 ASKED_FOR = tuple(name for name, prior in PRIORS.items() if prior in (_WORM, _PLAY, _RATIO))
 
 #: Parts of the drives: free only where the observations prove that they must be.
-PARTS = ("initial_angle_2", *(name for name, prior in PRIORS.items() if prior in (_PART, _ARM)))
+PARTS = ("initial_angle_2", *(name for name, prior in PRIORS.items() if prior in (_PART, _ARM, _PITCH)))
 
 
 def with_priors(design: HeliostatDesign, names: tuple[str, ...] | None = None) -> HeliostatDesign:
@@ -78,7 +86,7 @@ def prior_sigma(design: HeliostatDesign, name: str) -> float:
     own = design.parameters.sigma(name)
     if 0 < own < float("inf") or name not in PRIORS:
         return own
-    return PRIORS[name].sigma
+    return PRIORS[name].of(design.parameters.value(name))
 
 
 def with_bending(design: HeliostatDesign) -> HeliostatDesign:
@@ -86,11 +94,23 @@ def with_bending(design: HeliostatDesign) -> HeliostatDesign:
 
     Returns: With ``sag_1`` if its first drive is a linear actuator that bends nothing yet; otherwise as it was.
     """
-    first = design.drives[0]
-    if not isinstance(first, LinearActuator) or first.terms.names or "sag_1" in design.parameters.names:
+    return _bending(design, 0)
+
+
+def with_all_terms(design: HeliostatDesign) -> HeliostatDesign:
+    """Return the same heliostat with bending about both axes as further (held) parameters.
+
+    Returns: With ``sag_1`` and ``sag_2`` for linear actuators that bend nothing yet; otherwise as it was.
+    """
+    return _bending(_bending(design, 0), 1)
+
+
+def _bending(design: HeliostatDesign, drive: int) -> HeliostatDesign:
+    own = design.drives[drive]
+    if not isinstance(own, LinearActuator) or own.terms.names or f"sag_{drive + 1}" in design.parameters.names:
         return design
     # The mirror stands upright where the first axis is at 0: there its weight has the longest lever.
-    return with_drive_terms(design, 0, ("sag",), sag_zero_rad=0.0)
+    return with_drive_terms(design, drive, ("sag",), sag_zero_rad=0.0)
 
 
 def with_terms_free(design: HeliostatDesign, names: Collection[str]) -> HeliostatDesign:
@@ -101,4 +121,4 @@ def with_terms_free(design: HeliostatDesign, names: Collection[str]) -> Heliosta
     """
     parameters = design.parameters
     held = [name for name in names if name in parameters.names and parameters.sigma(name) == 0]
-    return design.with_parameters(parameters.with_sigmas({name: PRIORS[name].sigma for name in held}))
+    return design.with_parameters(parameters.with_sigmas({name: PRIORS[name].of(parameters.value(name)) for name in held}))

@@ -1,0 +1,224 @@
+"""The fit of a heliostat within what its field knows: correlated noise, all parameters, one posterior."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from calibration.heliostat.fitting.drift_noise import Drift, LinearRows, NoiseShape, drive_zeros, row_days
+from calibration.heliostat.fitting.field_model import FieldPrior
+from calibration.heliostat.fitting.fit_result import HeliostatFit
+from calibration.heliostat.fitting.observability import plausible_scales, unobserved
+from calibration.heliostat.fitting.priors import PRIORS
+from calibration.heliostat.fitting.unit_noise import unit_noise
+from calibration.heliostat.kinematic_model.design import HeliostatDesign
+from calibration.heliostat.observations.residuals import ObservationModel, evaluate
+from heliogauge.validate import FloatArray, freeze
+
+# Steps of Gauss and Newton; from a robust fit two bring the rest below a hundredth of a sigma.
+_MOST_STEPS, _NEAR = 6, 0.01
+#: Doubts of a robust fit that hold whatever the other parameters are.
+_STILL_TRUE = ("many_observations_rejected", "sigma_estimated_from_residuals", "observations_far_from_fit")
+
+
+def field_names(design: HeliostatDesign) -> tuple[str, ...]:
+    """Return the parameters of which a field can know something: those with a prior, in the design's order.
+
+    design: The heliostat, with all its terms (`with_all_terms`).
+    """
+    used = set(design.used_names)
+    return tuple(name for name in design.parameters.names if name in PRIORS and name in used)
+
+
+def linear_rows(found: HeliostatFit, names: Sequence[str]) -> LinearRows:
+    """Return the observations that a robust fit used, linear about its estimate in some parameters.
+
+    found: A robust fit; its weights count.
+    names: Parameters of its design, free or held.
+    """
+    rows, _ = _linearised(found, found.values, tuple(names))
+    return rows
+
+
+class _Linearised(NamedTuple):
+    """Observations in use about some values, and whether all can be computed there."""
+
+    rows: LinearRows
+    complete: bool
+
+
+def _linearised(found: HeliostatFit, values: FloatArray, names: tuple[str, ...]) -> _Linearised:
+    """Linearise: the zeros of both drives are differentiated by besides the parameters."""
+    parameters = found.nominal.parameters
+    columns = parameters.indices((*names, *drive_zeros(found.nominal)))
+    order = np.unique(columns)
+    model = ObservationModel(found.nominal, found.observations, order)
+    whitened, jacobian, computable = model.whitened(values)
+    jacobian = jacobian[:, np.searchsorted(order, columns)]
+    chosen = found.used[model.owners]
+    owner = model.owners[chosen]
+    own, k = jacobian[chosen], len(names)
+    offsets = (values - parameters.values)[columns[:k]]
+    residuals = whitened[chosen] - own[:, :k] @ offsets
+    weight = np.clip(found.weight[owner], _LEAST_WEIGHT, 1.0)
+    days = row_days(found.observations)[owner]
+    return _Linearised(
+        LinearRows(names, residuals, own[:, :k], own[:, k:], days, weight), bool(computable[found.used].all())
+    )
+
+
+#: A row that a robust loss all but ignores still has a variance.
+_LEAST_WEIGHT = 0.01
+
+
+def fit_with_field(found: HeliostatFit, prior: FieldPrior) -> HeliostatFit:
+    """Fit a heliostat again, within what its field knows.
+
+    found: Its robust fit; which rows count, and how much, is taken from it. Its design holds all parameters of the
+        field; what the observations brought besides (cameras) stays free.
+    prior: What the others say.
+    Returns: The most probable offsets under the prior and noise that moves the drives' zeros from day to day, with
+        the posterior covariance.
+
+    The noise's size follows from the evidence of its own observations (`unit_noise`). Parameters of which a survey said more than the field does keep the survey's sigma.
+    """
+    design = found.nominal
+    others = tuple(name for name in found.solution.names if name not in prior.names)
+    names = (*prior.names, *others)
+    mean, covariance = _joined(found, prior, others)
+    place = design.parameters.indices(names)
+    values = found.values.copy()
+    lengths = np.sqrt(np.diag(covariance))
+    rows, _ = _linearised(found, values, names)
+    converged = False
+    noise = prior.noise.times(unit_noise(rows.equations(prior.noise), mean, covariance).factor)
+    for _ in range(_MOST_STEPS):
+        step = _posterior(rows, noise, mean, covariance)
+        moved = values.copy()
+        moved[place] = design.parameters.values[place] + step.offsets
+        again = _linearised(found, moved, names)
+        if not again.complete:
+            # Beyond the geometry of an actuator nothing can be predicted: half of the way.
+            moved[place] = 0.5 * (moved[place] + values[place])
+            again = _linearised(found, moved, names)
+            if not again.complete:
+                break
+        change = np.abs(moved - values)[place] / np.minimum(np.sqrt(np.diag(step.covariance)), lengths)
+        values, rows = moved, again.rows
+        if change.max() < _NEAR:
+            converged = True
+            break
+    noise = prior.noise.times(unit_noise(rows.equations(prior.noise), mean, covariance).factor)
+    final = _posterior(rows, noise, mean, covariance)
+    return _result(found, names, values, rows, final, np.sqrt(np.diag(covariance)), converged)
+
+
+def _joined(found: HeliostatFit, prior: FieldPrior, others: tuple[str, ...]) -> tuple[FloatArray, FloatArray]:
+    """Mean and covariance before of all parameters: those of the field, then what observations brought."""
+    parameters, k = found.nominal.parameters, len(prior.names)
+    mean, covariance = prior.mean.copy(), prior.covariance.copy()
+    for index, name in enumerate(prior.names):
+        surveyed = _surveyed_sigma(found.nominal, name)
+        if surveyed is not None:
+            # One more observation: offset 0 within the survey's sigma.
+            gain = covariance[:, index] / (covariance[index, index] + surveyed**2)
+            mean = mean - gain * mean[index]
+            covariance = covariance - np.outer(gain, covariance[index])
+    if not others:
+        return mean, covariance
+    place = parameters.indices(others)
+    scales = plausible_scales(parameters.values[place], others, [parameters.units[i] for i in place])
+    own = parameters.sigmas[place]
+    whole = np.zeros((k + len(others), k + len(others)))
+    whole[:k, :k] = covariance
+    whole[k:, k:] = np.diag(np.where(np.isfinite(own), own, scales) ** 2)
+    return np.concatenate([mean, np.zeros(len(others))]), whole
+
+
+def _surveyed_sigma(design: HeliostatDesign, name: str) -> float | None:
+    """Return the design's own sigma of a parameter where it is not the general one."""
+    own, value = design.parameters.sigma(name), design.parameters.value(name)
+    return own if 0 < own < float("inf") and own != PRIORS[name].of(value) else None
+
+
+class _Posterior(NamedTuple):
+    """Offsets (p,), their covariance (p, p), and what they have to do with the drives' zeros."""
+
+    offsets: FloatArray
+    covariance: FloatArray
+    drift: Drift
+
+
+def _posterior(rows: LinearRows, noise: NoiseShape, mean: FloatArray, covariance: FloatArray) -> _Posterior:
+    solved = rows.solved(noise)
+    # About the prior's own size of each parameter: metres and radians in one matrix.
+    size = np.sqrt(np.diag(covariance))
+    inverse = np.linalg.inv(covariance / size[:, None] / size)
+    matrix = solved.equations.matrix * size[:, None] * size + inverse
+    after = np.linalg.inv(matrix) * size[:, None] * size
+    after = 0.5 * (after + after.T)
+    pull = solved.equations.rhs + (inverse @ (mean / size)) / size
+    return _Posterior(after @ pull, after, Drift(noise, solved.days, solved.link @ after))
+
+
+def _result(
+    found: HeliostatFit,
+    names: tuple[str, ...],
+    values: FloatArray,
+    rows: LinearRows,
+    final: _Posterior,
+    sigmas: FloatArray,
+    converged: bool,
+) -> HeliostatFit:
+    place = found.nominal.parameters.indices(names)
+    held = found.nominal.parameters.with_only_free(())
+    nominal = found.nominal.with_parameters(held.with_sigmas(dict(zip(names, sigmas.tolist(), strict=True))))
+    # The solution keeps the order of the design, as every other fit does.
+    order = np.argsort(place, kind="stable")
+    covariance = np.zeros((values.size, values.size))
+    covariance[np.ix_(place, place)] = final.covariance
+    residuals = evaluate(nominal, values, found.observations)
+    noise, size = final.drift.noise, len(found.observations)
+    own = np.repeat(np.arange(size), found.observations.n_components)
+    owner = own[found.used[own]]
+    variance = noise.white**2 / rows.weight + noise.drive_variance_rad2 * np.sum(rows.drives**2, axis=1)
+    share = np.einsum("ij,jk,ik->i", rows.jacobian, final.covariance, rows.jacobian) / variance
+    components = np.maximum(np.bincount(owner, minlength=size), 1)
+    leverage = np.bincount(owner, np.minimum(share, 1.0), minlength=size) / components
+    offsets = (values - nominal.parameters.values)[place]
+    whitened = (rows.residuals + rows.jacobian @ offsets) / noise.white
+    scales = plausible_scales(nominal.parameters.values[place], names, [nominal.parameters.units[i] for i in place])
+    weak = unobserved(
+        (rows.jacobian / np.sqrt(variance)[:, None])[:, order],
+        [names[i] for i in order],
+        sigmas[order],
+        scales[order],
+    )
+    solution = replace(
+        found.solution,
+        state=values[place][order],
+        parameters=values[place][order],
+        names=tuple(names[i] for i in order),
+        covariance=final.covariance[np.ix_(order, order)],
+        converged=found.solution.converged and converged,
+        reason="within the field's priors" if converged else "the steps within the field's priors did not settle",
+        rank=len(names),
+        null_space=np.zeros((len(names), 0)),
+        residuals=whitened,
+        weights=rows.weight.copy(),
+        redundancy_numbers=1 - np.minimum(share, 1.0),
+        redundancy=int(whitened.size),
+    )
+    return replace(
+        found,
+        design=nominal.with_parameters(nominal.parameters.with_values(values)),
+        nominal=nominal,
+        solution=solution,
+        covariance=np.asarray(freeze(covariance)),
+        residuals=residuals,
+        leverage=np.asarray(freeze(np.where(found.used, leverage, 0.0))),
+        unobservable=weak,
+        doubts=tuple(one for one in found.doubts if one.code in _STILL_TRUE),
+        drift=replace(final.drift, link=final.drift.link[:, :, order]),
+    )
