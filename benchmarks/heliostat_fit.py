@@ -15,7 +15,18 @@ from scipy.optimize import least_squares
 
 sys.path.insert(0, str(ROOT))
 
-from calibration.heliostat.fitting import PRIORS, Population, fit, make_split, with_population, with_priors
+from calibration.heliostat.fitting import (
+    PRIORS,
+    FieldUnit,
+    field_names,
+    fit,
+    fit_with_field,
+    learn_field,
+    linear_rows,
+    make_split,
+    with_all_terms,
+    with_priors,
+)
 from calibration.heliostat.kinematic_model import ActuatorNumbers, linear_actuators
 from calibration.heliostat.observations import BeamSpots, ObservationModel, Observations, Pointings, evaluate
 
@@ -36,7 +47,6 @@ FREE = (
     "position_n",
     "position_u",
 )
-COMMON = ("tilt_1_n", "tilt_1_u", "tilt_2_e", "tilt_2_n", "position_u", "sag_1")
 
 
 def synthetic(rng):
@@ -105,30 +115,39 @@ def rms_mrad(found, seen):
     return 1e3 * np.sqrt(np.mean(evaluate(found.design, found.values, seen).beam_angle_rad ** 2))
 
 
+def start(design):
+    """Return a heliostat with all its terms, of which the usual ones are free within their priors."""
+    return with_priors(with_all_terms(design), with_priors(design).parameters.free_names)
+
+
 def real():
     from tests.calibration.juelich import FOLDER, SOUND, heliostat
 
     if not FOLDER.is_dir():
         print(f"\nno real heliostats at {FOLDER}")
         return
-    units = [heliostat(name) for name in SOUND]
-    population = Population.of([fit(with_priors(design), seen) for design, seen in units], COMMON)
+    units = {name: heliostat(name) for name in SOUND}
+    starts = {name: start(design) for name, (design, _) in units.items()}
+    looks = [FieldUnit(n, linear_rows(fit(starts[n], units[n][1]), field_names(starts[n])), {}) for n in SOUND]
+    parameters = starts[SOUND[0]].parameters
+    scales = {name: PRIORS[name].of(parameters.value(name)) for name in looks[0].rows.names}
+    fields = {n: learn_field([one for one in looks if one.name != n], scales).models for n in SOUND}
     ways = {
-        "4 tilts": lambda design: design.with_free("4"),
-        "15 parameters": lambda design: design.with_free("15"),
-        "priors": with_priors,
-        "of the field": lambda design: with_population(with_priors(design), population),
+        "4 tilts": lambda name, design, seen: fit(design.with_free("4"), seen),
+        "15 parameters": lambda name, design, seen: fit(design.with_free("15"), seen),
+        "priors": lambda name, design, seen: fit(with_priors(design), seen),
+        "of the field": lambda name, design, seen: fit_with_field(
+            fit(starts[name], seen), next(iter(fields[name].values())).prior(name)
+        ),
     }
-    title(
-        "Beam RMS of rows left aside, mrad, median of six heliostats (its own row left out of the field)", tuple(ways)
-    )
+    title("Beam RMS of rows left aside, mrad, median of six heliostats (each from the five others' field)", tuple(ways))
     for name in ("chronological", "random", "azimuth", "azimuth-reversed", "high-variance"):
         cells = []
         for way in ways.values():
             errors = []
-            for design, seen in units:
+            for unit, (design, seen) in units.items():
                 split = make_split(seen, name)
-                errors.append(rms_mrad(fit(way(design), seen.select(split.train)), seen.select(split.test)))
+                errors.append(rms_mrad(way(unit, design, seen.select(split.train)), seen.select(split.test)))
             cells.append(f"{np.median(errors):.2f}")
         row(name, *cells)
     print(f"  (sigma of the height before anything is measured: {PRIORS['position_u'].sigma:g} m)")

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from calibration.heliostat.diagnosis.full_diagnosis import Diagnosis
+from calibration.heliostat.fitting.field_model import Field
 from calibration.heliostat.fitting.fit_result import HeliostatFit
 from calibration.heliostat.fitting.model_choice import ModelChoice
-from calibration.heliostat.fitting.population import Population
 from calibration.heliostat.fitting.splits import HeldOut
 from calibration.heliostat.keys import HeliostatModel
 from calibration.heliostat.kinematic_model.design import HeliostatDesign
@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 
 #: Name of the model in which values and priors come from the other heliostats of the field.
 FIELD = "priors of the field"
+#: Name of the model in which all parameters that are not parts of the drives move within general priors.
+PRIORS_ALONE = "all with priors"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,7 +39,7 @@ class Shared:
     label: Method of the beams' centres in PAINT's records.
     folder: The measurement's folder; where work is done elsewhere, photos must be found there too.
     thorough: Try the model out on every split, and choose it again for each.
-    population: What the heliostats of the field have in common; None where each is taken for itself.
+    field: What the heliostats of the field have in common; None where each is taken for itself.
     """
 
     plant: Plant
@@ -47,7 +49,7 @@ class Shared:
     label: str
     folder: Path
     thorough: bool
-    population: Population | None = None
+    field: Field | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

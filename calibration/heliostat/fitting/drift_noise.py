@@ -57,7 +57,8 @@ class NoiseShape:
 USUAL_NOISE = NoiseShape(2.0, 1.5e-4, 4.5e-4, 90.0)
 
 
-class NormalEquations(NamedTuple):
+@dataclass(frozen=True, slots=True, eq=False)
+class NormalEquations(ShortRepr):
     """What observations say of the offsets x of a heliostat's parameters from their nominal values, under a noise.
 
     ``-2 log p(observations | x) = square - 2 rhs . x + x . matrix . x + log_determinant``.
@@ -130,9 +131,7 @@ class LinearRows(ShortRepr):
         share = taken @ by_drift
         log_all = log_white + 2 * float(np.log(np.diag(inner)).sum())
         link = by_drift - drift_square @ (taken.T @ share)
-        return SolvedRows(
-            _equations(square - share.T @ share, log_all, count), middle, link[:, :-1].reshape(2, q, -1)
-        )
+        return SolvedRows(_equations(square - share.T @ share, log_all, count), middle, link[:, :-1].reshape(2, q, -1))
 
 
 class SolvedRows(NamedTuple):
@@ -183,7 +182,7 @@ def _binned(days: FloatArray) -> tuple[IntArray, FloatArray]:
         place = np.arange(found.size) * _MOST_BINS // found.size
         bins = place[bins]
     middle = np.bincount(bins, whole) / np.bincount(bins)
-    return bins.astype(np.intp), np.asarray(np.floor(middle) + 0.5)
+    return bins.astype(np.intp), np.asarray(np.floor(middle) + 0.5, dtype=np.float64)
 
 
 def row_days(observations: Observations) -> FloatArray:
@@ -194,16 +193,15 @@ def row_days(observations: Observations) -> FloatArray:
     time, number = observations.time, observations.row.astype(np.float64)
     missing = np.isnat(time)
     if missing.all():
-        return np.arange(len(observations)) * _UNKNOWN_APART
-    days = np.zeros(len(observations))
+        return np.asarray(np.arange(len(observations)) * _UNKNOWN_APART, dtype=np.float64)
+    days = np.zeros(len(observations), dtype=np.float64)
     days[~missing] = (time[~missing] - np.datetime64("2000-01-01", "ms")) / _DAY
     order = np.argsort(number[~missing], kind="stable")
     days[missing] = np.interp(number[missing], number[~missing][order], days[~missing][order])
-    return days
+    return np.asarray(days, dtype=np.float64)
 
 
 def drive_zeros(design: HeliostatDesign) -> tuple[str, str]:
     """Return the names of the parameters that shift the angle of each drive."""
     first, second = (one.initial_angle if isinstance(one, LinearActuator) else one.offset for one in design.drives)
     return first, second
-

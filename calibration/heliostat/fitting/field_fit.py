@@ -6,12 +6,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from calibration.heliostat.fitting.drift_noise import Drift, LinearRows, NoiseShape, drive_zeros, row_days
-from calibration.heliostat.fitting.field_model import FieldPrior
+from calibration.heliostat.fitting.drift_noise import USUAL_NOISE, Drift, LinearRows, NoiseShape, drive_zeros, row_days
+from calibration.heliostat.fitting.field_model import likely_noise
+from calibration.heliostat.fitting.field_prior import FieldPrior, Settled, settle
 from calibration.heliostat.fitting.fit_result import HeliostatFit
 from calibration.heliostat.fitting.observability import plausible_scales, unobserved
 from calibration.heliostat.fitting.priors import PRIORS
-from calibration.heliostat.fitting.unit_noise import unit_noise
 from calibration.heliostat.kinematic_model.design import HeliostatDesign
 from calibration.heliostat.observations.residuals import ObservationModel, evaluate
 from heliogauge.validate import FloatArray, freeze
@@ -72,6 +72,40 @@ def _linearised(found: HeliostatFit, values: FloatArray, names: tuple[str, ...])
 _LEAST_WEIGHT = 0.01
 
 
+class WithinField(NamedTuple):
+    """A fit, and whether what the field knows was used for it."""
+
+    fit: HeliostatFit
+    by_field: bool
+
+
+def fit_within(found: HeliostatFit, field: FieldPrior | None) -> WithinField:
+    """Fit a heliostat again within what is known of it: by its field, or by the general priors.
+
+    found: Its robust fit within the general priors.
+    field: What the others say; None where there are none, or where they do not help.
+    Returns: Within the field's priors, or within the general ones with the noise that its own rows show.
+    """
+    if field is None:
+        prior = general_prior(found, USUAL_NOISE)
+        if prior.names and found.used.any():
+            rows = linear_rows(found, prior.names)
+            prior = replace(prior, noise=likely_noise([rows], prior.mean, prior.covariance))
+        return WithinField(fit_with_field(found, prior), False)
+    return WithinField(fit_with_field(found, field), True)
+
+
+def general_prior(found: HeliostatFit, noise: NoiseShape) -> FieldPrior:
+    """Return the prior of a robust fit: its parameters about their nominal values within their own sigmas.
+
+    noise: How observations scatter.
+    """
+    parameters = found.nominal.parameters
+    names = tuple(name for name in found.solution.names if name in PRIORS and np.isfinite(parameters.sigma(name)))
+    sigmas = parameters.sigmas[parameters.indices(names)]
+    return FieldPrior(names, np.zeros(len(names)), sigmas, np.zeros((len(names), len(names))), noise, 0)
+
+
 def fit_with_field(found: HeliostatFit, prior: FieldPrior) -> HeliostatFit:
     """Fit a heliostat again, within what its field knows.
 
@@ -81,59 +115,64 @@ def fit_with_field(found: HeliostatFit, prior: FieldPrior) -> HeliostatFit:
     Returns: The most probable offsets under the prior and noise that moves the drives' zeros from day to day, with
         the posterior covariance.
 
-    The noise's size follows from the evidence of its own observations (`unit_noise`). Parameters of which a survey said more than the field does keep the survey's sigma.
+    The noise's size follows from the evidence of its own observations (`settle`). Parameters of which a survey
+    said more than the field does keep the survey's sigma.
     """
     design = found.nominal
-    others = tuple(name for name in found.solution.names if name not in prior.names)
-    names = (*prior.names, *others)
-    mean, covariance = _joined(found, prior, others)
-    place = design.parameters.indices(names)
+    known = _joined(found, prior)
+    place = design.parameters.indices(known.names)
     values = found.values.copy()
-    lengths = np.sqrt(np.diag(covariance))
-    rows, _ = _linearised(found, values, names)
+    rows, _ = _linearised(found, values, known.names)
+    settled = settle(rows.equations(prior.noise), known)
     converged = False
-    noise = prior.noise.times(unit_noise(rows.equations(prior.noise), mean, covariance).factor)
     for _ in range(_MOST_STEPS):
-        step = _posterior(rows, noise, mean, covariance)
+        step = _posterior(rows, known, settled)
         moved = values.copy()
         moved[place] = design.parameters.values[place] + step.offsets
-        again = _linearised(found, moved, names)
+        again = _linearised(found, moved, known.names)
         if not again.complete:
             # Beyond the geometry of an actuator nothing can be predicted: half of the way.
             moved[place] = 0.5 * (moved[place] + values[place])
-            again = _linearised(found, moved, names)
+            again = _linearised(found, moved, known.names)
             if not again.complete:
                 break
-        change = np.abs(moved - values)[place] / np.minimum(np.sqrt(np.diag(step.covariance)), lengths)
+        change = np.abs(moved - values)[place] / np.sqrt(np.diag(step.covariance))
         values, rows = moved, again.rows
+        settled = settle(rows.equations(prior.noise), known)
         if change.max() < _NEAR:
             converged = True
             break
-    noise = prior.noise.times(unit_noise(rows.equations(prior.noise), mean, covariance).factor)
-    final = _posterior(rows, noise, mean, covariance)
-    return _result(found, names, values, rows, final, np.sqrt(np.diag(covariance)), converged)
+    final = _posterior(rows, known, settled)
+    return _result(found, known.names, values, rows, final, np.sqrt(np.diag(settled.spread)), converged)
 
 
-def _joined(found: HeliostatFit, prior: FieldPrior, others: tuple[str, ...]) -> tuple[FloatArray, FloatArray]:
-    """Mean and covariance before of all parameters: those of the field, then what observations brought."""
+def _joined(found: HeliostatFit, prior: FieldPrior) -> FieldPrior:
+    """Join what a survey says of single parameters to the prior, and what the observations brought besides."""
     parameters, k = found.nominal.parameters, len(prior.names)
-    mean, covariance = prior.mean.copy(), prior.covariance.copy()
+    mean, scatter, shared = prior.mean.copy(), prior.scatter.copy(), prior.mean_covariance.copy()
     for index, name in enumerate(prior.names):
-        surveyed = _surveyed_sigma(found.nominal, name)
+        surveyed = _surveyed_sigma(found.nominal, name) if prior.heliostats else None
         if surveyed is not None:
-            # One more observation: offset 0 within the survey's sigma.
-            gain = covariance[:, index] / (covariance[index, index] + surveyed**2)
-            mean = mean - gain * mean[index]
-            covariance = covariance - np.outer(gain, covariance[index])
+            # One more observation: no offset within the survey's sigma.
+            variance = scatter[index] ** 2 + shared[index, index]
+            mean[index] *= surveyed**2 / (variance + surveyed**2)
+            scatter[index] = surveyed * np.sqrt(variance / (variance + surveyed**2))
+            shared[index], shared[:, index] = 0.0, 0.0
+    others = tuple(name for name in found.solution.names if name not in prior.names)
     if not others:
-        return mean, covariance
+        return replace(prior, mean=mean, scatter=scatter, mean_covariance=shared)
     place = parameters.indices(others)
     scales = plausible_scales(parameters.values[place], others, [parameters.units[i] for i in place])
     own = parameters.sigmas[place]
     whole = np.zeros((k + len(others), k + len(others)))
-    whole[:k, :k] = covariance
-    whole[k:, k:] = np.diag(np.where(np.isfinite(own), own, scales) ** 2)
-    return np.concatenate([mean, np.zeros(len(others))]), whole
+    whole[:k, :k] = shared
+    return replace(
+        prior,
+        names=(*prior.names, *others),
+        mean=np.concatenate([mean, np.zeros(len(others))]),
+        scatter=np.concatenate([scatter, np.where(np.isfinite(own), own, scales)]),
+        mean_covariance=whole,
+    )
 
 
 def _surveyed_sigma(design: HeliostatDesign, name: str) -> float | None:
@@ -150,16 +189,20 @@ class _Posterior(NamedTuple):
     drift: Drift
 
 
-def _posterior(rows: LinearRows, noise: NoiseShape, mean: FloatArray, covariance: FloatArray) -> _Posterior:
+def _posterior(rows: LinearRows, known: FieldPrior, settled: Settled) -> _Posterior:
+    noise, covariance = known.noise.times(settled.noise), settled.covariance
     solved = rows.solved(noise)
     # About the prior's own size of each parameter: metres and radians in one matrix.
     size = np.sqrt(np.diag(covariance))
     inverse = np.linalg.inv(covariance / size[:, None] / size)
-    matrix = solved.equations.matrix * size[:, None] * size + inverse
-    after = np.linalg.inv(matrix) * size[:, None] * size
-    after = 0.5 * (after + after.T)
-    pull = solved.equations.rhs + (inverse @ (mean / size)) / size
-    return _Posterior(after @ pull, after, Drift(noise, solved.days, solved.link @ after))
+    observed = solved.equations.matrix * size[:, None] * size
+    after = np.linalg.inv(observed + inverse)
+    pull = solved.equations.rhs * size + inverse @ (known.mean / size)
+    # The estimate takes the prior for normal; what it may be wrong by has the tails of Student's t.
+    spread = inverse @ (settled.spread / size[:, None] / size) @ inverse
+    wrong = after @ (observed + spread) @ after * size[:, None] * size
+    gain = after * size[:, None] * size
+    return _Posterior(size * (after @ pull), 0.5 * (wrong + wrong.T), Drift(noise, solved.days, solved.link @ gain))
 
 
 def _result(

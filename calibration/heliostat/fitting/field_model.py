@@ -1,13 +1,14 @@
 """What the heliostats of a field have in common: mean and scatter of every parameter, and the noise, by evidence."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import minimize
 
 from calibration.heliostat.fitting.drift_noise import USUAL_NOISE, LinearRows, NoiseShape, NormalEquations
+from calibration.heliostat.fitting.field_prior import FieldPrior, settle, student_weights
 from calibration.heliostat.fitting.unit_noise import unit_noise
 from heliogauge.short_repr import ShortRepr
 from heliogauge.validate import FloatArray, IntArray
@@ -18,32 +19,11 @@ MOST_LEARNED_FROM = 300
 _FEW = 30
 #: Heliostats with the most rows, from which the shape of the noise is estimated.
 _NOISE_UNITS, _NOISE_STEPS = 12, 70
-_WEIGHT_ROUNDS = 3
-#: Degrees of freedom of the distribution of heliostats about the mean: what Lange, Little and Taylor (1989) recommend
-#: where they are not estimated. One that is unlike the others counts little.
-_FREEDOM = 4.0
+_WEIGHT_ROUNDS = 6
 #: Least group that has a model of its own.
 _LEAST_GROUP = 3
 # Scatter over its scale: below e^-5 it is nothing, above e^3 the priors were wrong by a factor of 20.
 _LOG_SCATTER = (-5.0, 3.0)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class FieldPrior(ShortRepr):
-    """What is known of one heliostat before it is measured.
-
-    names length p: Parameters.
-    mean (p,): Expected offsets from the nominal values.
-    covariance (p, p): Scatter of the field, and what is not known of its mean.
-    noise: How observations scatter.
-    heliostats: How many others it rests on.
-    """
-
-    names: tuple[str, ...]
-    mean: FloatArray
-    covariance: FloatArray
-    noise: NoiseShape
-    heliostats: int
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -69,8 +49,8 @@ class FieldModel(ShortRepr):
     mean_covariance (p, p): Of the mean.
     noise: How observations scatter.
     units: From which heliostats.
-    weights (k,): How much each counts: about 1, less for one that is unlike the others.
-    without: Mean and covariance for one more heliostat, learned without each of these.
+    weights (k, p): How much each counts for each parameter: about 1, less where it is unlike the others.
+    without: What is known of each of them from the others.
     gains (k,): Log of the odds that the field predicts the observations of each, learned without it, better than the
         general priors do.
     """
@@ -82,7 +62,7 @@ class FieldModel(ShortRepr):
     noise: NoiseShape
     units: tuple[str, ...]
     weights: FloatArray
-    without: Mapping[str, tuple[FloatArray, FloatArray]]
+    without: Mapping[str, FieldPrior]
     gains: FloatArray
 
     @property
@@ -93,10 +73,8 @@ class FieldModel(ShortRepr):
     def prior(self, name: str) -> FieldPrior:
         """Return what the other heliostats say of one."""
         if name in self.without:
-            mean, covariance = self.without[name]
-            return FieldPrior(self.names, mean, covariance, self.noise, len(self.units) - 1)
-        covariance = np.diag(self.scatter**2) + self.mean_covariance
-        return FieldPrior(self.names, self.mean, covariance, self.noise, len(self.units))
+            return self.without[name]
+        return FieldPrior(self.names, self.mean, self.scatter, self.mean_covariance, self.noise, len(self.units))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -171,19 +149,19 @@ def learn_model(units: Sequence[FieldUnit], scales: FloatArray, noise: NoiseShap
     """
     names = units[0].rows.names
     if noise is None:
-        noise = _likely_noise(units, scales)
+        noise = _field_noise(units, scales)
     equations = [unit.rows.equations(noise) for unit in units]
     found = _estimate(equations, scales)
+    count = len(units) - 1
     without = {
-        unit.name: _one_more(_without(equations, scales, found, index)) for index, unit in enumerate(units)
+        unit.name: _without(equations, scales, found, index).prior(names, noise, count)
+        for index, unit in enumerate(units)
     }
-    gains = np.array(
-        [
-            unit_noise(one, *without[unit.name]).log_evidence
-            - unit_noise(one, np.zeros(scales.size), np.diag(scales**2)).log_evidence
-            for unit, one in zip(units, equations, strict=True)
-        ]
-    )
+    general = FieldPrior(names, np.zeros(scales.size), scales, np.zeros((scales.size, scales.size)), noise, 0)
+    gains = [
+        settle(one, without[unit.name]).log_evidence - settle(one, general).log_evidence
+        for unit, one in zip(units, equations, strict=True)
+    ]
     return FieldModel(
         names,
         found.mean,
@@ -193,12 +171,12 @@ def learn_model(units: Sequence[FieldUnit], scales: FloatArray, noise: NoiseShap
         tuple(unit.name for unit in units),
         found.weights,
         without,
-        gains,
+        np.array(gains),
     )
 
 
 class _Estimate(NamedTuple):
-    """Mean (p,), scatter (p,), covariance of the mean (p, p); of each heliostat its weight and scale of noise (k,)."""
+    """Mean (p,), scatter (p,), covariance of the mean (p, p); weights (k, p) and size of noise (k,) of each one."""
 
     mean: FloatArray
     scatter: FloatArray
@@ -206,9 +184,9 @@ class _Estimate(NamedTuple):
     weights: FloatArray
     noises: FloatArray
 
-
-def _one_more(found: _Estimate) -> tuple[FloatArray, FloatArray]:
-    return found.mean, np.diag(found.scatter**2) + found.mean_covariance
+    def prior(self, names: tuple[str, ...], noise: NoiseShape, heliostats: int) -> FieldPrior:
+        """Return what it says of one more heliostat."""
+        return FieldPrior(names, self.mean, self.scatter, self.mean_covariance, noise, heliostats)
 
 
 def _without(equations: Sequence[NormalEquations], scales: FloatArray, every: _Estimate, index: int) -> _Estimate:
@@ -218,7 +196,7 @@ def _without(equations: Sequence[NormalEquations], scales: FloatArray, every: _E
         return _estimate(rest, scales, every.scatter)
     # Of many, one moves the mean a little and the scatter by nothing that matters: only its share is taken away.
     own = equations[index].scaled(every.noises[index])
-    shares = _MeanShares.of(own.matrix[None], own.rhs[None], every.weights[index : index + 1] / every.scatter**2)
+    shares = _MeanShares.of(own.matrix[None], own.rhs[None], every.weights[[index]] / every.scatter**2)
     information = np.linalg.inv(every.mean_covariance)
     covariance = np.linalg.inv(information - shares.information)
     return every._replace(
@@ -238,7 +216,7 @@ class _MeanShares(NamedTuple):
     def of(cls, matrices: FloatArray, rhs: FloatArray, inverse: FloatArray) -> "_MeanShares":
         """Integrate each heliostat out: (k, p, p), (k, p), inverse variances of its scatter (k, p)."""
         identity = np.eye(matrices.shape[1])
-        given = np.linalg.inv(matrices + inverse[:, :, None] * identity)
+        given = np.asarray(np.linalg.inv(matrices + inverse[:, :, None] * identity), dtype=np.float64)
         shrinkage = given * inverse[:, None, :]
         kept = inverse[:, :, None] * (identity - shrinkage)
         return cls(kept.sum(axis=0), np.einsum("ki,kij,kj->i", inverse, given, rhs), given, shrinkage)
@@ -247,15 +225,15 @@ class _MeanShares(NamedTuple):
 def _estimate(equations: Sequence[NormalEquations], scales: FloatArray, start: FloatArray | None = None) -> _Estimate:
     """Maximise the evidence of all heliostats over the scatter of each parameter.
 
-    With offsets ``x_j ~ N(mean, scatter^2 / w_j)``, noise scales by each one's own evidence, and weights
-    ``w_j = (f + p) / (f + E d_j^2)`` of Student's t (Lange, Little and Taylor 1989). The gradient of the log evidence
+    With offsets ``x_ij ~ N(mean_i, scatter_i^2 / w_ij)``, noise scales by each one's own evidence, and the weights
+    ``w_ij = (f + 1) / (f + E d_ij^2)`` of Student's t (Lange, Little and Taylor 1989). The gradient of the log evidence
     is that of the expected complete-data likelihood (Fisher's identity), so that a quasi-Newton method takes some
     thirty steps where EM, which has the same maximum, takes thousands for parameters that trade against each other.
     """
     p, k = scales.size, len(equations)
     prior_scatter = scales if not k else (scales * 0.5 if start is None else start)
     logs = np.clip(np.log(prior_scatter / scales), *_LOG_SCATTER)
-    mean, mean_covariance, weights, noises = np.zeros(p), np.diag(scales**2), np.ones(k), np.ones(k)
+    mean, mean_covariance, weights, noises = np.zeros(p), np.diag(scales**2), np.ones((k, p)), np.ones(k)
     if not k:
         return _Estimate(mean, scales, mean_covariance, weights, noises)
     matrices = np.array([one.matrix for one in equations]) * scales[:, None] * scales
@@ -263,24 +241,24 @@ def _estimate(equations: Sequence[NormalEquations], scales: FloatArray, start: F
     state: dict[str, FloatArray] = {}
 
     def cost(logs: FloatArray) -> tuple[float, FloatArray]:
-        inverse = weights[:, None] * np.exp(-2 * logs)
+        inverse = weights * np.exp(-2 * logs)
         over = noises[:, None] ** -2
         own, pulls = matrices * over[:, :, None], rhs * over
         shares = _MeanShares.of(own, pulls, inverse)
         information = np.eye(p) + shares.information
-        covariance = np.linalg.inv(information)
+        covariance = np.asarray(np.linalg.inv(information), dtype=np.float64)
         middle = covariance @ shares.pull
         offsets = np.einsum("kij,kj->ki", shares.covariances, pulls + inverse * middle)
         apart = offsets - middle
         left = np.eye(p) - shares.shrinkage
         spread = np.einsum("kii->ki", shares.covariances) + apart**2
         spread = spread + np.einsum("kij,jl,kil->ki", left, covariance, left)
-        state.update(mean=middle, covariance=covariance, distance=np.sum(spread * np.exp(-2 * logs), axis=1))
+        state.update(mean=middle, covariance=covariance, distance=spread * np.exp(-2 * logs))
         twice = -np.linalg.slogdet(shares.covariances)[1].sum() + 2 * k * logs.sum()
         twice += np.linalg.slogdet(information)[1] + middle @ middle
         twice += np.einsum("ki,kij,kj->", offsets, own, offsets) - 2 * np.sum(pulls * offsets)
         twice += np.sum(apart**2 * inverse) + np.exp(2 * logs).sum()
-        gradient = 2 * (k - np.sum(weights[:, None] * spread, axis=0) * np.exp(-2 * logs)) + 2 * np.exp(2 * logs)
+        gradient = 2 * (k - np.sum(weights * spread, axis=0) * np.exp(-2 * logs)) + 2 * np.exp(2 * logs)
         return float(twice), gradient
 
     for _ in range(_WEIGHT_ROUNDS):
@@ -288,17 +266,26 @@ def _estimate(equations: Sequence[NormalEquations], scales: FloatArray, start: F
         noises = np.array([unit_noise(one, mean, covariance).factor for one in equations])
         logs = minimize(cost, logs, jac=True, method="L-BFGS-B", bounds=[_LOG_SCATTER] * p).x
         cost(logs)
-        weights = (_FREEDOM + p) / (_FREEDOM + state["distance"])
+        weights = student_weights(state["distance"])
         mean, mean_covariance = state["mean"] * scales, state["covariance"] * scales[:, None] * scales
     return _Estimate(mean, np.exp(logs) * scales, mean_covariance, weights, noises)
 
 
-def _likely_noise(units: Sequence[FieldUnit], scales: FloatArray) -> NoiseShape:
-    """Return the most probable shape of the noise, within a factor of e (one sigma) of the usual one."""
+def _field_noise(units: Sequence[FieldUnit], scales: FloatArray) -> NoiseShape:
+    """Return the most probable noise of the heliostats with the most rows, given what these have in common."""
     longest: IntArray = np.argsort([-unit.rows.residuals.size for unit in units], kind="stable")[:_NOISE_UNITS]
     some = [units[index].rows for index in longest]
     first = _estimate([rows.equations(USUAL_NOISE) for rows in some], scales)
-    mean, covariance = _one_more(first)
+    prior = first.prior(some[0].names, USUAL_NOISE, len(some))
+    return likely_noise(some, prior.mean, prior.covariance)
+
+
+def likely_noise(some: Sequence[LinearRows], mean: FloatArray, covariance: FloatArray) -> NoiseShape:
+    """Return the most probable shape of the noise, each number within a factor of e (one sigma) of the usual one.
+
+    some: Observations of one heliostat or of several.
+    mean (p,), covariance (p, p): What is known of the parameters of each.
+    """
 
     def shape(logs: FloatArray) -> NoiseShape:
         white, day, wander, memory = np.exp(logs).tolist()
@@ -314,8 +301,3 @@ def _likely_noise(units: Sequence[FieldUnit], scales: FloatArray) -> NoiseShape:
 
     found = minimize(cost, np.zeros(4), method="Nelder-Mead", options={"maxfev": _NOISE_STEPS, "xatol": 0.05})
     return shape(np.asarray(found.x))
-
-
-def with_usual_noise(prior: FieldPrior, rows: LinearRows) -> FieldPrior:
-    """Return the prior with the noise that the observations of a single heliostat show."""
-    return replace(prior, noise=_likely_noise([FieldUnit("", rows, {})], np.sqrt(np.diag(prior.covariance))))

@@ -105,9 +105,7 @@ def _predict_rows_with_drift(found: HeliostatFit, drift: Drift, observations: Ob
     ).normals(found.design)
     positions = observations.sun if _by_sun(found) else normals
     noise = min(drift.noise.white, 1.0) * seen.sigma_rad
-    return _assembled(
-        found, covariance, parameters, positions, observations.readings, seen.computable, noise
-    )
+    return _assembled(found, covariance, parameters, positions, observations.readings, seen.computable, noise)
 
 
 def predict_aim(

@@ -121,4 +121,6 @@ def with_terms_free(design: HeliostatDesign, names: Collection[str]) -> Heliosta
     """
     parameters = design.parameters
     held = [name for name in names if name in parameters.names and parameters.sigma(name) == 0]
-    return design.with_parameters(parameters.with_sigmas({name: PRIORS[name].of(parameters.value(name)) for name in held}))
+    return design.with_parameters(
+        parameters.with_sigmas({name: PRIORS[name].of(parameters.value(name)) for name in held})
+    )

@@ -153,10 +153,12 @@ def held_out(
     options: FitOptions | None = None,
     *,
     chooser: Callable[[HeliostatDesign, Observations, FitOptions | None], ModelChoice] | None = None,
+    refine: Callable[[HeliostatFit], HeliostatFit] | None = None,
 ) -> HeldOut:
     """Fit to the training rows and compare with the others.
 
     chooser: Chooses the free parameters from the training rows alone, such as `choose_model`.
+    refine: What is done to the fit, such as `fit_within` what a field knows.
     Returns: Fit, residuals of both parts, prediction, doubts.
     EstimationError: The training rows do not determine the heliostat, or there are none.
     InputError: A test row needs a camera or target that no training row has.
@@ -168,6 +170,7 @@ def held_out(
     training = observations.select(split.train)
     chosen = design if chooser is None else chooser(design, training, options).design
     found = fit(chosen, training, options)
+    found = found if refine is None else refine(found)
     prediction = predict_rows(found, observations.select(split.test), options)
     both = observations.select(split.train | split.test)
     some = evaluate(found.design, found.values, both)

@@ -9,12 +9,11 @@ from typing import get_args
 from calibration.heliostat.files.field_folder import check_names
 from calibration.heliostat.files.result import Shared
 from calibration.heliostat.files.sources import Source, open_source
-from calibration.heliostat.fitting.fit_result import HeliostatFit
-from calibration.heliostat.fitting.population import Population
+from calibration.heliostat.fitting.field_model import MOST_LEARNED_FROM, learn_field
 from calibration.heliostat.keys import HeliostatMeasurement, Label, Split
 from calibration.heliostat.pipeline.free_parameters import AUTO
 from calibration.heliostat.pipeline.nominal_design import frees_parameters
-from calibration.heliostat.pipeline.one_heliostat import fit_alone
+from calibration.heliostat.pipeline.one_heliostat import FirstLook, look_first
 from heliogauge.errors import InputError
 from heliogauge.running.progress import Progress
 from heliogauge.running.scale import Workers, run_each
@@ -22,8 +21,8 @@ from heliogauge.running.scale import Workers, run_each
 #: Up to so many heliostats every split is made and the model chosen by trial, unless the user chooses otherwise: a
 #: second each instead of a tenth.
 THOROUGH_UP_TO = 25
-#: So many sound heliostats show what is usual: each, and four others.
-FEWEST_OF_A_FIELD = 5
+#: Of fewer none can be left out to see whether the others predict it.
+FEWEST_OF_A_FIELD = 3
 #: Heliostats that are worth a process of their own, which takes a second to start: quick ones, thorough ones.
 WORTH = {False: 16, True: 1}
 
@@ -67,28 +66,31 @@ def choose(
 
 
 def with_field(campaign: Campaign, workers: Workers, progress: Progress) -> Campaign:
-    """Estimate what the heliostats of a small field have in common, where their free parameters are not given.
+    """Learn what the heliostats of a field have in common, where their free parameters are not given.
 
     workers: Who works.
-    Returns: With the field's population; as it was for one heliostat, a large field, or beams that are only
-        measured yet.
+    Returns: With the field; as it was for one heliostat, for parameters that are stated, or for beams that are only
+        measured yet. Of a large field some hundred heliostats, evenly spread over it, are looked at first.
     """
-    shared = campaign.shared
+    shared, names = campaign.shared, campaign.names
     is_stated = shared.free != AUTO or frees_parameters(shared.model.kinematics)
-    if is_stated or not shared.thorough or shared.model.images or len(campaign.names) < FEWEST_OF_A_FIELD:
+    if is_stated or shared.model.images or len(names) < FEWEST_OF_A_FIELD:
         return campaign
-    fits: dict[str, HeliostatFit] = {}
-    tasks = campaign.source.tasks(campaign.names)
-    processes = workers.processes(len(campaign.names), worth=WORTH[False])
-    with progress.stage("what the field has in common", len(campaign.names)) as stage:
-        for done in run_each(fit_alone, shared, tasks, workers=workers, processes=processes):
-            if isinstance(done.outcome, HeliostatFit):
-                fits[done.task.name] = done.outcome
+    count = min(len(names), MOST_LEARNED_FROM)
+    chosen = tuple(names[index * len(names) // count] for index in range(count))
+    found: dict[str, FirstLook] = {}
+    processes = workers.processes(count, worth=WORTH[False])
+    with progress.stage("what the field has in common", count) as stage:
+        for done in run_each(look_first, shared, campaign.source.tasks(chosen), workers=workers, processes=processes):
+            if isinstance(done.outcome, FirstLook):
+                found[done.task.name] = done.outcome
             stage.advance()
-    if len(fits) < FEWEST_OF_A_FIELD:
-        return campaign
-    in_order = [fits[name] for name in campaign.names if name in fits]
-    return replace(campaign, shared=replace(shared, population=Population.estimated_from(in_order)))
+        looks = [found[name] for name in chosen if name in found]
+        if len(looks) < FEWEST_OF_A_FIELD:
+            return campaign
+        scales = {name: sigma for look in looks for name, sigma in look.scales.items()}
+        field = learn_field([look.unit for look in looks], scales)
+    return replace(campaign, shared=replace(shared, field=field))
 
 
 def _one_of(name: str, value: str | None, known: tuple[str, ...]) -> str | None:

@@ -7,7 +7,8 @@ import numpy as np
 from calibration.heliostat.files.result import Shared
 from calibration.heliostat.files.sources import HeliostatTask
 from calibration.heliostat.files.store_paint import parse_properties
-from calibration.heliostat.fitting.fit_result import HeliostatFit
+from calibration.heliostat.fitting.field_fit import WithinField
+from calibration.heliostat.fitting.field_prior import FieldPrior
 from calibration.heliostat.observations.observed import Observed
 from calibration.heliostat.observations.rows import Rows
 from calibration.heliostat.pipeline.trials import Trials
@@ -20,9 +21,18 @@ _FEW_REFUSED = 0.1
 
 
 def collect_doubts(
-    task: HeliostatTask, seen: Observed, result: HeliostatFit, trials: Trials, shared: Shared
+    task: HeliostatTask,
+    seen: Observed,
+    within: WithinField,
+    field: FieldPrior | None,
+    trials: Trials,
+    shared: Shared,
 ) -> Iterator[Doubt]:
-    """Yield what came up in the trials, on reading and in the fit to all rows; what is only good to know as notes."""
+    """Yield what came up in the trials, on reading and in the fit to all rows; what is only good to know as notes.
+
+    field: What the other heliostats say of it; None where that does not help.
+    """
+    result = within.fit
     main = trials.held.get(shared.split)
     if main is not None and main.beyond is not None:
         # Extrapolation is reported before any number.
@@ -39,11 +49,10 @@ def collect_doubts(
             Severity.SERIOUS,
         )
     yield from refused_rows(seen.rows)
-    if shared.population is not None and shared.population.knows(task.name):
-        others = len(set(shared.population.heliostats) - {task.name})
-        common = ", ".join(shared.population.names)
-        text = f"{others} other heliostats of the field give what is usual: values and priors of {common}"
-        yield Doubt("priors_of_the_field", text, {"heliostats_count": others}, Severity.NOTE)
+    if within.by_field and field is not None:
+        common = ", ".join(field.names)
+        text = f"{field.heliostats} other heliostats of the field give what is usual: values and priors of {common}"
+        yield Doubt("priors_of_the_field", text, {"heliostats_count": field.heliostats}, Severity.NOTE)
     yield from _missing_sigmas(seen, shared.model.evaluation.spot_sigma_mm)
     yield from result.doubts
     if main is None and shared.split in trials.not_made:

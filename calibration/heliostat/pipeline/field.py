@@ -7,8 +7,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from calibration.heliostat.files.field_folder import FieldFolder
 from calibration.heliostat.files.result import Shared
 from calibration.heliostat.files.sources import HeliostatTask
@@ -22,7 +20,7 @@ from calibration.heliostat.files.store_field import (
     write_field,
 )
 from calibration.heliostat.files.store_heliostat import heliostat_summary
-from calibration.heliostat.fitting.population import Population
+from calibration.heliostat.fitting.field_model import Field
 from calibration.heliostat.keys import HeliostatMeasurement
 from calibration.heliostat.pipeline.campaign import WORTH, Campaign, with_field
 from calibration.heliostat.pipeline.measure import Options, refuse_all, run
@@ -192,16 +190,20 @@ def _digest(shared: Shared) -> str:
         shared.free,
         shared.label,
         shared.thorough,
-        _common(shared.population),
+        _common(shared.field),
     )
     return hashlib.sha256(repr(said).encode()).hexdigest()
 
 
-def _common(population: Population | None) -> tuple[Any, ...]:
+def _common(field: Field | None) -> tuple[Any, ...]:
     """Return what the heliostats know of each other, without the last digits, which differ between processors."""
-    if population is None:
+    if field is None:
         return ()
-    return population.names, population.heliostats, np.round(population.offsets, 9).tolist()
+    models = sorted(field.models.items())
+    return field.grouping, [
+        (names, group, model.units, model.helps, [f"{value:.3g}" for value in (*model.mean, *model.scatter)])
+        for (names, group), model in models
+    ]
 
 
 def _is_there(folder: Path, name: str, row: dict[str, Any]) -> bool:

@@ -1,16 +1,18 @@
 """Stage 2: which parameters of a heliostat the fit may move."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import takewhile
 
 import numpy as np
 
-from calibration.heliostat.files.result import FIELD, Shared
+from calibration.heliostat.files.result import PRIORS_ALONE, Shared
+from calibration.heliostat.fitting.field_fit import field_names, fit_within
+from calibration.heliostat.fitting.field_prior import FieldPrior
 from calibration.heliostat.fitting.fit_result import FitOptions, HeliostatFit
 from calibration.heliostat.fitting.model_choice import ModelChoice, choose_model
-from calibration.heliostat.fitting.population import with_population
-from calibration.heliostat.fitting.priors import with_priors, with_terms_free
+from calibration.heliostat.fitting.priors import with_all_terms, with_priors, with_terms_free
 from calibration.heliostat.fitting.robust_fit import fit
-from calibration.heliostat.kinematic_model.design import HeliostatDesign
+from calibration.heliostat.kinematic_model.design import HeliostatDesign, LinearActuator
 from calibration.heliostat.observations.observations import Observations
 from calibration.heliostat.pipeline.nominal_design import asked_terms, frees_parameters
 
@@ -26,11 +28,21 @@ class FreeParameters:
     design: The heliostat with these parameters free, within their priors where they have any.
     name: What the choice is called.
     choice: How it was made from trials; None where it was not.
+    field: What the other heliostats say; None where that does not help.
+    is_stated: Whether measurement.toml or the command line names them: then nothing else is fitted.
+    first: The robust fit of these parameters to all rows, where it was made to choose them.
     """
 
     design: HeliostatDesign
     name: str
     choice: ModelChoice | None = None
+    field: FieldPrior | None = None
+    is_stated: bool = False
+    first: HeliostatFit | None = None
+
+    def refine(self, found: HeliostatFit) -> HeliostatFit:
+        """Return a robust fit with what is known of noise and field; as it was where the parameters are stated."""
+        return found if self.is_stated else fit_within(found, self.field).fit
 
 
 def choose_free_parameters(
@@ -43,21 +55,44 @@ def choose_free_parameters(
     kinematics = shared.model.kinematics
     if shared.free == AUTO and frees_parameters(kinematics):
         free = kinematics.free
-        return FreeParameters(nominal, free if isinstance(free, str) else "as in measurement.toml")
+        name = free if isinstance(free, str) else "as in measurement.toml"
+        return FreeParameters(nominal, name, is_stated=True)
     if shared.free != AUTO:
         chosen = nominal.with_free(shared.free)
-        return FreeParameters(with_terms_free(chosen, asked_terms(chosen, kinematics)), shared.free)
-    known = FreeParameters(with_priors(nominal), "all with priors")
-    if not shared.thorough:
-        return known
-    if shared.population is not None and shared.population.knows(nominal.name):
-        usual = with_population(known.design, shared.population)
+        chosen = with_terms_free(chosen, asked_terms(chosen, kinematics))
+        return FreeParameters(chosen, shared.free, is_stated=True)
+    usual = starting_design(nominal)
+    first = fit(usual, observations, options)
+    known = FreeParameters(usual, PRIORS_ALONE, first=first)
+    if is_hopeless(first):
         # What is usual is no help to a heliostat that something is wrong with.
-        return known if is_hopeless(fit(usual, observations, options)) else FreeParameters(usual, FIELD)
-    if is_hopeless(fit(known.design, observations, options)):
+        return known
+    model = shared.field.model(field_names(known.design), unit_groups(nominal)) if shared.field is not None else None
+    if model is not None:
+        return replace(known, field=model.prior(nominal.name))
+    if not shared.thorough:
         return known
     choice = choose_model(nominal, observations, options)
     return FreeParameters(choice.design, choice.best, choice)
+
+
+def starting_design(nominal: HeliostatDesign) -> HeliostatDesign:
+    """Return a heliostat with everything that a field can know: what is usually free is, within its prior."""
+    usual = with_priors(nominal).parameters.free_names
+    return with_priors(with_all_terms(nominal), usual)
+
+
+def unit_groups(nominal: HeliostatDesign) -> dict[str, str]:
+    """Return by what heliostats may be alike: their drives' delivered numbers, and the row they stand in.
+
+    nominal: As it was delivered; the letters that its name begins with are its row.
+    """
+    drives = []
+    for drive in nominal.drives:
+        own = (drive.offset, drive.pivot_radius, drive.increment) if isinstance(drive, LinearActuator) else ()
+        sense = drive.clockwise if isinstance(drive, LinearActuator) else drive.rad_per_reading
+        drives.append((sense, *(f"{nominal.parameters.value(name):.5g}" for name in own)))
+    return {"drives": repr(drives), "row": "".join(takewhile(str.isalpha, nominal.name))}
 
 
 def is_hopeless(found: HeliostatFit) -> bool:

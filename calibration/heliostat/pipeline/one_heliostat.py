@@ -1,17 +1,25 @@
 """One heliostat from its task to its result, stage by stage."""
 
+from dataclasses import dataclass
 from time import perf_counter
 
 from calibration.heliostat.diagnosis.full_diagnosis import Records, diagnose
-from calibration.heliostat.files.result import HeliostatResult, Shared
+from calibration.heliostat.files.result import FIELD, HeliostatResult, Shared
 from calibration.heliostat.files.sources import HeliostatTask
-from calibration.heliostat.fitting.fit_result import FitOptions, HeliostatFit
-from calibration.heliostat.fitting.priors import with_priors
+from calibration.heliostat.fitting.field_fit import WithinField, field_names, fit_within, linear_rows
+from calibration.heliostat.fitting.field_model import FieldUnit
+from calibration.heliostat.fitting.fit_result import FitOptions
+from calibration.heliostat.fitting.priors import PRIORS
 from calibration.heliostat.fitting.robust_fit import fit
 from calibration.heliostat.observations.observed import Observed
 from calibration.heliostat.observations.rows import Rows
 from calibration.heliostat.pipeline.doubts import collect_doubts
-from calibration.heliostat.pipeline.free_parameters import choose_free_parameters, is_hopeless
+from calibration.heliostat.pipeline.free_parameters import (
+    choose_free_parameters,
+    is_hopeless,
+    starting_design,
+    unit_groups,
+)
 from calibration.heliostat.pipeline.reading import read_task
 from calibration.heliostat.pipeline.sky_map import map_sky
 from calibration.heliostat.pipeline.trials import try_out
@@ -34,22 +42,24 @@ def calibrate_one(shared: Shared, task: HeliostatTask) -> HeliostatResult:
             raise EstimationError(f"{task.name}: {why_none(rows)}")
     options = _fit_options(seen)
     free = choose_free_parameters(nominal, observations, shared, options)
-    result = fit(free.design, observations, options)
-    trials = try_out(nominal, free, observations, rows, shared, options, hopeless=is_hopeless(result))
-    # The scatter of a field shows what is usual, not how a heliostat was delivered: faults are judged by the latter.
-    judged = result if shared.population is None else fit(with_priors(nominal), observations, options)
+    # Faults are judged by how a heliostat was delivered: by the fit that knows nothing of the field.
+    judged = free.first if free.first is not None else fit(free.design, observations, options)
+    hopeless = is_hopeless(judged)
+    within = WithinField(judged, False) if hopeless or free.is_stated else fit_within(judged, free.field)
+    result = within.fit
+    trials = try_out(nominal, free, observations, rows, shared, options, hopeless=hopeless)
     records = Records(rows.flags, rows.text("image"), rows.times, rows.ids)
     diagnosis = diagnose(judged, targets=shared.plant.targets, site=shared.plant.site, records=records)
     main = trials.held.get(shared.split)
     inflation = None if main is None else main.prediction.inflation
     sky = map_sky(result, shared.plant, inflation, thorough=shared.thorough)
-    found = gather_doubts(diagnosis.doubts, collect_doubts(task, seen, result, trials, shared))
+    found = gather_doubts(diagnosis.doubts, collect_doubts(task, seen, within, free.field, trials, shared))
     return HeliostatResult(
         name=task.name,
         nominal=nominal,
         seen=seen,
         fit=result,
-        free=free.name,
+        free=FIELD if within.by_field else free.name,
         choice=free.choice,
         split=shared.split,
         held=trials.held,
@@ -64,13 +74,30 @@ def calibrate_one(shared: Shared, task: HeliostatTask) -> HeliostatResult:
     )
 
 
-def fit_alone(shared: Shared, task: HeliostatTask) -> HeliostatFit | None:
-    """Fit a heliostat within its own priors: a first look, of which the field's population is made."""
+@dataclass(frozen=True, slots=True, eq=False)
+class FirstLook:
+    """What a heliostat tells about its field.
+
+    unit: Its observations about the fit within general priors.
+    scales: Prior sigma of each parameter.
+    """
+
+    unit: FieldUnit
+    scales: dict[str, float]
+
+
+def look_first(shared: Shared, task: HeliostatTask) -> FirstLook | None:
+    """Look at a heliostat alone, for what it tells about the field; at one that is hopeless there is nothing to see."""
     given = read_task(task, shared)
     if given.seen.observations is None:
         return None
-    found = fit(with_priors(given.nominal), given.seen.observations, _fit_options(given.seen))
-    return None if is_hopeless(found) or not found.converged else found
+    design = starting_design(given.nominal)
+    found = fit(design, given.seen.observations, _fit_options(given.seen))
+    if is_hopeless(found) or not found.converged:
+        return None
+    names = field_names(design)
+    unit = FieldUnit(task.name, linear_rows(found, names), unit_groups(given.nominal))
+    return FirstLook(unit, {name: PRIORS[name].of(design.parameters.value(name)) for name in names})
 
 
 def _fit_options(seen: Observed) -> FitOptions:

@@ -53,7 +53,9 @@ def try_out(
             column = tuple(parts[row] for row in observations.row.tolist())
         try:
             split = make_split(observations, name, seed=shared.model.evaluation.random_seed, column=column)
-            trials.held[name] = held_out(design, observations, split, options, chooser=chooser)
+            trials.held[name] = held_out(
+                design, observations, split, options, chooser=chooser, refine=None if hopeless else free.refine
+            )
         except (EstimationError, InputError) as error:
             trials.not_made[name] = str(error)
     return trials

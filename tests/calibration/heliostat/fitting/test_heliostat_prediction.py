@@ -1,4 +1,4 @@
-"""Splits, held-out rows, prediction with sigma and warning, choice of parameters, priors of a field."""
+"""Splits, held-out rows, prediction with sigma and warning, choice of parameters."""
 
 from dataclasses import replace
 
@@ -7,7 +7,6 @@ import pytest
 
 from calibration.heliostat.fitting.fit_result import FitOptions
 from calibration.heliostat.fitting.model_choice import Candidate, choose_model, usual_candidates
-from calibration.heliostat.fitting.population import Population, with_population
 from calibration.heliostat.fitting.prediction import (
     blocked_inflation,
     predict_aim,
@@ -22,8 +21,7 @@ from calibration.heliostat.fitting.splits import SPLIT_NAMES, held_out, make_spl
 from calibration.heliostat.kinematic_model.aiming import aim
 from calibration.heliostat.kinematic_model.presets import azimuth_elevation
 from calibration.heliostat.observations.observations import MirrorNormals, Observations, Pointings
-from calibration.heliostat.observations.residuals import evaluate
-from heliogauge.errors import EstimationError, InputError
+from heliogauge.errors import InputError
 from heliogauge.geometry.sun import Site
 from tests.calibration.heliostat.fitting.test_heliostat_fit import ANGLES, heliostat, truth_of
 from tests.calibration.heliostat.observations.test_heliostat_residuals import designs
@@ -239,36 +237,3 @@ def test_choice_with_too_few_rows_takes_everything_within_its_prior():
     assert "too few" in choice.reason
     with pytest.raises(InputError, match="at least one"):
         choose_model(design, seen, candidates=())
-
-
-def test_field_tells_of_a_heliostat_what_its_own_rows_cannot():
-    rng = np.random.default_rng(7)
-    fits, truths = [], []
-    base = azimuth_elevation("h", [10.0, 60.0, 1.5])
-    for k in range(8):
-        design = with_priors(azimuth_elevation(f"h{k}", [10.0, 60.0, 1.5]))
-        # All posts lean alike to 1 mrad; targets surveyed 1.2 m too low.
-        truth = design.with_value(
-            {
-                "tilt_north": 4e-3 + rng.normal(0, 1e-3),
-                "tilt_east": rng.normal(0, 1e-3),
-                "azimuth_offset": rng.normal(0, 0.03),
-                "position_u": 0.3,
-            }
-        ).parameters.values
-        seen = Observations((beams(design, truth, year(60), 0.02, rng),))
-        fits.append(fit(design, seen))
-        truths.append(truth)
-    names = ("tilt_north", "tilt_east", "position_u", "azimuth_offset")
-    population = Population.of(fits, names)
-    middle, sigma = population.middle_and_sigma(without="h0")
-    assert (np.abs(middle[:3] - [4e-3, 0.0, -1.2]) < [1.5e-3, 1.5e-3, 0.4]).all()
-    assert sigma[0] < 4e-3
-    few = fits[0].observations.select(np.arange(60) < 4)
-    alone = fit(with_priors(base), few)
-    informed = fit(with_population(with_priors(azimuth_elevation("h0", [10.0, 60.0, 1.5])), population), few)
-    others = fits[0].observations.select(np.arange(60) >= 4)
-    errors = [evaluate(f.design, f.values, others).beam_angle_rad.mean() for f in (alone, informed)]
-    assert errors[1] < errors[0]
-    with pytest.raises(EstimationError, match="at least 4"):
-        with_population(base, Population.of(fits[:3], names))

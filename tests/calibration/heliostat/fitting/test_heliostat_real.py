@@ -3,16 +3,18 @@
 import numpy as np
 import pytest
 
+from calibration.heliostat.fitting.field_fit import field_names, fit_with_field, linear_rows
+from calibration.heliostat.fitting.field_model import FieldUnit, learn_field
 from calibration.heliostat.fitting.fit_result import FitOptions
 from calibration.heliostat.fitting.model_choice import with_priors
-from calibration.heliostat.fitting.population import Population, with_population
+from calibration.heliostat.fitting.priors import PRIORS
 from calibration.heliostat.fitting.robust_fit import fit
 from calibration.heliostat.fitting.splits import held_out, make_split
 from calibration.heliostat.observations.residuals import evaluate
+from calibration.heliostat.pipeline.free_parameters import starting_design
 from tests.calibration.juelich import FAULTY, FOLDER, SOUND, heliostat
 
 pytestmark = pytest.mark.skipif(not FOLDER.is_dir(), reason=f"no real heliostats beside the project ({FOLDER})")
-COMMON = ("tilt_1_n", "tilt_1_u", "tilt_2_e", "tilt_2_n", "position_u", "sag_1")
 
 
 @pytest.fixture(scope="module")
@@ -57,15 +59,26 @@ def test_azimuth_split_with_priors_is_below_five_milliradians_and_warned(units, 
     assert np.median(errors) < 0.75 * np.median(free)
 
 
-def test_what_the_field_has_in_common_halves_the_extrapolation_again(units):
-    fits = [fit(with_priors(design), seen) for design, seen in units.values()]
-    population = Population.of(fits, COMMON)
-    errors = []
-    for design, seen in units.values():
-        split = make_split(seen, "azimuth")
-        known = with_population(with_priors(design), population)
-        errors.append(beam_rms_mrad(fit(known, seen.select(split.train)), seen.select(split.test)))
-    assert np.median(errors) < 2.5
+@pytest.mark.slow
+def test_each_is_predicted_across_the_sky_from_the_others(units):
+    looks = {}
+    for name, (design, seen) in units.items():
+        start = starting_design(design)
+        looks[name] = FieldUnit(name, linear_rows(fit(start, seen), field_names(start)), {})
+    scales = {name: PRIORS[name].of(start.parameters.value(name)) for name in field_names(start)}
+    errors = {"azimuth": [], "azimuth-reversed": []}
+    for name, (design, seen) in units.items():
+        field = learn_field([look for other, look in looks.items() if other != name], scales)
+        model = field.model(looks[name].rows.names, {})
+        assert model is not None
+        for split, found in errors.items():
+            parts = make_split(seen, split)
+            robust = fit(starting_design(design), seen.select(parts.train))
+            informed = fit_with_field(robust, model.prior(name))
+            found.append(beam_rms_mrad(informed, seen.select(parts.test)))
+    # What one morning cannot separate five others know: 4.6 and 4.0 mrad with general priors and independent rows.
+    assert np.median(errors["azimuth"]) < 2.5
+    assert np.median(errors["azimuth-reversed"]) < 2.8
 
 
 def test_wrong_actuator_data_are_said_not_fitted():
