@@ -15,18 +15,7 @@ from scipy.optimize import least_squares
 
 sys.path.insert(0, str(ROOT))
 
-from calibration.heliostat.fitting import (
-    PRIORS,
-    FieldUnit,
-    field_names,
-    fit,
-    fit_with_field,
-    learn_field,
-    linear_rows,
-    make_split,
-    with_all_terms,
-    with_priors,
-)
+from calibration.heliostat.fitting import PRIORS, fit, make_split, with_priors
 from calibration.heliostat.kinematic_model import ActuatorNumbers, linear_actuators
 from calibration.heliostat.observations import BeamSpots, ObservationModel, Observations, Pointings, evaluate
 
@@ -115,39 +104,26 @@ def rms_mrad(found, seen):
     return 1e3 * np.sqrt(np.mean(evaluate(found.design, found.values, seen).beam_angle_rad ** 2))
 
 
-def start(design):
-    """Return a heliostat with all its terms, of which the usual ones are free within their priors."""
-    return with_priors(with_all_terms(design), with_priors(design).parameters.free_names)
-
-
 def real():
     from tests.calibration.juelich import FOLDER, SOUND, heliostat
 
     if not FOLDER.is_dir():
         print(f"\nno real heliostats at {FOLDER}")
         return
-    units = {name: heliostat(name) for name in SOUND}
-    starts = {name: start(design) for name, (design, _) in units.items()}
-    looks = [FieldUnit(n, linear_rows(fit(starts[n], units[n][1]), field_names(starts[n])), {}) for n in SOUND]
-    parameters = starts[SOUND[0]].parameters
-    scales = {name: PRIORS[name].of(parameters.value(name)) for name in looks[0].rows.names}
-    fields = {n: learn_field([one for one in looks if one.name != n], scales).models for n in SOUND}
+    units = [heliostat(name) for name in SOUND]
     ways = {
-        "4 tilts": lambda name, design, seen: fit(design.with_free("4"), seen),
-        "15 parameters": lambda name, design, seen: fit(design.with_free("15"), seen),
-        "priors": lambda name, design, seen: fit(with_priors(design), seen),
-        "of the field": lambda name, design, seen: fit_with_field(
-            fit(starts[name], seen), next(iter(fields[name].values())).prior(name)
-        ),
+        "4 tilts": lambda design, seen: fit(design.with_free("4"), seen),
+        "15 parameters": lambda design, seen: fit(design.with_free("15"), seen),
+        "priors": lambda design, seen: fit(with_priors(design), seen),
     }
-    title("Beam RMS of rows left aside, mrad, median of six heliostats (each from the five others' field)", tuple(ways))
+    title("Beam RMS of rows left aside, mrad, median of six heliostats, each for itself", tuple(ways))
     for name in ("chronological", "random", "azimuth", "azimuth-reversed", "high-variance"):
         cells = []
         for way in ways.values():
             errors = []
-            for unit, (design, seen) in units.items():
+            for design, seen in units:
                 split = make_split(seen, name)
-                errors.append(rms_mrad(way(unit, design, seen.select(split.train)), seen.select(split.test)))
+                errors.append(rms_mrad(way(design, seen.select(split.train)), seen.select(split.test)))
             cells.append(f"{np.median(errors):.2f}")
         row(name, *cells)
     print(f"  (sigma of the height before anything is measured: {PRIORS['position_u'].sigma:g} m)")

@@ -4,7 +4,6 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import solve_triangular
 
 from calibration.heliostat.kinematic_model.design import HeliostatDesign, LinearActuator
 from calibration.heliostat.observations.observations import Observations
@@ -112,6 +111,8 @@ class LinearRows(ShortRepr):
         identity gives ``K^-1 = D^-1 - D^-1 Z S' S Z' D^-1``, ``S = chol(1 + L' Z' D^-1 Z L)^-1 L'``: matrices as
         large as the number of days, not of rows.
         """
+        from scipy.linalg import solve_triangular
+
         root = np.sqrt(self.weight) / noise.white
         both = np.column_stack([self.jacobian, self.residuals]) * root[:, None]
         square, log_white = both.T @ both, -2 * float(np.log(root).sum())

@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import minimize
 
 from calibration.heliostat.fitting.drift_noise import USUAL_NOISE, LinearRows, NoiseShape, NormalEquations
 from calibration.heliostat.fitting.field_prior import FieldPrior, settle, student_weights
@@ -230,6 +229,8 @@ def _estimate(equations: Sequence[NormalEquations], scales: FloatArray, start: F
     is that of the expected complete-data likelihood (Fisher's identity), so that a quasi-Newton method takes some
     thirty steps where EM, which has the same maximum, takes thousands for parameters that trade against each other.
     """
+    from scipy.optimize import minimize
+
     p, k = scales.size, len(equations)
     prior_scatter = scales if not k else (scales * 0.5 if start is None else start)
     logs = np.clip(np.log(prior_scatter / scales), *_LOG_SCATTER)
@@ -286,6 +287,7 @@ def likely_noise(some: Sequence[LinearRows], mean: FloatArray, covariance: Float
     some: Observations of one heliostat or of several.
     mean (p,), covariance (p, p): What is known of the parameters of each.
     """
+    from scipy.optimize import minimize
 
     def shape(logs: FloatArray) -> NoiseShape:
         white, day, wander, memory = np.exp(logs).tolist()
