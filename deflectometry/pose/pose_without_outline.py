@@ -7,6 +7,7 @@ import numpy as np
 
 from deflectometry.fringes.screen_map import ScreenMap
 from deflectometry.pose.mirrors_in_image import find_mirrors, measure_edges
+from deflectometry.pose.outline_edges import edge_margin_px
 from deflectometry.pose.pose_observations import DistanceObservation, Knowledge
 from deflectometry.setup.camera_and_screen import Setup
 from heliogauge.camera.model import Camera
@@ -129,7 +130,8 @@ def outline_from_image(image_dn: Float32Array) -> ImageOutline:
     edges = measure_edges(image_dn, corners, normals, reach_px=reach, noise_dn=found.noise_dn, width_px=None)
     corners = corners + np.nan_to_num(edges.offset_px)[:, None] * normals
     width = float(np.nan_to_num(edges.width_px))
-    margin_px = max(0.5 * np.sqrt(2.0), 0.5 * width + 0.5)
+    # No outline to say where the edge is: a quarter of a pixel more.
+    margin_px = edge_margin_px(width, 0.25)
     return ImageOutline(region.astype(bool), corners, largest.centroid_px, margin_px, edges.width_px)
 
 

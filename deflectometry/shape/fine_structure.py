@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from deflectometry.pose.outline_edges import edge_blur_px
 from deflectometry.pose.pose_observations import UncertainPose
 from deflectometry.setup.camera_and_screen import Setup
 from deflectometry.shape.common_modes import moved_inputs
@@ -17,10 +18,6 @@ from heliogauge.validate import BoolArray, FloatArray
 _STEP = 1e-3
 #: Pixels that stand for a facet: what a step on the display does to the slope changes little over it.
 _PIXELS = 25
-#: An edge with Gaussian blur of standard deviation s (pixel included) has a width, height over steepest slope, of
-#: s sqrt(2 pi); the windows by which edges are found widen it by this much, quadratically: on drawn edges of six kinds
-#: with s from 0.42 to 2.5 px the widths are sqrt(2 pi s^2 + 1.6^2) within 0.05 px.
-_WINDOW_PX = 1.6
 #: A facet with fewer measured pixels shows no waviness.
 _FEWEST_PIXELS = 200
 #: Waviness below this share of the noise's variance is not told from it: 200 pixels give a variance to a tenth.
@@ -83,7 +80,7 @@ def _slopes_by_display(
 
 def _blur_share(image: SlopeImage, edge_width_px: float) -> FloatArray:
     """Return the share of the waviness that a blur as wide as the edges takes away, shape (2,)."""
-    blur_px = float(np.sqrt(max(edge_width_px**2 - _WINDOW_PX**2, 0.0) / (2 * np.pi)))
+    blur_px = edge_blur_px(edge_width_px)
     seen = np.isfinite(image.slope_x) & np.isfinite(image.slope_y)
     if not blur_px > 0 or np.count_nonzero(seen) < _FEWEST_PIXELS:
         return np.zeros(2)

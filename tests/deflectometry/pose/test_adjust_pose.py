@@ -10,7 +10,7 @@ import pytest
 
 from deflectometry.pose.adjust_pose import MirrorPose, pose_from_outline, pose_from_points
 from deflectometry.pose.mirror_outline import beside_another, mirror_masks, sample_outlines
-from deflectometry.pose.outline_edges import correlation_points
+from deflectometry.pose.outline_edges import correlation_points, edge_blur_px, edge_margin_px
 from deflectometry.pose.pose_observations import DistanceObservation, Knowledge, KnownPoints
 from heliogauge.camera.distortion import BrownDistortion
 from heliogauge.camera.model import Camera
@@ -363,3 +363,15 @@ def test_reference_facet_agrees_with_its_measured_distance(shared_data: Path) ->
     assert found.residual_rms_px < 0.05
     assert abs(found.distance_tests[0].image_only_m - 10.232) < 0.03
     assert found.distance_tests[0].probability > 0.01
+
+
+@pytest.mark.parametrize(("blur_px", "margin_px"), [(0.42, 1.21), (0.9, 2.58), (1.43, 4.25)])
+def test_pixels_beside_a_blurred_edge_see_the_mirror_where_they_are(blur_px: float, margin_px: float) -> None:
+    width_px = float(np.sqrt(2 * np.pi * blur_px**2 + 1.6**2))
+    assert edge_blur_px(width_px) == pytest.approx(blur_px, rel=1e-9)
+    found = edge_margin_px(width_px, 0.0)
+    assert found == pytest.approx(margin_px, abs=0.06)
+    # The mean of a normal density over the mirror's side.
+    at = np.linspace(-8, 8, 20001) * blur_px
+    density = np.exp(-0.5 * (at / blur_px) ** 2) * (at > -found)
+    assert float(at @ density / density.sum()) < 0.012
