@@ -333,7 +333,9 @@ def _write_names(series: Sequence[ChartSeries], sheet: Sheet) -> None:
         away = one.size_px / 2 + 3
         for name, x, y in zip(one.names, sheet.place_x(one.x).tolist(), sheet.place_y(one.y).tolist(), strict=False):
             wide, high = 6.4 * len(name), 11.0
-            beside = [(away + wide / 2, 0.0), (-away - wide / 2, 0.0), (0.0, -away - high), (0.0, away + high)]
+            near, level = away + high / 2, float(np.clip(x, left + wide / 2 + 1, right - wide / 2 - 1)) - x
+            beside = [(away + wide / 2, 0.0), (-away - wide / 2, 0.0), (level, -near), (level, near)]
+            beside += [(level, -near - high), (level, near + high)]
             for across, along in beside if name else []:
                 a, b = x + across, y + along
                 apart = np.abs(taken[:, :2] - [a, b]) * 2 >= taken[:, 2:] + [wide, high]

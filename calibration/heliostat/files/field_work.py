@@ -20,8 +20,9 @@ def found_over_expected(result: HeliostatResult) -> float | None:
     if result.main is None:
         return None
     prediction = result.main.prediction
-    # What is found holds the measurement's own errors too.
-    sigma = np.hypot(prediction.sigma_beam_rad, prediction.sigma_noise_rad)
+    # What is found holds the measurement's own errors too: as stated, or where the residuals show less, that.
+    share = min([1.0, *result.main.fit.sigma_factors.values()])
+    sigma = np.hypot(prediction.sigma_beam_rad, share * prediction.sigma_noise_rad)
     known = sigma[np.isfinite(sigma)]
     expected = float(np.sqrt(np.mean(known**2))) if known.size else 0.0
     found = result.main.test.beam_rms_rad

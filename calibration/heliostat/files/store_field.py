@@ -12,6 +12,7 @@ from calibration.heliostat.files.store_heliostat import headline
 from calibration.heliostat.fitting.splits import SPLIT_NAMES
 from heliogauge.doubts import Doubt, Severity
 from heliogauge.results.folder import Summary, write_table_csv
+from heliogauge.results.tables import read_table_csv
 
 FIELD_FILE = "field.csv"
 FIELD_KIND = "heliostat-field"
@@ -41,9 +42,10 @@ def field_row(result: HeliostatResult) -> dict[str, Any]:
     # Test positions beyond those of training are a property of the split, and no fault of the heliostat.
     beyond = None if result.main is None else result.main.beyond
     doubts = [one for one in result.doubts if beyond is None or one.code != beyond.code]
+    status = _status(result, doubts)
     return {
         "heliostat": result.name,
-        "status": _status(result, doubts),
+        "status": status,
         "diagnosis": ", ".join(result.diagnosis.named),
         "e_m": east,
         "n_m": north,
@@ -53,11 +55,15 @@ def field_row(result: HeliostatResult) -> dict[str, Any]:
         **headline(result),
         "found_over_expected": found_over_expected(result),
         "bad_row_dates": ", ".join(bad_row_dates(result)),
-        "work": work_of(result),
+        "work": work_of(result) or _doubt_in_words(status, doubts),
         "duration_s": round(result.duration_s, 4),
         "warnings_count": len(result.doubts),
         "reason": "; ".join(one.text for one in doubts),
     }
+
+
+def _doubt_in_words(status: str, doubts: Sequence[Doubt]) -> str:
+    return f"{doubts[0].text}." if status == "doubtful" and doubts else ""
 
 
 def _sky_mrad(result: HeliostatResult) -> float | None:
@@ -188,3 +194,15 @@ def _found(row: Mapping[str, Any]) -> str:
 
 def _mrad(value: float | None) -> str:
     return "-" if value is None else f"{value:.2f} mrad"
+
+
+def failed_heliostats(folder: Path) -> list[tuple[str, str]]:
+    """Return the heliostats of a field that could not be calibrated, each with the reason.
+
+    folder: Results of a field, or of one heliostat, which has none.
+    """
+    if not (folder / FIELD_FILE).is_file():
+        return []
+    table = read_table_csv(folder / FIELD_FILE, ("heliostat", "status", "reason"))
+    rows = zip(table["heliostat"], table["status"], table["reason"], strict=True)
+    return [(name, reason) for name, status, reason in rows if status == "failed"]

@@ -11,6 +11,7 @@ import numpy as np
 
 from calibration.heliostat.exports.aim_table import EXTRAPOLATED, GOOD, OUTSIDE, Calibrated, aim_columns, beam_columns
 from calibration.heliostat.exports.days import SunsOfDay
+from calibration.heliostat.files.store_field import failed_heliostats
 from calibration.heliostat.files.store_heliostat import read_results, stored_site
 from calibration.heliostat.observations.rows import parse_time
 from heliogauge.errors import InputError
@@ -68,13 +69,12 @@ def run(result: Path, out: Path, options: AimOptions | None = None) -> list[str]
         used.
     """
     options = options or AimOptions()
+    tables, sentences = [], []
     with explain_faults(result, "a folder of results as heliogauge wrote it"):
         contents = list(_chosen(read_results(result), options.only))
-    tables, sentences = [], []
-    given = None if options.readings is None else _Given.read(options.readings, stored_site(contents[0]))
-    if given is not None:
-        given.check_names([str(content["heliostat"]) for content in contents])
-    with explain_faults(result, "a folder of results as heliogauge wrote it"):
+        given = None if options.readings is None else _Given.read(options.readings, stored_site(contents[0]))
+        if given is not None:
+            given.check_names([str(content["heliostat"]) for content in contents])
         for content in contents:
             known = Calibrated.from_content(content)
             columns = (
@@ -83,6 +83,8 @@ def run(result: Path, out: Path, options: AimOptions | None = None) -> list[str]
             if columns is not None:
                 tables.append(columns)
                 sentences.append(_sentence(known, columns))
+        if given is None and options.only is None:
+            sentences += [f"{name}: not calibrated: {reason}" for name, reason in failed_heliostats(result)]
     joined = {name: [cell for table in tables for cell in table[name]] for name in tables[0]}
     with WholeFolder(out, AIMED, force=options.force) as folder:
         write_table_csv(folder / (AIM_FILE if given is None else BEAM_FILE), joined)

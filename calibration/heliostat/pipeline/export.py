@@ -14,6 +14,7 @@ from calibration.heliostat.exports.controllers import controller_row
 from calibration.heliostat.exports.days import SunsOfDay
 from calibration.heliostat.exports.working_range import Loss, WorkingRange
 from calibration.heliostat.files.store_artist import SCENARIO_FILE, properties_content, write_scenario_groups
+from calibration.heliostat.files.store_field import failed_heliostats
 from calibration.heliostat.files.store_heliostat import read_results, stored_site
 from calibration.heliostat.kinematic_model.aiming import aim
 from calibration.heliostat.kinematic_model.design import HeliostatDesign, LinearActuator
@@ -130,6 +131,9 @@ def run(result: Path, out: Path, form: str, options: ExportOptions | None = None
     with WholeFolder(out, EXPORT, force=options.force) as folder:
         with explain_faults(result, "a folder of results as heliogauge wrote it"):
             rows = _FORMS[form](folder, read_results(result), options)
+            for name, reason in failed_heliostats(result):
+                empty = dict.fromkeys(rows[0] if rows else (), "")
+                rows.append(empty | _listed(name, "", reason=f"{name}: not calibrated: {reason}"))
         if rows:
             write_table_csv(folder / LIST_FILE, {key: [row[key] for row in rows] for key in rows[0]})
         (folder / "README.txt").write_text(_READMES[form], encoding="utf-8")

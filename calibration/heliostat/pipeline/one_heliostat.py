@@ -52,7 +52,7 @@ def calibrate_one(shared: Shared, task: HeliostatTask) -> HeliostatResult:
     diagnosis = diagnose(judged, targets=shared.plant.targets, site=shared.plant.site, records=records)
     main = trials.held.get(shared.split)
     inflation = None if main is None else main.prediction.inflation
-    sky = map_sky(result, shared.plant, inflation, thorough=shared.thorough)
+    sky = map_sky(result, shared.plant, inflation)
     found = gather_doubts(diagnosis.doubts, collect_doubts(task, seen, within, free.field, trials, shared))
     return HeliostatResult(
         name=task.name,

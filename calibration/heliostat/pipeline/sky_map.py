@@ -9,26 +9,24 @@ from calibration.heliostat.observations.plant import Plant
 from heliogauge.geometry.sun import direction_from_angles
 from heliogauge.validate import freeze
 
-#: Grid of suns [deg]: of thorough runs, and a coarser one of large fields (a quarter of the time).
-_AZIMUTHS_DEG = {True: tuple(range(0, 360, 15)), False: tuple(range(0, 360, 30))}
-_ELEVATIONS_DEG = {True: tuple(range(10, 90, 10)), False: tuple(range(10, 90, 20))}
+#: Grid of suns [deg].
+_AZIMUTHS_DEG = tuple(range(0, 360, 15))
+_ELEVATIONS_DEG = tuple(range(10, 90, 10))
 #: The sun's largest declination, with its radius [deg].
 _LARGEST_DECLINATION_DEG = 23.7
 
 
-def map_sky(result: HeliostatFit, plant: Plant, inflation: float | None, *, thorough: bool) -> SkyMap | None:
+def map_sky(result: HeliostatFit, plant: Plant, inflation: float | None) -> SkyMap | None:
     """Predict the uncertainty over the sky for the first target on which beams were seen.
 
     inflation: What the residuals of the tried-out split show beyond the noise of the observations.
-    thorough: Whether the map is fine.
     Returns: The map; None for a plant without targets.
     """
     targets = plant.targets
     name = next((label for label in result.observations.label if label in targets), next(iter(targets), None))
     if name is None:
         return None
-    azimuths_deg, elevations_deg = _AZIMUTHS_DEG[thorough], _ELEVATIONS_DEG[thorough]
-    azimuth, elevation = np.meshgrid(np.deg2rad(azimuths_deg), np.deg2rad(elevations_deg))
+    azimuth, elevation = np.meshgrid(np.deg2rad(_AZIMUTHS_DEG), np.deg2rad(_ELEVATIONS_DEG))
     latitude = np.deg2rad(plant.origin[0])
     rise = np.sin(latitude) * np.sin(elevation) + np.cos(latitude) * np.cos(elevation) * np.cos(azimuth)
     stands = np.abs(rise) <= np.sin(np.deg2rad(_LARGEST_DECLINATION_DEG))
@@ -38,4 +36,4 @@ def map_sky(result: HeliostatFit, plant: Plant, inflation: float | None, *, thor
         predicted = predict_aim(result, suns, targets[name].center_m, inflation=inflation)
         sigma[stands] = predicted.sigma_beam_rad
         beyond[stands] = predicted.extrapolated & predicted.usable
-    return SkyMap(name, azimuths_deg, elevations_deg, np.asarray(freeze(sigma)), np.asarray(freeze(beyond)))
+    return SkyMap(name, _AZIMUTHS_DEG, _ELEVATIONS_DEG, np.asarray(freeze(sigma)), np.asarray(freeze(beyond)))

@@ -1,14 +1,14 @@
 """From results to the next measurements: what each heliostat needs, and when whose turn it is."""
 
 import datetime
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from calibration.heliostat.files.store_field import FIELD_FILE
+from calibration.heliostat.files.store_field import failed_heliostats
 from calibration.heliostat.files.store_heliostat import read_results, stored_site
 from calibration.heliostat.fitting.prediction import sun_positions_of_year
 from calibration.heliostat.kinematic_model.design import PlaneTarget
@@ -26,7 +26,6 @@ from heliogauge.errors import EstimationError, InputError
 from heliogauge.files.faults import explain_faults
 from heliogauge.geometry.sun import Site, angles_from_direction
 from heliogauge.results.folder import write_json, write_table_csv
-from heliogauge.results.tables import read_table_csv
 from heliogauge.results.whole_folder import FolderKind, WholeFolder
 from heliogauge.validate import FloatArray
 
@@ -110,7 +109,7 @@ def run(result: Path, out: Path, options: NextOptions | None = None) -> list[str
         aim_point = _aim_point(targets, options.target)
         suns = sun_positions_of_year(site, int(str(options.dates[0])[:4]), per_day=_PER_DAY_OF_YEAR)[0]
         planned = [_planned(content, site, targets, (suns, aim_point), options) for content in contents]
-        planned += [_never(name, reason) for name, reason in _failed(result)]
+        planned += [_never(name, reason) for name, reason in failed_heliostats(result)]
     planned.sort(key=lambda one: (-one.error_rad, one.name))
     schedule = _scheduled(planned, site, tuple(targets), options)
     with WholeFolder(out, PLAN, force=options.force) as folder:
@@ -168,15 +167,6 @@ def _held_out(content: Mapping[str, Any]) -> float:
 def _faults(content: Mapping[str, Any]) -> tuple[str, ...]:
     findings = (content.get("diagnosis") or {}).get("findings", [])
     return tuple(dict.fromkeys(one["kind"] for one in findings if one["severity"] == "fault"))
-
-
-def _failed(result: Path) -> Iterator[tuple[str, str]]:
-    """Yield heliostats that could not be calibrated, with the reason."""
-    if (result / FIELD_FILE).is_file():
-        table = read_table_csv(result / FIELD_FILE, ("heliostat", "status", "reason"))
-        for name, status, reason in zip(table["heliostat"], table["status"], table["reason"], strict=True):
-            if status == "failed":
-                yield name, reason
 
 
 def _target(name: str, one: Mapping[str, Any]) -> PlaneTarget:

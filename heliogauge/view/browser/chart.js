@@ -227,25 +227,30 @@
       const { ink } = heliogauge.colors();
       const points = shown.filter((one) => one.mark === "points").flatMap((one) => Array.from(one.px, (x, at) => [x, one.py[at], one.size]));
       let taken = [];
-      return this.custom(all.map(({ x, y }) => [x, y]), 3 + this.series.length, (api, at) => {
+      return this.custom(all.map(({ x, y }) => [x, y]), 3 + this.series.length, (api, at, room) => {
         if (at === 0) taken = points.map(([x, y, size]) => [...api.coord([x, y]), size * 1.3, size * 1.3]);
         const { name, x, y, size } = all[at];
         const [left, top] = api.coord([x, y]);
         const away = size * 0.65 + 3;
         const [wide, high] = [6.4 * name.length, 12];
-        const places = [[away + wide / 2, 0], [-away - wide / 2, 0], [0, -away - high], [0, away + high]];
+        // Above and below names stay within the box; where both are taken, a line farther.
+        const level = Math.min(Math.max(left, room.x + wide / 2 + 1), room.x + room.width - wide / 2 - 1) - left;
+        const near = away + high / 2;
+        const places = [[away + wide / 2, 0], [-away - wide / 2, 0], [level, -near], [level, near], [level, -near - high], [level, near + high]];
+        const inside = ([across, along]) => left + across - wide / 2 > room.x && left + across + wide / 2 < room.x + room.width
+          && top + along - high / 2 > room.y && top + along + high / 2 < room.y + room.height;
         const free = ([across, along]) => taken.every(([a, b, w, h]) =>
           Math.abs(left + across - a) >= (wide + w) / 2 || Math.abs(top + along - b) >= (high + h) / 2);
-        const place = places.find(free);
+        const place = places.find((one) => inside(one) && free(one));
         if (!place) return null;
-        const [middle, level] = [left + place[0], top + place[1]];
-        taken.push([middle, level, wide, high]);
-        return { type: "text", style: { text: name, x: middle, y: level, align: "center", verticalAlign: "middle", fill: ink, fontSize: 11 } };
+        const [middle, line] = [left + place[0], top + place[1]];
+        taken.push([middle, line, wide, high]);
+        return { type: "text", style: { text: name, x: middle, y: line, align: "center", verticalAlign: "middle", fill: ink, fontSize: 11 } };
       });
     }
 
     custom(data, z, shapeOf) {
-      return { type: "custom", data, z, silent: true, clip: true, renderItem: (params, api) => shapeOf(api, params.dataIndex) };
+      return { type: "custom", data, z, silent: true, clip: true, renderItem: (params, api) => shapeOf(api, params.dataIndex, params.coordSys) };
     }
 
     // ---- the value that is shown ----
