@@ -1,10 +1,12 @@
 """Exports of calibrated heliostats, evaluated with the other program's own equations.
 
-Run: python benchmarks/heliostat_exports.py RESULTS (of `heliogauge heliostat measure`, linear actuators).
+Run: python benchmarks/heliostat_exports.py [RESULTS]; without RESULTS six heliostats of Juelich are calibrated first.
 ARTIST is on no package index: its equations are those of its source, written apart for the tests in double precision.
 Asked: beams of the export differ from the calibrated model by no more than what exported.csv states.
 """
 
+import json
+import subprocess
 import sys
 import tempfile
 from pathlib import Path
@@ -15,14 +17,13 @@ from _heliostats import line, title
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from calibration.heliostat.exports.working_range import WorkingRange
-from calibration.heliostat.files.store_heliostat import read_results, stored_site
+from calibration.heliostat.exports import Calibrated, WorkingRange
 from calibration.heliostat.kinematic_model import mirror_poses
-from calibration.heliostat.kinematic_model.store_design import design_from
-from calibration.heliostat.pipeline.export import run
 from heliogauge.geometry.rays import reflect
+from heliogauge.geometry.sun import Site
 from heliogauge.results.tables import read_table_csv
 from tests.calibration import artist_equations as artist
+from tests.calibration.juelich import FOLDER, SOUND
 
 
 def differences_mrad(theirs, design, at):
@@ -36,42 +37,42 @@ def differences_mrad(theirs, design, at):
     return 1e3 * np.linalg.norm(reflect(-at.suns, normals) - ours + across / distance, axis=1)
 
 
-def main(results: Path) -> None:
-    title(
-        "ARTIST's equations on artist_heliostats.h5: beam beside the calibrated model [mrad], RMS and largest of a year"
-    )
-    with tempfile.TemporaryDirectory() as place:
-        out = Path(place) / "artist"
-        run(results, out, "artist")
-        table = read_table_csv(out / "exported.csv")
-        stated = {
-            (name, file): (float(rms), float(largest), status)
-            for name, file, rms, largest, status in zip(
-                *(table[key] for key in ("heliostat", "file", "loss_rms_mrad", "loss_largest_mrad", "status")),
-                strict=True,
-            )
-            if rms
-        }
-        with h5py.File(out / "artist_heliostats.h5") as file:
-            for content in read_results(results):
-                design = design_from(content["design"], content["parameters"], key="value")
-                points = [one["center_m"] for one in content["targets"].values()]
-                # Neither the suns that the export was adjusted to nor those by which its loss was found.
-                at = WorkingRange.of(design, stored_site(content), points, day_of_month=3, per_day=9)
-                found = differences_mrad(artist.from_scenario(file, design.name), design, at)
-                rms, largest, _ = stated[design.name, "artist_heliostats.h5"]
-                measured = f"{np.sqrt(np.mean(found**2)):.4f}, {found.max():.4f}"
-                # Other suns may lie a little beyond those by which the loss was found.
-                holds = bool(np.sqrt(np.mean(found**2)) <= 1.1 * rms and found.max() <= 1.25 * largest)
-                line(design.name, f"{rms:.4f}, {largest:.4f}", measured, holds)
-                lost, _, status = stated[design.name, f"{design.name}_properties.json"]
-                line(
-                    f"{design.name}_properties.json, without tilts",
-                    "within the limit, or refused",
-                    f"{lost:.2f}",
-                    status,
-                )
+def heliogauge(*words):
+    subprocess.run([sys.executable, "-m", "heliogauge", "heliostat", *words, "-q"], check=True, capture_output=True)
+
+
+def main(place: Path, results: Path | None) -> None:
+    if results is None:
+        results = place / "results"
+        heliogauge("measure", str(FOLDER), "-o", str(results), "--only", ",".join(SOUND), "--no-report")
+    title("ARTIST's equations on its files: beam beside the calibrated model [mrad], RMS and largest of a year")
+    out = place / "artist"
+    heliogauge("export", "artist", str(results), "-o", str(out))
+    table = read_table_csv(out / "exported.csv")
+    stated = {
+        (name, file): (float(rms), float(largest), status)
+        for name, file, rms, largest, status in zip(
+            *(table[key] for key in ("heliostat", "file", "loss_rms_mrad", "loss_largest_mrad", "status")), strict=True
+        )
+        if rms
+    }
+    with h5py.File(out / "artist_heliostats.h5") as file:
+        for path in sorted(results.glob("*/heliostat.json")):
+            content = json.loads(path.read_text(encoding="utf-8"))
+            known, site = Calibrated.from_content(content), Site(**content["site"])
+            name, points = known.design.name, [one.center_m for one in known.targets.values()]
+            # Neither the suns that the export was adjusted to nor those by which its loss was found.
+            at = WorkingRange.of(known.design, site, points, day_of_month=3, per_day=9)
+            found = differences_mrad(artist.from_scenario(file, name), known.design, at)
+            rms, largest, _ = stated[name, "artist_heliostats.h5"]
+            measured = f"{np.sqrt(np.mean(found**2)):.4f}, {found.max():.4f}"
+            # Other suns may lie a little beyond those by which the loss was found.
+            holds = bool(np.sqrt(np.mean(found**2)) <= 1.1 * rms and found.max() <= 1.25 * largest)
+            line(name, f"{rms:.4f}, {largest:.4f}", measured, holds)
+            lost, _, status = stated[name, f"{name}_properties.json"]
+            line(f"{name}_properties.json, without tilts", "within the limit, or refused", f"{lost:.2f}", status)
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]))
+    with tempfile.TemporaryDirectory() as place:
+        main(Path(place), Path(sys.argv[1]) if len(sys.argv) > 1 else None)

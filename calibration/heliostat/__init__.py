@@ -11,6 +11,7 @@ from heliogauge.faces import lazy_face
 if TYPE_CHECKING:
     from calibration.heliostat import beam_photos as beam_photos
     from calibration.heliostat import diagnosis as diagnosis
+    from calibration.heliostat import exports as exports
     from calibration.heliostat import fitting as fitting
     from calibration.heliostat import kinematic_model as kinematic_model
     from calibration.heliostat import observations as observations

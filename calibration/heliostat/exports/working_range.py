@@ -13,6 +13,7 @@ from calibration.heliostat.kinematic_model.kinematics import mirror_poses
 from heliogauge.errors import InputError
 from heliogauge.geometry.rays import reflect
 from heliogauge.geometry.sun import Site
+from heliogauge.short_repr import ShortRepr
 from heliogauge.validate import FloatArray
 
 #: The year whose suns stand for every year: the sun's path of one day differs by 0.1 degree from year to year.
@@ -22,7 +23,7 @@ _LOWEST_RAD = float(np.radians(5.0))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class WorkingRange:
+class WorkingRange(ShortRepr):
     """Positions at which a heliostat works.
 
     readings (n, 2): Readings of both drives in the design's unit.
