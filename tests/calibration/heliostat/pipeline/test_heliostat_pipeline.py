@@ -465,7 +465,9 @@ class TestWhatAFieldHasInCommon:
         alone = [run(load_heliostat(folder), Options(split="azimuth", only=f"H{n}")).heliostats[0] for n in range(1, 7)]
         assert FIELD not in {one.free for one in alone}
         errors = [[one.main.test.beam_rms_rad for one in some] for some in (together.heliostats, alone)]
-        assert np.median(errors[0]) < 0.9 * np.median(errors[1])
+        # The middle one is found by both; what the others know is worth most where one's own rows say least.
+        together_rms, alone_rms = (np.sqrt(np.mean(np.square(some))) for some in errors)
+        assert together_rms < 0.9 * alone_rms
         sigma = [np.sqrt(np.nanmean(one.main.prediction.sigma_beam_rad**2)) for one in together.heliostats]
         assert np.median(np.array(errors[0]) / sigma) < 1.5
         assert 5 in [one.numbers.get("heliostats_count") for one in together.heliostats[0].notes]
