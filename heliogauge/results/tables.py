@@ -19,6 +19,10 @@ from heliogauge.results.json_file import read_json, write_json
 from heliogauge.validate import FloatArray, covariance_matrix, float_array
 
 CAMERA_SCHEMA = 1
+#: Columns of so few different numbers are written from a list of their texts.
+_FEW_VALUES = 16
+#: Rows of a large table whose cells are held as texts together.
+_ROWS_AT_ONCE = 16384
 
 _OWN = ("focal_x_px", "focal_y_px", "center_x_px", "center_y_px")
 _LENS = ("k1", "k2", "k3", "p1", "p2")
@@ -144,6 +148,10 @@ def _csv_cells(column: list[Any], *, alone: bool) -> list[Any]:
         # NaN is the one float that differs from itself; the text of the others is short enough to read them back.
         has_gaps = any(map(operator.ne, column, column))
         cells: list[Any] = ["" if cell != cell else cell for cell in column] if has_gaps else column
+        # One sigma for all, as a rule: its text is made once. (Zero has two signs.)
+        if len(set(column[:_FEW_VALUES])) == 1 and len(values := set(column)) <= _FEW_VALUES and 0.0 not in values:
+            texts = {cell: str(cell) for cell in set(cells)}
+            cells = [texts[cell] for cell in cells]
     elif kinds == {str}:
         # Names come many times.
         known = {cell: _csv_cell(cell) for cell in set(column)}
@@ -222,23 +230,33 @@ def _quick_columns(
     """Return columns of a table without quotes and gaps; None where the table is not so plain."""
     text = read_text(path, "a CSV file", MOST_CSV_BYTES)
     header, _, body = text.partition("\n")
-    rows = body.rstrip("\n").split("\n")
-    names, commas = header.split(","), header.count(",")
-    if not body or '"' in text or not {*texts, *numbers} <= set(names) or any(row.count(",") != commas for row in rows):
-        return None
+    names = header.split(",")
     chosen = (*numbers, *(name for name in optional if name in names))
-    if any(names.count(name) > 1 for name in (*texts, *chosen)):
+    wanted = (*texts, *chosen)
+    if not body or '"' in text or not set(wanted) <= set(names) or any(names.count(name) > 1 for name in wanted):
         return None
-    places = [names.index(name) for name in texts]
-    last = max(places, default=0) + 1
-    cells = list(zip(*[row.split(",", last)[:last] for row in rows], strict=True))
-    try:
-        values = np.loadtxt(rows, delimiter=",", comments=None, usecols=[names.index(name) for name in chosen], ndmin=2)
-    except ValueError:
-        # Empty cells, or no number.
+    content = body.rstrip("\n").encode() + b"\n"
+    signs = np.frombuffer(content, dtype=np.uint8)
+    ends, width = np.nonzero(signs == ord("\n"))[0], len(names)
+    commas = np.searchsorted(np.nonzero(signs == ord(","))[0], ends)
+    if (np.diff(commas, prepend=0) != width - 1).any():
         return None
-    found = {name: values[:, column] for column, name in enumerate(chosen)}
-    return {name: list(map(str.strip, cells[place])) for name, place in zip(texts, places, strict=True)}, found
+    found_texts: dict[str, list[str]] = {name: [] for name in texts}
+    found: dict[str, FloatArray] = {name: np.empty(ends.size) for name in chosen}
+    # Some rows at a time: the cells of a large table as texts would take several times its memory.
+    for first in range(0, ends.size, _ROWS_AT_ONCE):
+        last = min(first + _ROWS_AT_ONCE, ends.size)
+        begin = 0 if first == 0 else int(ends[first - 1]) + 1
+        cells = content[begin : int(ends[last - 1])].decode().replace("\n", ",").split(",")
+        for name in texts:
+            found_texts[name] += map(str.strip, cells[names.index(name) :: width])
+        try:
+            for name in chosen:
+                found[name][first:last] = list(map(float, cells[names.index(name) :: width]))
+        except ValueError:
+            # Empty cells, or no number.
+            return None
+    return found_texts, found
 
 
 def _numbers(path: Path, name: str, cells: Sequence[str]) -> FloatArray:

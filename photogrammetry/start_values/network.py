@@ -34,7 +34,7 @@ from photogrammetry.start_values.relative_pose import (
     rival_misfit,
 )
 from photogrammetry.start_values.resection import LEAST_TARGETS
-from photogrammetry.start_values.triangulation import LEAST_ANGLE_RAD
+from photogrammetry.start_values.triangulation import LEAST_ANGLE_RAD, ray_sigma_rad
 
 _MOST_PAIRS = 12
 # Residuals that stay above this share of what a guessed lens may do say that the network never fitted.
@@ -309,15 +309,20 @@ def _pairs(empty: Growth) -> list[tuple[int, int]]:
     # 300 pairs are measured, spread over all counts when there are more.
     order = np.argsort(-common[first, second], kind="stable")
     order = order[np.unique(np.linspace(0, max(order.size - 1, 0), 300).astype(int))] if order.size > 300 else order
-    scored = []
+    table, scored = empty.table, []
+    rays, sigma = np.empty((table.n, 3)), np.empty(table.n)
+    owners = empty.camera_of_photo[table.photo_index]
+    for camera in np.unique(owners).tolist():
+        own = np.nonzero(owners == camera)[0]
+        rays[own] = empty.cameras[camera].cast_rays(table.pixels_px[own])
+        sigma[own] = ray_sigma_rad(empty.cameras[camera], empty.covariance(own))
     for place in order.tolist():
-        shared, _ = _shared(empty, int(first[place]), int(second[place]))
-        rays = shared.rays
-        usable = np.isfinite(rays).all(axis=(0, 2))
+        rows, _ = _shared_rows(empty, int(first[place]), int(second[place]))
+        usable = np.isfinite(rays[rows]).all(axis=(0, 2))
         if usable.sum() < LEAST_COMMON:
             continue
-        parallax = parallax_rad(rays[:, usable])
-        if parallax > 3 * float(np.median(shared.sigma_rad)):
+        parallax = parallax_rad(rays[rows[:, usable]])
+        if parallax > 3 * float(np.median(sigma[rows])):
             score = float(common[first[place], second[place]]) * min(parallax, 0.2)
             trust = _trust(empty, int(first[place]), int(second[place]))
             scored.append((trust * score, int(first[place]), int(second[place])))
@@ -332,12 +337,17 @@ def _trust(empty: Growth, first: int, second: int) -> float:
     return float(0.2**guesses)
 
 
-def _shared(grown: Growth, first: int, second: int) -> tuple[SharedTargets, IntArray]:
+def _shared_rows(grown: Growth, first: int, second: int) -> tuple[IntArray, IntArray]:
+    """Return the rows of what two photos both show, shape (2, n), and the targets."""
     rows_a, rows_b = grown.rows_of_photo[first], grown.rows_of_photo[second]
     targets, a, b = np.intersect1d(
         grown.table.target_index[rows_a], grown.table.target_index[rows_b], return_indices=True
     )
-    rows = np.stack([rows_a[a], rows_b[b]])
+    return np.stack([rows_a[a], rows_b[b]]), targets
+
+
+def _shared(grown: Growth, first: int, second: int) -> tuple[SharedTargets, IntArray]:
+    rows, targets = _shared_rows(grown, first, second)
     covariance = np.stack([grown.covariance(rows[0]), grown.covariance(rows[1])])
     cameras = (grown.camera(first), grown.camera(second))
     return SharedTargets(cameras, grown.table.pixels_px[rows], covariance), targets

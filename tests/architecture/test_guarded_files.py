@@ -11,7 +11,7 @@ HOME = "heliogauge.files"
 ALLOWED = {
     "heliogauge.images.photos": ("cv2.imdecode", "np.frombuffer"),  # bytes whose header was checked
     "heliogauge.images.thumbnails": ("cv2.imdecode", "np.frombuffer"),  # bytes whose header was checked
-    "heliogauge.results.tables": ("np.loadtxt",),  # lines that were read
+    "heliogauge.results.tables": ("np.frombuffer",),  # a text that was read
     "heliogauge.images.video": ("cv2.VideoCapture",),  # a file whose beginning was checked
     "heliogauge.results.slope_map_file": ("h5py.File", "json.loads"),  # writes in memory; attributes of an open file
     "heliogauge.results.failure": ("cv2.imdecode", "np.frombuffer"),  # thumbnails that were made in this process

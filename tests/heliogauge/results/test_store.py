@@ -513,3 +513,19 @@ def test_bad_columns_are_named(tmp_path: Path, text: str, words: str) -> None:
     (tmp_path / "table.csv").write_text(text, encoding="utf-8")
     with pytest.raises(InputError, match=words):
         read_columns_csv(tmp_path / "table.csv", ("name",), ("x_m",))
+
+
+def test_zero_keeps_its_sign_in_a_column_of_few_numbers(tmp_path):
+    column = [0.0] * 20 + [-0.0]
+    write_table_csv(tmp_path / "table.csv", {"a": column, "sigma": [0.05] * 20 + [0.1]})
+    read = read_table_csv(tmp_path / "table.csv")
+    assert read["a"] == ["0.0"] * 20 + ["-0.0"]
+    assert read["sigma"] == ["0.05"] * 20 + ["0.1"]
+
+
+def test_a_row_of_other_length_is_found_in_a_plain_table(tmp_path):
+    # As many cells in all as the rows should have: only the place of the lines tells.
+    path = tmp_path / "table.csv"
+    path.write_text("name,x_m\na,1,2\nb\n", encoding="utf-8")
+    with pytest.raises(InputError, match="line 2"):
+        read_columns_csv(path, ("name",), ("x_m",))
