@@ -61,8 +61,8 @@ def main(place: Path, results: Path | None) -> None:
             content = json.loads(path.read_text(encoding="utf-8"))
             known, site = Calibrated.from_content(content), Site(**content["site"])
             name, points = known.design.name, [one.center_m for one in known.targets.values()]
-            # Neither the suns that the export was adjusted to nor those by which its loss was found.
-            at = WorkingRange.of(known.design, site, points, day_of_month=3, per_day=9)
+            # As many, but neither the suns that the export was adjusted to nor those by which its loss was found.
+            at = WorkingRange.of(known.design, site, points, day_of_month=3, per_day=11)
             found = differences_mrad(artist.from_scenario(file, name), known.design, at)
             rms, largest, _ = stated[name, "artist_heliostats.h5"]
             measured = f"{np.sqrt(np.mean(found**2)):.4f}, {found.max():.4f}"
