@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 
 from deflectometry.pose.outline_edges import edge_blur_px
@@ -85,31 +86,39 @@ def _blur_share(image: SlopeImage, edge_width_px: float) -> FloatArray:
     if not blur_px > 0 or np.count_nonzero(seen) < _FEWEST_PIXELS:
         return np.zeros(2)
     left = _beside_quadratic(image, seen)
-    from scipy.ndimage import gaussian_filter
-
-    weight = gaussian_filter(seen.astype(np.float64), blur_px, mode="constant")
+    weight = _blurred(seen.astype(np.float64), blur_px)
     # Where a third of the weight is beyond the mirror a blurred slope is no mean about its pixel.
     inner = seen & (weight > 2 / 3)
     single = np.zeros((2 * int(np.ceil(4 * blur_px)) + 3,) * 2)
     single[len(single) // 2, len(single) // 2] = 1.0
-    of_noise = float(np.square(gaussian_filter(single, blur_px, mode="constant")).sum())
+    of_noise = float(np.square(_blurred(single, blur_px)).sum())
     lost = []
     for waves, sigma in zip(left, (image.sigma_x, image.sigma_y), strict=True):
         noise = float(np.mean(np.square(sigma[inner], dtype=np.float64)))
-        blurred = gaussian_filter(waves, blur_px, mode="constant")[inner] / weight[inner]
+        blurred = _blurred(waves, blur_px)[inner] / weight[inner]
         before = float(np.mean(waves[inner] ** 2)) - noise
         after = float(np.mean(blurred**2)) - of_noise * noise
         lost.append(1.0 - np.sqrt(min(max(after, 0.0) / before, 1.0)) if before > _LEAST_WAVINESS * noise else 0.0)
     return np.array(lost)
 
 
+def _blurred(values: FloatArray, blur_px: float) -> FloatArray:
+    """Blur an image by a Gaussian out to four of its standard deviations, with zero beyond the edge."""
+    width = 2 * int(4 * blur_px + 0.5) + 1
+    return np.asarray(cv2.GaussianBlur(values, (width, width), blur_px, borderType=cv2.BORDER_CONSTANT), np.float64)
+
+
 def _beside_quadratic(image: SlopeImage, seen: BoolArray) -> FloatArray:
     """Return what the best quadratic surface leaves of the slopes, shape (2, h, w); 0 where nothing was seen."""
-    x, y = image.x_m[seen] - image.x_m[seen].mean(), image.y_m[seen] - image.y_m[seen].mean()
-    zero, one = np.zeros_like(x), np.ones_like(x)
-    columns = np.array([[x, zero], [zero, y], [y, x], [one, zero], [zero, one]]).reshape(5, -1)
-    slopes = np.concatenate([image.slope_x[seen], image.slope_y[seen]])
-    found = np.linalg.solve(columns @ columns.T, columns @ slopes)
+    x, y = image.x_m[seen], image.y_m[seen]
+    linear = np.stack([np.ones_like(x), x - x.mean(), y - y.mean()])
+    slopes = np.stack([image.slope_x[seen], image.slope_y[seen]])
+    # Of 1, x and y in the slopes in x and in y for two curvatures, twist and two tilts.
+    shares = np.zeros((5, 2, 3))
+    shares[0, 0, 1] = shares[1, 1, 2] = shares[2, 0, 2] = shares[2, 1, 1] = shares[3, 0, 0] = shares[4, 1, 0] = 1.0
+    products = np.einsum("kci,ij,lcj->kl", shares, linear @ linear.T, shares)
+    found = np.linalg.solve(products, np.einsum("kci,ci->k", shares, slopes @ linear.T))
     left = np.zeros((2, *seen.shape))
-    left[:, seen] = (slopes - found @ columns).reshape(2, -1)
+    for plane, values in zip(left, slopes - np.tensordot(found, shares, axes=1) @ linear, strict=True):
+        plane[seen] = values
     return left
