@@ -6,7 +6,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from calibration.heliostat.fitting.drift_noise import USUAL_NOISE, Drift, LinearRows, NoiseShape, drive_zeros, row_days
+from calibration.heliostat.fitting.drift_noise import (
+    USUAL_NOISE,
+    Drift,
+    LinearRows,
+    NoiseShape,
+    SolvedRows,
+    drive_zeros,
+    row_days,
+)
 from calibration.heliostat.fitting.field_model import likely_noise
 from calibration.heliostat.fitting.field_prior import FieldPrior, Settled, settle
 from calibration.heliostat.fitting.fit_result import HeliostatFit
@@ -123,10 +131,11 @@ def fit_with_field(found: HeliostatFit, prior: FieldPrior) -> HeliostatFit:
     place = design.parameters.indices(known.names)
     values = found.values.copy()
     rows, _ = _linearised(found, values, known.names)
-    settled = settle(rows.equations(prior.noise), known)
+    solved = rows.solved(prior.noise)
+    settled = settle(solved.equations, known)
     converged = False
     for _ in range(_MOST_STEPS):
-        step = _posterior(rows, known, settled)
+        step = _posterior(solved, known, settled)
         moved = values.copy()
         moved[place] = design.parameters.values[place] + step.offsets
         again = _linearised(found, moved, known.names)
@@ -138,11 +147,12 @@ def fit_with_field(found: HeliostatFit, prior: FieldPrior) -> HeliostatFit:
                 break
         change = np.abs(moved - values)[place] / np.sqrt(np.diag(step.covariance))
         values, rows = moved, again.rows
-        settled = settle(rows.equations(prior.noise), known)
+        solved = rows.solved(prior.noise)
+        settled = settle(solved.equations, known)
         if change.max() < _NEAR:
             converged = True
             break
-    final = _posterior(rows, known, settled)
+    final = _posterior(solved, known, settled)
     return _result(found, known.names, values, rows, final, np.sqrt(np.diag(settled.spread)), converged)
 
 
@@ -189,20 +199,21 @@ class _Posterior(NamedTuple):
     drift: Drift
 
 
-def _posterior(rows: LinearRows, known: FieldPrior, settled: Settled) -> _Posterior:
-    noise, covariance = known.noise.times(settled.noise), settled.covariance
-    solved = rows.solved(noise)
+def _posterior(solved: SolvedRows, known: FieldPrior, settled: Settled) -> _Posterior:
+    noise, covariance, over = known.noise.times(settled.noise), settled.covariance, settled.noise**-2
     # About the prior's own size of each parameter: metres and radians in one matrix.
     size = np.sqrt(np.diag(covariance))
     inverse = np.linalg.inv(covariance / size[:, None] / size)
-    observed = solved.equations.matrix * size[:, None] * size
+    observed = over * solved.equations.matrix * size[:, None] * size
     after = np.linalg.inv(observed + inverse)
-    pull = solved.equations.rhs * size + inverse @ (known.mean / size)
+    pull = over * solved.equations.rhs * size + inverse @ (known.mean / size)
     # The estimate takes the prior for normal; what it may be wrong by has the tails of Student's t.
     spread = inverse @ (settled.spread / size[:, None] / size) @ inverse
     wrong = after @ (observed + spread) @ after * size[:, None] * size
     gain = after * size[:, None] * size
-    return _Posterior(size * (after @ pull), 0.5 * (wrong + wrong.T), Drift(noise, solved.days, solved.link @ gain))
+    return _Posterior(
+        size * (after @ pull), 0.5 * (wrong + wrong.T), Drift(noise, solved.days, over * (solved.link @ gain))
+    )
 
 
 def _result(
