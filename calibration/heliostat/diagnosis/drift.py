@@ -4,14 +4,15 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from calibration.heliostat.diagnosis.linear_model import FEWEST_ROWS
 from calibration.heliostat.diagnosis.terms import Term, Terms
 from calibration.heliostat.kinematic_model.design import HeliostatDesign
 from heliogauge.validate import FloatArray, TimeArray
 
-#: Rows on either side of a change that are needed to speak of one.
-FEWEST_ROWS = 4
 # A step is looked for on so many dates at most.
 _MOST_DATES = 120
+# An episode is over within a month; so many are looked at.
+_LONGEST, _MOST_SPANS = np.timedelta64(30, "D"), 400
 _YEAR = np.timedelta64(31_557_600, "s")
 _SAME = 1 - 1e-6
 _DAY = np.timedelta64(1, "D")
@@ -28,10 +29,10 @@ def angles_of(design: HeliostatDesign) -> tuple[str, ...]:
 
 
 def in_time(terms: Terms) -> list[Term]:
-    """Return a jump of the angles on each date, and a drift of them.
+    """Return a jump of the angles on each date, a drift of them, and other levels of the axes for some days.
 
     terms: The fit, and rows whose time is known.
-    Returns: Both, or nothing where all rows are of one day or too few.
+    Returns: All, or nothing where all rows are of one day or too few.
     """
     times = terms.fit.observations.time
     dates = change_dates(times[terms.rows])
@@ -52,7 +53,41 @@ def in_time(terms: Terms) -> list[Term]:
     years = (own - first) / _YEAR
     wander = (by * (years - years.mean())[:, None])[None]
     per_year = tuple(f"{name}_rad_per_year" for name in names)
-    return [jump, Term("drift", "a drift in time", wander, per_year, np.zeros(1))]
+    found = [jump, Term("drift", "a drift in time", wander, per_year, np.zeros(1))]
+    spans = episode_spans(times[terms.rows])
+    if len(spans):
+        during = ((own[None] >= spans[:, :1]) & (own[None] < spans[:, 1:])).astype(np.float64)
+        axes = np.stack([terms.by_axis(0), terms.by_axis(1)], axis=1)
+        at = np.arange(len(spans), dtype=np.float64)
+        units = ("level_1_rad", "level_2_rad")
+        found.append(
+            Term("episode", "another level for some days", axes[None] * during[:, :, None], units, at, spans=spans)
+        )
+    return found
+
+
+def episode_spans(times: TimeArray) -> TimeArray:
+    """Return spans of at most a month during which the level could have been another.
+
+    Shapes: times (n,).
+    Returns (s, 2): First day, and first day after it; with enough rows during, before and after, at most 400.
+    """
+    days = np.sort(times.astype("datetime64[D]"))
+    dates, first = np.unique(days, return_index=True)
+    edges = np.append(first, days.size)
+    spans = [
+        (dates[a], dates[b])
+        for a in np.flatnonzero(first >= FEWEST_ROWS).tolist()
+        for b in range(a + 1, len(dates))
+        if dates[b - 1] - dates[a] <= _LONGEST
+        and edges[b] - edges[a] >= FEWEST_ROWS
+        and days.size - edges[b] >= FEWEST_ROWS
+        and edges[b] - edges[a] <= days.size / 3
+    ]
+    found = np.array(spans, dtype="datetime64[D]").reshape(-1, 2)
+    if len(found) > _MOST_SPANS:
+        found = found[np.linspace(0, len(found) - 1, _MOST_SPANS).round().astype(np.intp)]
+    return np.asarray(found)
 
 
 def change_dates(times: TimeArray) -> TimeArray:

@@ -6,14 +6,15 @@ from typing import Any, Literal, TypeAlias
 
 import numpy as np
 
+from calibration.heliostat.fitting.fit_result import HeliostatFit
 from heliogauge import doubts
 from heliogauge.doubts import Doubt
 from heliogauge.validate import TimeArray
 
 #: How a finding stands to the heliostat: it or its records as a whole are wrong ("fault"), single rows were wrong and
-#: are left out ("rows"), something may be wrong but explains less than half of what is unexplained ("hint"), or the
-#: observations are too few to decide ("doubt").
-Severity: TypeAlias = Literal["fault", "rows", "hint", "doubt"]
+#: are left out ("rows"), something may be wrong but explains less than half of what is unexplained ("hint"), the
+#: observations are too few to decide ("doubt"), or the same is wrong for several heliostats ("field").
+Severity: TypeAlias = Literal["fault", "rows", "hint", "doubt", "field"]
 
 #: What to do about each kind.
 REMEDIES: Mapping[str, str] = {
@@ -23,6 +24,7 @@ REMEDIES: Mapping[str, str] = {
     "sun_convention": "Convert the sun's azimuth to 0 = north, clockwise (degrees) before the calibration.",
     "time_offset": "Correct the times, or state their zone; check the clock of the camera or of the controller.",
     "refraction": "Give apparent (refracted) elevations of the sun, refracted once.",
+    "site": "Check the site: latitude is positive in the north, longitude in the east (degrees).",
     "swapped_axes": "Exchange the columns of axis 1 and axis 2.",
     "inverted_axis": "Turn the sign of this axis' readings (of a linear actuator: its sense of rotation).",
     "half_turn": "Count this axis' angles from where the model does: azimuths are 0 in the north, clockwise.",
@@ -32,6 +34,7 @@ REMEDIES: Mapping[str, str] = {
     "target_place": "Survey this target's centre again.",
     "target_scale": "Check the target's width and height (the scale of the photos).",
     "change_point": "Calibrate with the rows after the change only, and ask what was done on that date.",
+    "episode": "Ask what was done on these dates; the rows are left out, before and after them nothing changed.",
     "drift": "Calibrate more often, use the latest rows only, and look at foundation, drives and references.",
     "backlash": "Free the backlash of this axis and record the direction of the last move, or approach from one side.",
     "worm_gear": "Free the periodic error of this axis with this period.",
@@ -75,10 +78,17 @@ class Finding:
         return REMEDIES[self.kind]
 
     @property
+    def significance(self) -> str:
+        """How sure it is, in words."""
+        if not np.isfinite(self.chance):
+            return "no matter of chance"
+        return "chance below 1e-15" if self.chance < 1e-15 else f"chance {self.chance:.1g}"
+
+    @property
     def doubt(self) -> Doubt:
         """The finding as a doubt: its kind is the code."""
         weight = doubts.Severity.SERIOUS if self.severity == "fault" else doubts.Severity.DOUBT
-        return Doubt(self.kind, f"{self.text} {self.remedy}", self.evidence, weight)
+        return Doubt(self.kind, f"{self.text} ({self.significance}) {self.remedy}", self.evidence, weight)
 
     def content(self) -> dict[str, Any]:
         """Return the finding as JSON has it."""
@@ -88,6 +98,7 @@ class Finding:
             "text": self.text,
             "evidence": {name: _plain(value) for name, value in self.evidence.items()},
             "chance": _plain(self.chance),
+            "significance": self.significance,
             "rows": list(self.rows),
             "dates": list(self.dates),
             "images": list(self.images),
@@ -117,11 +128,14 @@ class Diagnosis:
     findings: Faults first.
     checks: All looks at the residuals, significant or not.
     significance: Chance that a healthy heliostat gets any finding that is a matter of chance.
+    remedied: The fit with the remedy of the fault that is wrong with heliostat or records as a whole; None where there
+        is no such fault, or nothing that can be undone by calculation.
     """
 
     findings: tuple[Finding, ...]
     checks: tuple[Check, ...]
     significance: float
+    remedied: HeliostatFit | None = None
 
     @property
     def faults(self) -> tuple[Finding, ...]:
@@ -135,8 +149,11 @@ class Diagnosis:
 
     @property
     def named(self) -> tuple[str, ...]:
-        """Kinds of the faults and of what the observations are too few to decide, each once."""
-        return tuple(dict.fromkeys(one.kind for one in self.findings if one.severity in ("fault", "doubt")))
+        """Kinds of the faults, and of what is not decided with a question mark, each once."""
+        marks = {"fault": "", "field": "", "doubt": "?"}
+        named = (one for one in self.findings if one.severity in marks)
+        # That there are too few observations is decided.
+        return tuple(dict.fromkeys(one.kind + (marks[one.severity] if one.kind != "too_few" else "") for one in named))
 
     @property
     def doubts(self) -> tuple[Doubt, ...]:
@@ -159,7 +176,7 @@ class Diagnosis:
         }
 
 
-_ORDER = {"fault": 0, "rows": 1, "doubt": 2, "hint": 3}
+_ORDER = {"fault": 0, "field": 1, "rows": 2, "doubt": 3, "hint": 4}
 
 
 def ordered(findings: Sequence[Finding]) -> tuple[Finding, ...]:

@@ -2,12 +2,13 @@
 
 from collections.abc import Mapping
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
 from calibration.heliostat.diagnosis.findings import Diagnosis, Finding, ordered
 from calibration.heliostat.diagnosis.hypotheses import REJECTED, hypothesis_finding, is_far
-from calibration.heliostat.diagnosis.numbers import loosened_finding, number_findings
+from calibration.heliostat.diagnosis.numbers import Loosened, loosened_finding, number_findings
 from calibration.heliostat.diagnosis.residual_terms import AS_STATED, Looked, residual_findings
 from calibration.heliostat.diagnosis.rows import Records, explained_rows, outlier_finding, record_findings
 from calibration.heliostat.fitting.fit_result import HeliostatFit
@@ -17,8 +18,20 @@ from heliogauge.geometry.sun import Site
 
 __all__ = ["Diagnosis", "Finding", "Records", "diagnose"]
 
+#: With fewer rows than this nothing is a fault that records alone do not show: freed numbers explain as much.
+FEW_ROWS = 20
+# What the records show by themselves, whatever the heliostat.
+_OF_RECORDS = ("duplicates", "constant_column", "units")
+#: Faults of heliostat or records as a whole, which can be undone by calculation.
+REMEDIED = (
+    *("actuator_numbers", "position", "sun_convention", "site", "time_offset", "units"),
+    *("swapped_axes", "inverted_axis", "half_turn", "mirrored_spots", "target_names_exchanged"),
+)
 #: A heliostat with fewer spare components than this cannot be distinguished from a faulty one.
 _FEWEST_SPARE = 8
+# A term that leaves no more than this times what a hypothesis leaves is the simpler answer; where no hypothesis helps,
+# it must bring the median down by as much as one would have to.
+_AS_GOOD, _SUNK = 2.0, 4.0
 # A rejected row is no outlier any more where a fault's term brings it back within this [sigma].
 _UNDONE = 4.0
 
@@ -50,6 +63,35 @@ def diagnose(
     if not 0 < significance < 1:
         raise InputError(f"significance: a probability between 0 and 1 is needed, not {significance:g}")
     known = {} if targets is None else dict(targets)
+    found = _diagnosed(fit, known, site, records, significance)
+    if found.remedied is not None:
+        # What was hidden behind the fault shows without it.
+        behind = _diagnosed(found.remedied, known, site, records, significance)
+        said = {one.kind for one in found.findings}
+        more = [one for one in behind.findings if one.kind not in said and one.severity in ("fault", "rows")]
+        found = replace(found, findings=(*found.findings, *more))
+    rows = int((fit.used | fit.rejected).sum())
+    findings = ordered([_by_few(one, rows) for one in found.findings])
+    # What is not decided is not undone.
+    sure = any(one.severity == "fault" and one.kind in REMEDIED for one in findings)
+    return replace(found, findings=findings, remedied=found.remedied if sure else None)
+
+
+def _by_few(finding: Finding, rows: int) -> Finding:
+    """Return a finding as so many rows allow it."""
+    if rows >= FEW_ROWS or finding.severity != "fault" or finding.kind in _OF_RECORDS:
+        return finding
+    text = f"{finding.text} {rows} rows are too few to decide it: {FEW_ROWS} are needed."
+    return replace(finding, severity="doubt", text=text)
+
+
+def _diagnosed(
+    fit: HeliostatFit,
+    known: dict[str, PlaneTarget],
+    site: Site | None,
+    records: Records | None,
+    significance: float,
+) -> Diagnosis:
     findings = record_findings(fit, records, known)
     stuck = any(one.kind == "constant_column" and one.severity == "fault" for one in findings)
     few = _too_few(fit)
@@ -58,7 +100,8 @@ def diagnose(
     numbers = number_findings(fit, significance / 2)
     images = _images(fit, records)
     if is_far(fit):
-        return Diagnosis(ordered([*findings, *_of_far(fit, known, site, numbers)]), (), significance)
+        far = _of_far(fit, known, site, numbers, significance)
+        return Diagnosis(ordered([*findings, *far.findings]), (), significance, far.remedied)
     if any(one.kind == "actuator_numbers" and one.rows for one in numbers):
         # Free numbers bend as far as they can: what is left shows nothing of rows or time.
         return Diagnosis(ordered([*findings, *numbers]), (), significance)
@@ -68,26 +111,27 @@ def diagnose(
     followed = _of_numbers(fit, looked, significance)
     if followed is not None:
         # Wrong numbers look like sag, scale or targets out of place.
-        found = [followed]
-        numbers = [one for one in numbers if one.kind != followed.kind]
+        found = [followed.finding]
+        numbers = [one for one in numbers if one.kind != followed.finding.kind]
     left = fit.rejected & ~explained & fit.residuals.computable & ~(looked.lengths < _UNDONE)
     outliers = outlier_finding(fit, left, images, () if records is None else records.ids)
     findings += [*numbers, *explained_findings, *found, *([outliers] if outliers is not None else [])]
     if fit.rejected.mean() > REJECTED and not any(one.severity == "fault" for one in [*found, *explained_findings]):
-        findings.append(hypothesis_finding(fit, known, site)[0])
-    return Diagnosis(ordered(findings), looked.checks, significance)
+        found_by_trial, remedied = hypothesis_finding(fit, known, site)
+        return Diagnosis(ordered([*findings, found_by_trial]), looked.checks, significance, remedied)
+    return Diagnosis(ordered(findings), looked.checks, significance, None if followed is None else followed.fit)
 
 
-def _of_numbers(fit: HeliostatFit, looked: Looked, significance: float) -> Finding | None:
+def _of_numbers(fit: HeliostatFit, looked: Looked, significance: float) -> Loosened | None:
     """Follow numbers of which the residuals contradict what was known."""
     found = []
     for kind in ("position", "actuator_numbers"):
         doubted = [check for check in looked.checks if check.kind == kind]
         if any(check.chance * len(looked.checks) < significance for check in doubted):
-            finding = loosened_finding(fit, kind)
-            if finding is not None and not _much_better(looked, finding):
-                found.append(finding)
-    return max(found, key=lambda one: one.evidence["explained_share"], default=None)
+            loosened = loosened_finding(fit, kind)
+            if loosened is not None and not _much_better(looked, loosened.finding):
+                found.append(loosened)
+    return max(found, key=lambda one: one.finding.evidence["explained_share"], default=None)
 
 
 def _much_better(looked: Looked, finding: Finding) -> bool:
@@ -100,19 +144,45 @@ def _much_better(looked: Looked, finding: Finding) -> bool:
 
 
 def _of_far(
-    fit: HeliostatFit, targets: Mapping[str, PlaneTarget], site: Site | None, numbers: list[Finding]
-) -> list[Finding]:
-    found, _ = hypothesis_finding(fit, targets, site)
+    fit: HeliostatFit,
+    targets: Mapping[str, PlaneTarget],
+    site: Site | None,
+    numbers: list[Finding],
+    significance: float,
+) -> "_Far":
+    found, remedied = hypothesis_finding(fit, targets, site)
     actuators = [one for one in numbers if one.kind == "actuator_numbers"]
     beyond = next((one for one in actuators if one.rows), None)
+    if beyond is None:
+        none = np.zeros(len(fit.observations), dtype=np.bool_)
+        terms = [
+            one for one in residual_findings(fit, targets, site, significance / 2, none).findings if _is_grave(one)
+        ]
+        after = found.evidence.get("median_after_mrad", found.evidence["median_before_mrad"] / _SUNK)
+        before = found.evidence["median_before_mrad"]
+        if terms and before * np.sqrt(1 - max(one.evidence["explained_share"] for one in terms)) < _AS_GOOD * after:
+            # One term of a drive or of time explains as much as a hypothesis about everything.
+            return _Far(terms)
     if found.kind == "actuator_numbers" and beyond is not None:
         evidence = {**beyond.evidence, **found.evidence}
-        return [replace(beyond, text=f"{beyond.text} {found.text}", evidence=evidence)]
+        text = f"{beyond.text} {found.text}"
+        return _Far([replace(beyond, text=text, evidence=evidence, chance=found.chance)], remedied)
     if found.kind == "unexplained" and actuators:
         # Readings that cannot be are more specific than that nothing fits.
-        return actuators
+        return _Far(actuators)
     # What a wrong record did to the numbers is no finding of its own.
-    return [found]
+    return _Far([found], remedied)
+
+
+class _Far(NamedTuple):
+    """What is found where a fit ends far from its observations, and the fit without the fault."""
+
+    findings: list[Finding]
+    remedied: HeliostatFit | None = None
+
+
+def _is_grave(finding: Finding) -> bool:
+    return finding.severity == "fault"
 
 
 def _images(fit: HeliostatFit, records: Records | None) -> tuple[str, ...]:

@@ -1,6 +1,6 @@
 """What could be wrong with records as a whole, tried out one by one where a fit ends far from the observations."""
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import combinations
@@ -12,12 +12,18 @@ from calibration.heliostat.diagnosis.linear_model import linear_fit
 from calibration.heliostat.diagnosis.terms import Terms, turned_sky, with_suns
 from calibration.heliostat.fitting.fit_result import FitOptions, HeliostatFit
 from calibration.heliostat.fitting.robust_fit import fit as fit_heliostat
-from calibration.heliostat.kinematic_model.design import HeliostatDesign, LinearActuator, PlaneTarget, RotaryDrive
+from calibration.heliostat.kinematic_model.design import (
+    POSITION,
+    HeliostatDesign,
+    LinearActuator,
+    PlaneTarget,
+    RotaryDrive,
+)
 from calibration.heliostat.kinematic_model.kinematics import mirror_poses
-from calibration.heliostat.observations.beam_observations import BeamSpots
+from calibration.heliostat.observations.beam_observations import BeamSpots, SunInCamera
 from calibration.heliostat.observations.observations import Group, Observations, Pointings
 from heliogauge.errors import EstimationError, InputError
-from heliogauge.geometry.sun import Site
+from heliogauge.geometry.sun import Site, sun_directions
 from heliogauge.validate import FloatArray
 
 #: Median angle between beams and fit beyond which no heliostat with its numbers is explained [rad of the beam].
@@ -28,6 +34,10 @@ REJECTED = 0.3
 _BETTER = 4.0
 # Rows that decide between hypotheses; the winner is fitted to all.
 _ROWS = 40
+# Computed and recorded suns agree to this where the suns are those of the times.
+_SAME_SUN_RAD = 1e-3
+# So many of the hypotheses that fail are named, the nearest first.
+_NAMED = 6
 _HOURS = (*range(-14, 0), *range(1, 15))
 
 
@@ -66,29 +76,41 @@ def hypothesis_finding(
     few = _some(fit.observations)
     tried = [(_tried(one, few), one) for one in _all(fit, targets, site)]
     best, hypothesis = min(tried, key=lambda pair: pair[0], default=(np.inf, None))
-    numbers = _free_actuators(fit)
-    if numbers is not None:
-        # Twenty free numbers fit more than one changed sign does: they have to be twice as good.
+    for numbers in _free_actuators(fit):
+        # Many free numbers fit more than one changed sign does, and more of them more: they have to be twice as good.
         freed = _tried(numbers, fit.observations)
+        tried.append((freed, numbers))
         if 2 * freed < best:
             best, hypothesis = freed, numbers
     if hypothesis is None or best > max(before / _BETTER, 1e-4) or best > FAR_RAD:
-        return _unexplained(fit, before), None
+        return _unexplained(fit, before, tried), None
     corrected = _fitted(hypothesis, fit.observations)
     if hypothesis.kind == "time_offset" and corrected is not None and site is not None:
         return _time_finding(fit, hypothesis, site, before)
     after = np.inf if corrected is None else _median(corrected)
     evidence = {"median_before_mrad": 1e3 * before, "median_after_mrad": 1e3 * after, **hypothesis.evidence}
+    chance = _chance(fit, after / before, len(tried) + 1)
     fall = f"from {1e3 * before:.1f} to {1e3 * after:.2f} mrad of the beam"
     text = f"{hypothesis.text}: without that the median residual falls {fall}."
-    return Finding(hypothesis.kind, "fault", text, evidence), corrected
+    return Finding(hypothesis.kind, "fault", text, evidence, chance), corrected
 
 
-def _unexplained(fit: HeliostatFit, before: float) -> Finding:
+def _chance(fit: HeliostatFit, ratio: float, tried: int) -> float:
+    """Return the bound of Markov on a likelihood ratio this large if nothing of what was tried is true."""
+    spare = int(fit.observations.n_components.sum()) - fit.n_free
+    return float(min(1.0, tried * np.exp(spare * np.log(max(ratio, 1e-300)))))
+
+
+def _unexplained(fit: HeliostatFit, before: float, tried: Sequence[tuple[float, Hypothesis]]) -> Finding:
+    nearest = sorted(tried, key=lambda pair: pair[0])
+    names = "; ".join(
+        f"{one.text[0].lower()}{one.text[1:]}: {f'{1e3 * after:.0f} mrad' if np.isfinite(after) else 'no fit'}"
+        for after, one in nearest[:_NAMED]
+    )
     share = float(fit.rejected.mean())
     text = (
         f"Observations lie {1e3 * before:.1f} mrad (median) from the best fit and {100 * share:.0f} % of them "
-        "contradict the others; no known fault explains it."
+        f"contradict the others; no known fault explains it. {len(tried)} were tried, the nearest: {names}."
     )
     evidence = {"median_before_mrad": 1e3 * before, "rejected_share": share}
     return Finding("unexplained", "fault", text, evidence)
@@ -120,7 +142,8 @@ def _time_finding(
         "median_before_mrad": 1e3 * before,
         "median_after_mrad": 1e3 * after,
     }
-    return Finding("time_offset", "fault", text, evidence), corrected
+    chance = _chance(fit, after / before, len(_HOURS))
+    return Finding("time_offset", "fault", text, evidence, chance), corrected
 
 
 # --- trying -----------------------------------------------------------------------------------------------------------
@@ -141,7 +164,24 @@ def _fitted(hypothesis: Hypothesis, observations: Observations) -> HeliostatFit 
         found = fit_heliostat(hypothesis.design, hypothesis.change(observations), options)
     except (EstimationError, InputError):
         return None
-    return found
+    return restarted(found)
+
+
+def restarted(found: HeliostatFit) -> HeliostatFit:
+    """Fit again from where numbers without a prior went: readings that the first numbers could not have count then.
+
+    found: A fit; what has a prior starts from there again.
+    """
+    parameters = found.nominal.parameters
+    free = {
+        name: float(value)
+        for name, value, sigma in zip(parameters.names, found.values, parameters.sigmas, strict=True)
+        if np.isinf(sigma)
+    }
+    if not free:
+        return found
+    nominal = found.nominal.with_value(free)
+    return fit_heliostat(nominal, found.observations, FitOptions(sigma="estimated", restarts=0))
 
 
 def _tried(hypothesis: Hypothesis, observations: Observations) -> float:
@@ -170,7 +210,10 @@ def _some(observations: Observations) -> Observations:
 
 def _all(fit: HeliostatFit, targets: Mapping[str, PlaneTarget], site: Site | None) -> Iterator[Hypothesis]:
     yield from _suns(fit)
+    if site is not None:
+        yield from _sites(fit, site)
     yield from _axes(fit)
+    yield from _numbers(fit)
     yield from _spots(fit, targets)
     if site is not None and np.isfinite(fit.observations.sun).any():
         for hours in _HOURS:
@@ -200,6 +243,65 @@ def _suns(fit: HeliostatFit) -> Iterator[Hypothesis]:
         fit.nominal,
         partial(with_suns, change=_from_zenith),
     )
+
+
+def _sites(fit: HeliostatFit, site: Site) -> Iterator[Hypothesis]:
+    """Yield other places of the plant, where suns were computed from the times."""
+    seen = fit.observations
+    known = np.isfinite(seen.sun).all(axis=1) & ~np.isnat(seen.time)
+    if not known.any():
+        return
+    apart = np.linalg.norm(seen.sun[known] - sun_directions(seen.time[known], site), axis=1)
+    if np.median(apart) > _SAME_SUN_RAD:
+        return
+    signs = {
+        "The site's latitude has the wrong sign": {"latitude_deg": -site.latitude_deg},
+        "The site's longitude has the wrong sign": {"longitude_deg": -site.longitude_deg},
+        "Latitude and longitude of the site have the wrong sign": {
+            "latitude_deg": -site.latitude_deg,
+            "longitude_deg": -site.longitude_deg,
+        },
+    }
+    for text, change in signs.items():
+        yield Hypothesis("site", text, fit.nominal, partial(_at_site, site=replace(site, **change)))
+
+
+def _at_site(observations: Observations, site: Site) -> Observations:
+    groups: list[Group] = []
+    for group in observations.groups:
+        if isinstance(group, (BeamSpots, SunInCamera)) and len(group):
+            group = replace(group, sun=sun_directions(group.pointings.time, site))
+        groups.append(group)
+    return Observations(tuple(groups))
+
+
+def _numbers(fit: HeliostatFit) -> Iterator[Hypothesis]:
+    """Yield the heliostat with its place or its angles read otherwise."""
+    design = fit.nominal
+    east, north, up = design.position_m.tolist()
+    place = dict(zip(POSITION, (north, east, up), strict=True))
+    yield Hypothesis(
+        "position", "East and north of the heliostat are exchanged", design.with_value(place), lambda seen: seen
+    )
+    if design.reading_unit == "rad":
+        for text, factor in (("degrees for radians", np.pi / 180), ("radians for degrees", 180 / np.pi)):
+            yield Hypothesis(
+                "units",
+                f"Readings are {text}",
+                design,
+                partial(_with_readings, change=partial(np.multiply, factor)),
+            )
+    parameters = design.parameters
+    drives = {name for drive in design.drives for name in drive.terms.names}
+    angles = {
+        name: value
+        for name, value, unit in zip(parameters.names, parameters.values.tolist(), parameters.units, strict=True)
+        if unit == "rad" and value != 0 and name not in drives
+    }
+    for text, factor in (("degrees for radians", np.pi / 180), ("radians for degrees", 180 / np.pi)):
+        if angles:
+            changed = design.with_value({name: factor * value for name, value in angles.items()})
+            yield Hypothesis("units", f"Angles among the heliostat's numbers are {text}", changed, lambda seen: seen)
 
 
 def _turned(form: FloatArray, suns: FloatArray) -> FloatArray:
@@ -271,17 +373,17 @@ def _spots(fit: HeliostatFit, targets: Mapping[str, PlaneTarget]) -> Iterator[Hy
         )
 
 
-def _free_actuators(fit: HeliostatFit) -> Hypothesis | None:
-    """Return the heliostat with the numbers of its linear actuators free."""
+def _free_actuators(fit: HeliostatFit) -> Iterator[Hypothesis]:
+    """Yield the heliostat with numbers of its linear actuators free: where they start, and then their triangles too."""
     drives = [drive for drive in fit.nominal.drives if isinstance(drive, LinearActuator)]
     if not drives or len(fit.observations) < 20:
-        return None
-    names = [n for d in drives for n in (d.initial_angle, d.initial_stroke, d.offset, d.pivot_radius)]
-    parameters = fit.nominal.parameters.with_sigmas(dict.fromkeys(names, np.inf))
-    free = fit.nominal.with_parameters(parameters)
-    return Hypothesis(
-        "actuator_numbers", "The actuators' numbers are not this heliostat's", free, lambda seen: seen, {}
-    )
+        return
+    starts = [name for drive in drives for name in (drive.initial_angle, drive.initial_stroke)]
+    sides = [name for drive in drives for name in (drive.offset, drive.pivot_radius)]
+    for names in (starts, starts + sides):
+        parameters = fit.nominal.parameters.with_sigmas(dict.fromkeys(names, np.inf))
+        free = fit.nominal.with_parameters(parameters)
+        yield Hypothesis("actuator_numbers", "The actuators' numbers are not this heliostat's", free, lambda seen: seen)
 
 
 def _with_readings(observations: Observations, change: Callable[[FloatArray], FloatArray]) -> Observations:

@@ -9,6 +9,10 @@ from calibration.heliostat.fitting.fit_result import HeliostatFit
 from heliogauge.adjust.robust_loss import Huber
 from heliogauge.validate import BoolArray, FloatArray
 
+#: A row agrees with the others when it lies within this of the fit [sigma of the beam].
+EXPLAINED_SIGMAS = 4.0
+#: Rows on either side of a change that are needed to speak of one.
+FEWEST_ROWS = 4
 # Length of a row's residual (two components) from which on its pull no longer grows [sigma].
 _HUBER = Huber(2.0)
 # Median length of two normal components.
@@ -110,10 +114,22 @@ class LinearFit:
         before = np.minimum(self.lengths()[rows] / self.scale, _CUT)
         after = np.minimum(settled.lengths()[rows] / self.scale, _CUT)
         spare = max(int(self.observed.sum()) - self.base.shape[1], 1)
-        left = float(after @ after) / max(spare - columns.shape[1], 1)
-        share = 1 - left / max(float(before @ before) / spare, 1e-300)
+        least = max(spare - columns.shape[1], 1)
+        ratio = float(after @ after) / least / max(float(before @ before) / spare, 1e-300)
         sigma = np.sqrt(np.maximum(np.diag(covariance)[own], 0)) * max(settled.scale, self.stated)
-        return Extension(settled, step[own], sigma, share)
+        return Extension(settled, step[own], sigma, 1 - ratio, 1 - ratio * (1 + 2 * np.sqrt(2 / least)))
+
+    def freedom(self, columns: FloatArray, sigmas: FloatArray) -> float:
+        """Return how many combinations of columns the observations determine beyond the base.
+
+        columns (m_rows, q): Derivatives by further numbers.
+        sigmas (q,): What is known of these beforehand.
+        """
+        wide = self.padded(columns * sigmas) / self.scale
+        basis = _span(self.base * np.where(self.observed, 1.0, self.scale)[:, None])
+        wide -= basis @ (basis.T @ wide)
+        values = np.linalg.svd(wide, compute_uv=False) ** 2
+        return float(np.sum(values / (1 + values)))
 
     def _pull(self) -> FloatArray:
         weight = np.ones(self.owner.size)
@@ -130,12 +146,14 @@ class Extension:
     model: What is left, the term being part of the base.
     coefficients, sigmas (q,): Of the term.
     explained: Share of the (cut) variance that it explains beyond its degrees of freedom.
+    surely: The least share that it explains with 95 %: two sigmas of what so few rows leave.
     """
 
     model: LinearFit
     coefficients: FloatArray
     sigmas: FloatArray
     explained: float
+    surely: float
 
 
 def linear_fit(fit: HeliostatFit, rows: BoolArray | None = None) -> LinearFit:

@@ -66,7 +66,14 @@ def number_findings(fit: HeliostatFit, significance: float) -> list[Finding]:
     return findings
 
 
-def loosened_finding(fit: HeliostatFit, kind: str) -> Finding | None:
+class Loosened(NamedTuple):
+    """A fault of numbers, and the fit that leaves them free."""
+
+    finding: Finding
+    fit: HeliostatFit
+
+
+def loosened_finding(fit: HeliostatFit, kind: str) -> Loosened | None:
     """Fit again without the priors of the actuators or the place, and judge where the numbers go.
 
     fit: A fit whose residuals contradict these priors.
@@ -93,11 +100,13 @@ def loosened_finding(fit: HeliostatFit, kind: str) -> Finding | None:
         return None
     order = np.argsort(-np.abs(shifts / prior))
     compared = replace(other, nominal=fit.nominal)
-    found = _finding(compared, kind, "fault", [names[i] for i in order], np.zeros(1))
+    # The bound of Markov on the likelihood ratio.
+    spare = int(fit.observations.n_components.sum()) - fit.n_free
+    chance = np.array([np.exp(0.5 * spare * np.log(max(1 - share, 1e-300)))])
+    found = _finding(compared, kind, "fault", [names[i] for i in order], chance)
     evidence = {**found.evidence, "explained_share": share}
-    return replace(
-        found, evidence=evidence, text=f"{found.text[:-1]}; this explains {100 * share:.0f} % of what is unexplained."
-    )
+    text = f"{found.text[:-1]}; this explains {100 * share:.0f} % of what is unexplained."
+    return Loosened(replace(found, evidence=evidence, text=text), other)
 
 
 class _Departures(NamedTuple):

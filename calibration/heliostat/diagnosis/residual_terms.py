@@ -5,16 +5,18 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from calibration.heliostat.diagnosis.bounds import MIRRORED, beyond_text, is_mirrored, is_physical, prior_of
 from calibration.heliostat.diagnosis.drift import date_range, in_time, jumped
 from calibration.heliostat.diagnosis.findings import Check, Finding, Severity, dates_of
 from calibration.heliostat.diagnosis.linear_model import Extension, LinearFit, linear_fit
 from calibration.heliostat.diagnosis.numbers import DEPARTED, FAR_SIGMAS
+from calibration.heliostat.diagnosis.rivals import Rival, rival_of
 from calibration.heliostat.diagnosis.terms import Term, Terms, approaches
 from calibration.heliostat.fitting.fit_result import HeliostatFit
 from calibration.heliostat.kinematic_model.design import PlaneTarget
 from heliogauge.adjust.chi_square import chi_square_cdf
 from heliogauge.geometry.sun import Site
-from heliogauge.validate import BoolArray, FloatArray
+from heliogauge.validate import BoolArray, FloatArray, TimeArray
 
 #: A term is a fault when it explains at least this share of what the model leaves unexplained. Real heliostats keep
 #: about 1 mrad of the beam that no rigid model has; any smooth term explains some of it, with great significance.
@@ -22,12 +24,14 @@ EXPLAINS = 0.6
 #: For jumps and drifts, which have a date or several angles to choose: of six healthy real heliostats a drift explains
 #: up to 51 % of what a rigid model leaves; a jump of 4 mrad explains over 90 %.
 EXPLAINS_IN_TIME = 0.7
+#: Terms of time.
+IN_TIME = ("change_point", "drift", "episode")
 #: A term is a fault, too, when with it the rows scatter by no more than this times their stated sigmas, and it is much
 #: likelier than chance: then there is no misfit that it could be mistaken for.
 AS_STATED = 1.15
+#: Nothing else makes a scale of -1: beams steered to the middle are moved little by it, and it explains less of all.
+_MIRRORED_EXPLAINS = 0.4
 _MUCH_LIKELIER, _SOMETHING = 20.0, 0.3
-# Mirrored spots look like a scale of -1, 200 % short of what it should be; errors of a scale are below this.
-_MIRRORED = 1.5
 # Corners in photos err by 0.5 % together, in clean photos more than all else; 1 % is 0.1 mrad at 100 m, 1 m off centre.
 _SCALE_FAULT = 0.01
 # Priors are loosened so far to see whether they are what is wrong.
@@ -54,6 +58,11 @@ class _Group:
     rows: BoolArray
     model: LinearFit
     terms: list[Term]
+    maker: Terms
+
+    def without(self, kind: str) -> "_Group":
+        """Return the same without the terms of a kind."""
+        return replace(self, terms=[term for term in self.terms if term.kind != kind])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -94,40 +103,72 @@ def residual_findings(
         # The clearest may be part of something larger: the first that explains most of it is taken.
         clear.sort(key=lambda pair: -pair[1].clear)
         clear = [(group, _closer(group.model, look)) for group, look in clear]
-        tried = ((group, look, _extended(fit, group, look)) for group, look in clear)
-        found = next(((g, look, ext) for g, look, ext in tried if _is_fault(fit, g, look, ext)), None)
+        tried = (_tried(fit, group, look) for group, look in clear)
+        found = next((one for one in tried if one.severity != "hint"), None)
         if found is None and findings:
             break
-        group, best, extension = found or (*clear[0], _extended(fit, *clear[0]))
-        severity: Severity = "hint" if found is None else "fault"
-        findings.append(_finding(fit, best, extension, severity, min(best.chance * count, 1.0)))
+        found = found or _tried(fit, *clear[0])
+        chance = min(found.look.chance * count, 1.0)
+        findings.append(_finding(fit, found, chance))
         if turn == 0:
-            checks = [_explained(check, best, extension) for check in checks]
-        if found is None:
+            checks = [_explained(check, found.look, found.extension) for check in checks]
+        if found.severity == "hint":
             break
+        if found.severity == "doubt":
+            # What is open may be something else: the others are looked at without it.
+            groups = [group.without(found.look.term.kind) for group in groups]
+            continue
         # Where rows without a time stand apart the others no longer speak for the same heliostat.
-        groups = [replace(group, model=extension.model)]
+        groups = [replace(found.group, model=found.extension.model)]
     return Looked(tuple(findings), tuple(checks), _lengths(fit, groups))
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Tried:
+    """A term that was adjusted, and what it is worth.
+
+    rival: What explains the same without time; None for terms that are not of time.
+    """
+
+    group: _Group
+    look: _Look
+    extension: Extension
+    severity: Severity
+    rival: Rival | None = None
+
+
+def _tried(fit: HeliostatFit, group: _Group, look: _Look) -> _Tried:
+    """Adjust a term and judge it: a fault, open, or a hint."""
+    extension = _extended(fit, group, look)
+    if not _is_fault(fit, group, look, extension):
+        return _Tried(group, look, extension, "hint")
+    if look.term.kind not in IN_TIME:
+        return _Tried(group, look, extension, "fault")
+    rival = rival_of(group.model, group.maker, extension, len(look.statistics))
+    severity: Severity = "fault" if rival.is_decided else "doubt" if rival.is_open else "hint"
+    return _Tried(group, look, extension, severity, rival)
+
+
 def _extended(fit: HeliostatFit, group: _Group, look: _Look) -> Extension:
-    """Adjust a term; what priors hold stays within a hundred times of them."""
+    """Adjust a term; what priors hold stays within a hundred times of them, all else within its physical bounds."""
     columns = look.term.columns[look.index]
     if look.term.kind in ("actuator_numbers", "position"):
         return group.model.extended(columns, np.full(columns.shape[1], _WIDE))
-    if look.term.kind != "backlash":
-        return group.model.extended(columns)
-    known = (approaches(fit.observations)[group.rows] != 0).any(axis=1)
-    return group.model.extended(columns, judged=known)
+    judged = look.term.voting
+    if look.term.kind == "backlash":
+        judged = (approaches(fit.observations)[group.rows] != 0).any(axis=1)
+    return group.model.extended(columns, prior_of(look.term.kind, columns.shape[1]), judged=judged)
 
 
 def _is_fault(fit: HeliostatFit, group: _Group, look: _Look, extension: Extension) -> bool:
+    if not is_physical(look.term.kind, extension.coefficients, extension.sigmas):
+        return False
+    if look.term.kind == "target_scale" and is_mirrored(extension.coefficients, extension.sigmas):
+        return extension.explained > _MIRRORED_EXPLAINS
     before = group.model.scale * float(np.median(fit.factor))
     complete = before > AS_STATED > left_over(fit, extension) and look.clear > _MUCH_LIKELIER
     complete = complete and extension.explained > _SOMETHING
-    if not complete and extension.explained < (
-        EXPLAINS_IN_TIME if look.term.kind in ("change_point", "drift") else EXPLAINS
-    ):
+    if not complete and extension.surely < (EXPLAINS_IN_TIME if look.term.kind in IN_TIME else EXPLAINS):
         return False
     if look.term.kind == "target_scale":
         return bool(np.abs(extension.coefficients).max() >= _SCALE_FAULT)
@@ -164,10 +205,11 @@ def _candidates(
     terms = Terms(fit, rows)
     steady = [*terms.numbers(), *terms.drives(), *terms.sun(site), *terms.targets(targets)]
     if timed.all() or (timed == rows).all():
-        return [_Group(rows, linear_fit(fit, rows), steady + in_time(terms))]
-    found = [_Group(rows, linear_fit(fit, rows), steady)]
+        return [_Group(rows, linear_fit(fit, rows), steady + in_time(terms), terms)]
+    found = [_Group(rows, linear_fit(fit, rows), steady, terms)]
     if timed.sum() >= 8:
-        found.append(_Group(timed, linear_fit(fit, timed), in_time(Terms(fit, timed))))
+        of_time = Terms(fit, timed)
+        found.append(_Group(timed, linear_fit(fit, timed), in_time(of_time), of_time))
     return found
 
 
@@ -209,7 +251,8 @@ def _explained(check: Check, look: _Look, extension: Extension) -> Check:
     return replace(check, explained=extension.explained) if same else check
 
 
-def _finding(fit: HeliostatFit, look: _Look, extension: Extension, severity: Severity, chance: float) -> Finding:
+def _finding(fit: HeliostatFit, tried: _Tried, chance: float) -> Finding:
+    look, extension, severity = tried.look, tried.extension, tried.severity
     term, values, sigmas = look.term, extension.coefficients, extension.sigmas
     evidence: dict[str, float] = {
         "explained_share": extension.explained,
@@ -231,6 +274,12 @@ def _finding(fit: HeliostatFit, look: _Look, extension: Extension, severity: Sev
         dates = (str(before), str(after))
         late = ~np.isnat(times) & (times.astype("datetime64[D]") >= after)
         rows = tuple(fit.observations.row[late].tolist())
+    elif term.kind == "episode":
+        first, after = term.spans[look.index]
+        inside = ~np.isnat(times) & (times >= first) & (times < after)
+        levels = jumped(term.names, values, sigmas)
+        said = f"{_during(times[inside])} the level of the axes was another and came back: {levels}"
+        rows, dates = tuple(fit.observations.row[inside].tolist()), dates_of(times[inside])
     elif term.kind == "drift":
         said = f"The angles drift, per year: {jumped(term.names, values, sigmas)}"
     else:
@@ -239,9 +288,21 @@ def _finding(fit: HeliostatFit, look: _Look, extension: Extension, severity: Sev
         mine = np.array([f"target {name}" == term.name for name in fit.observations.label], dtype=np.bool_)
         rows, dates = tuple(fit.observations.row[mine].tolist()), dates_of(times[mine])
     share = f"; this explains {100 * extension.explained:.0f} % of what is unexplained"
-    mirrored = term.kind == "target_scale" and values.max() > _MIRRORED
+    if tried.rival is not None:
+        evidence["rival_explained_share"] = tried.rival.explained
+        evidence["evidence_for_time"] = tried.rival.evidence
+        share += f"; {tried.rival.text}"
+    beyond = beyond_text(term.kind, term.names, values, sigmas)
+    share += f"; {beyond}" if beyond else ""
+    mirrored = term.kind == "target_scale" and float(values.max()) > MIRRORED[0]
     kind = "mirrored_spots" if mirrored else term.kind
     return Finding(kind, severity, f"{said}{share}.", evidence, chance, rows, dates)
+
+
+def _during(times: TimeArray) -> str:
+    """Name the first and the last day of times."""
+    first, last = (str(one.astype("datetime64[D]")) for one in (times.min(), times.max()))
+    return f"On {first}" if first == last else f"From {first} to {last}"
 
 
 def _numbers_text(fit: HeliostatFit, term: Term, shifts: FloatArray, evidence: dict[str, float]) -> str:
@@ -281,7 +342,7 @@ def _sentence(term: Term, look: _Look, values: FloatArray, sigmas: FloatArray, e
         right, up = values.tolist()
         return f"{where} stands {right:+.3f} m to the right and {up:+.3f} m up (+- {sigma:.3f} m) of its stated place"
     width, height = values.tolist()
-    turned = [name for name, share in (("left and right", width), ("up and down", height)) if share > _MIRRORED]
+    turned = [name for name, share in (("left and right", width), ("up and down", height)) if share > MIRRORED[0]]
     if turned:
         return f"Spots on the targets are mirrored {' and '.join(turned)}"
     return (

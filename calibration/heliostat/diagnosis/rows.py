@@ -4,9 +4,12 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.special import bdtrc
 
+from calibration.heliostat.diagnosis.episodes import Episode, episode_finding, find_episodes
 from calibration.heliostat.diagnosis.findings import Finding, Severity, dates_of
-from calibration.heliostat.fitting.fit_result import HeliostatFit
+from calibration.heliostat.diagnosis.linear_model import EXPLAINED_SIGMAS
+from calibration.heliostat.fitting.fit_result import FitOptions, HeliostatFit
 from calibration.heliostat.kinematic_model.design import PlaneTarget
 from calibration.heliostat.kinematic_model.kinematics import mirror_poses
 from calibration.heliostat.observations.beam_observations import BeamSpots
@@ -14,15 +17,25 @@ from calibration.heliostat.observations.observations import Observations
 from heliogauge.geometry.rays import intersect_plane, reflect
 from heliogauge.validate import BoolArray, FloatArray
 
-# A row is explained by another reading of it when it then lies within this of the fit [sigma of the beam].
-_EXPLAINED = 4.0
 # Spots that differ by less were not measured one by one.
 SAME_SPOT_M = 1e-6
 _ENOUGH_SPOTS = 5
 # Real heliostats fit to 1 to 2 mrad of the beam.
 _STEERED_RAD = 3e-3
+# A spot this many targets away was in no photo of the target: it is in another unit. Steered to the middle, any miss
+# would pass for one in millimetres.
+_BEYOND = 5.0
 # An explanation that would fit by chance more often than this is none.
 _BY_CHANCE = 0.05
+_TOGETHER = 1e-3
+# Rows that fit otherwise by chance less often than this are a fault of the records.
+_SURE = 0.01
+# Names are exchanged where nearly every row of both targets has the other's.
+_ALL = 0.9
+# So many rejected rows of a target, apart from those of some days, are no matter of these days.
+_MANY_OF_A_TARGET = 0.3
+# The fit rejects any good row at all with this chance.
+_REJECTED_BY_CHANCE = FitOptions().significance
 # Outliers up to this share (and number) are of single rows; more of them have one cause. Of six healthy real
 # heliostats 1.4 % of the rows are outliers at most.
 _MANY, _MANY_SHARE = 4, 0.035
@@ -53,21 +66,66 @@ def explained_rows(fit: HeliostatFit, targets: Mapping[str, PlaneTarget]) -> tup
     explained = np.zeros(len(fit.observations), dtype=np.bool_)
     if not fit.rejected.any():
         return [], explained
-    found: dict[str, list[tuple[str, BoolArray]]] = {}
-    for ways in (_other_targets(fit, targets), _other_units(fit, targets)):
-        for kind, text, fits in ways:
-            fits = fits & ~explained & fit.rejected
-            if not fits.any():
-                continue
-            explained |= fits
-            found.setdefault(kind, []).append((text, fits))
+    ways = (*_other_targets(fit, targets), *_other_units(fit, targets))
     findings = []
+    for episode in _episodes(fit, ways):
+        explained |= episode.members
+        findings.append(episode_finding(fit, episode))
+    found: dict[str, list[_Way]] = {}
+    for way in ways:
+        fits = way.fits & ~explained & fit.rejected
+        if not fits.any():
+            continue
+        explained |= fits
+        found.setdefault(way.kind, []).append(replace(way, fits=fits))
     for kind, parts in found.items():
-        rows = np.asarray(np.any([fits for _, fits in parts], axis=0))
-        said = "; ".join(f"{int(fits.sum())} {text}" for text, fits in parts)
-        severity: Severity = "fault" if rows.sum() >= 2 else "rows"
-        findings.append(_row_finding(fit, rows, kind, severity, f"{int(rows.sum())} of {rows.size} rows: {said}."))
+        rows = np.asarray(np.any([part.fits for part in parts], axis=0))
+        said = "; ".join(f"{int(part.fits.sum())} {part.text}" for part in parts)
+        # Each of the rejected rows could have fitted any of the other places by chance.
+        places = max(len(targets) - 1, 1) * max(part.chance for part in parts)
+        chance = binomial_tail(int(rows.sum()), int(fit.rejected.sum()), places)
+        severity: Severity = "fault" if rows.sum() >= 2 and chance < _SURE else "rows"
+        text = f"{int(rows.sum())} of {rows.size} rows: {said}."
+        finding = replace(_row_finding(fit, rows, kind, severity, text), chance=chance)
+        exchanged = _exchanged(fit, parts) if kind == "wrong_target" else ""
+        findings.append(replace(finding, kind="target_names_exchanged", text=exchanged) if exchanged else finding)
     return findings, explained
+
+
+def _exchanged(fit: HeliostatFit, parts: Sequence["_Way"]) -> str:
+    """Say which two targets have each other's names in all rows; empty where none have."""
+    labels = np.array(fit.observations.label, dtype=np.str_)
+    fits = {part.names: part.fits for part in parts}
+    for (one, other), rows in fits.items():
+        back = fits.get((other, one))
+        if back is None or len(fits) != 2:
+            continue
+        both = int(np.isin(labels, (one, other)).sum())
+        if int((rows | back).sum()) >= _ALL * both:
+            return (
+                f"The targets {one} and {other} are taken for each other in {int((rows | back).sum())} of {both} rows."
+            )
+    return ""
+
+
+def _episodes(fit: HeliostatFit, ways: Sequence["_Way"]) -> tuple[Episode, ...]:
+    """Return episodes that explain their rows better than another target or unit does."""
+    none = np.zeros(len(fit.observations), dtype=np.bool_)
+    best = np.fmin.reduce([way.lengths for way in ways]) if ways else np.full(len(none), np.nan)
+    found = (one for one in find_episodes(fit, none) if one.likelier_than(best))
+    return tuple(one for one in found if not _is_of_a_target(fit, one))
+
+
+def _is_of_a_target(fit: HeliostatFit, episode: Episode) -> bool:
+    """Whether rows on the same target are wrong before and after an episode as well: it is the target then."""
+    labels = np.array(fit.observations.label, dtype=np.str_)
+    others = np.isin(labels, labels[episode.members]) & ~episode.members & fit.residuals.computable
+    return bool(others.any()) and float(fit.rejected[others].mean()) > _MANY_OF_A_TARGET
+
+
+def binomial_tail(count: int, tries: int, chance: float) -> float:
+    """Return the probability of at least so many hits in so many tries."""
+    return float(bdtrc(count - 1, tries, min(chance, 1.0))) if count else 1.0
 
 
 def outlier_finding(
@@ -94,7 +152,8 @@ def outlier_finding(
         f"{fit.reason[worst] or 'far from the fit'}."
     )
     many = count >= _MANY and count > _MANY_SHARE * len(rows)
-    return _row_finding(fit, rows, "outliers", "fault" if many else "rows", text, images)
+    finding = _row_finding(fit, rows, "outliers", "fault" if many else "rows", text, images)
+    return replace(finding, chance=binomial_tail(count, len(rows), _REJECTED_BY_CHANCE / len(rows)))
 
 
 def record_findings(fit: HeliostatFit, records: Records | None, targets: Mapping[str, PlaneTarget]) -> list[Finding]:
@@ -191,21 +250,58 @@ def _constant_spots(fit: HeliostatFit, targets: Mapping[str, PlaneTarget]) -> li
 
 # --- other ways to read a row -----------------------------------------------------------------------------------------
 
-_Way = tuple[str, str, BoolArray]
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Way:
+    """Another way to read rows.
+
+    fits (n,): Rows that agree with the fit if read so.
+    lengths (n,): How far each then is from the fit [sigma of the beam]; NaN where the way does not concern it.
+    chance: Probability that a row which is wrong in some other way fits, at most.
+    names: Of another target: the one that the rows name, and the one that they fit.
+    """
+
+    kind: str
+    text: str
+    fits: BoolArray
+    lengths: FloatArray
+    chance: float
+    names: tuple[str, str] = ("", "")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Place:
+    """Rows (n,) that name another target and lie near where they should on this one, and the chance of it."""
+
+    name: str
+    near: BoolArray
+    lengths: FloatArray
+    chance: FloatArray
 
 
 def _other_targets(fit: HeliostatFit, targets: Mapping[str, PlaneTarget]) -> list[_Way]:
-    found = []
+    found: list[_Way] = []
+    places: list[_Place] = []
     labels = np.array(fit.observations.label, dtype=np.str_)
     xy, limit = coordinates_on_targets(fit, targets), _limits(fit)
     for name, target in targets.items():
         hits = _hits(fit, target, fit.observations.readings)
-        near = np.linalg.norm(hits - xy, axis=1) < limit
-        chance = np.pi * limit**2 / (target.width_m * target.height_m)
-        fits = near & (chance < _BY_CHANCE) & (labels != name)
-        for said in dict.fromkeys(labels[fits & fit.rejected].tolist()):
-            text = f"that name target {said} fit target {name}"
-            found += [("wrong_target", text, fits & (labels == said))]
+        away = np.linalg.norm(hits - xy, axis=1)
+        chance = np.minimum(np.pi * limit**2 / (target.width_m * target.height_m), 1.0)
+        near = (away < limit) & (labels != name)
+        lengths = np.where(labels != name, EXPLAINED_SIGMAS * away / limit, np.nan)
+        places.append(_Place(name, near, lengths, chance))
+    # One row says little where the limit is a good part of a target; many together say more, whichever target they fit.
+    hits = fit.rejected & np.asarray(np.sum([one.near for one in places], axis=0) > 0)
+    worst = max((float(one.chance[one.near & fit.rejected].max(initial=0.0)) for one in places), default=1.0)
+    tail = binomial_tail(int(hits.sum()), int(fit.rejected.sum()), min(1.0, worst * max(len(places) - 1, 1)))
+    for one in places:
+        certain = one.near & ((one.chance < _BY_CHANCE) | (tail < _TOGETHER))
+        for said in dict.fromkeys(labels[certain & fit.rejected].tolist()):
+            mine = certain & (labels == said)
+            text = f"that name target {said} fit target {one.name}"
+            share = float(one.chance[mine & fit.rejected].max())
+            found.append(_Way("wrong_target", text, mine, one.lengths, share, (said, one.name)))
     return found
 
 
@@ -219,19 +315,28 @@ def _other_units(fit: HeliostatFit, targets: Mapping[str, PlaneTarget]) -> list[
             "have readings in degrees among radians": np.radians,
             "have readings in radians among degrees": np.degrees,
         }
-    for text, change in readings.items():
-        near = np.zeros(len(labels), dtype=np.bool_)
+    metres = (("have millimetres among metres", 1e-3), ("have centimetres among metres", 1e-2))
+    for text, change, factor in (
+        *((text, change, 1.0) for text, change in readings.items()),
+        *((text, None, factor) for text, factor in metres),
+    ):
+        lengths, chance = np.full(len(labels), np.nan), 0.0
         for name, target in targets.items():
-            hits = _hits(fit, target, change(fit.observations.readings))
-            near |= (labels == name) & (np.linalg.norm(hits - xy, axis=1) < limit)
-        found.append(("units", text, near))
-    for text, factor in (("have millimetres among metres", 1e-3), ("have centimetres among metres", 1e-2)):
-        near = np.zeros(len(labels), dtype=np.bool_)
-        for name, target in targets.items():
-            hits = _hits(fit, target, fit.observations.readings)
-            outside = (np.abs(xy) > [target.width_m, target.height_m]).any(axis=1)
-            near |= (labels == name) & outside & (np.linalg.norm(hits - factor * xy, axis=1) < limit)
-        found.append(("units", text, near))
+            own = labels == name
+            if not own.any():
+                continue
+            hits = _hits(
+                fit, target, fit.observations.readings if change is None else change(fit.observations.readings)
+            )
+            if change is None:
+                own &= (np.abs(xy) > _BEYOND * np.array([target.width_m, target.height_m])).any(axis=1)
+            away = EXPLAINED_SIGMAS * np.linalg.norm(hits - factor * xy, axis=1) / limit
+            lengths[own] = away[own]
+            size = np.where(own & np.isfinite(limit), limit, 0.0).max()
+            chance = max(chance, float(np.pi * size**2 / (target.width_m * target.height_m)))
+        found.append(
+            _Way("units", text, np.nan_to_num(lengths, nan=np.inf) < EXPLAINED_SIGMAS, lengths, min(chance, 1.0))
+        )
     return found
 
 
@@ -254,7 +359,7 @@ def coordinates_on_targets(fit: HeliostatFit, targets: Mapping[str, PlaneTarget]
 def _limits(fit: HeliostatFit) -> FloatArray:
     """How near a spot has to be to be explained (n,) [m]."""
     residuals = fit.residuals
-    return np.asarray(_EXPLAINED * residuals.sigma_beam_rad * fit.factor * residuals.distance_m)
+    return np.asarray(EXPLAINED_SIGMAS * residuals.sigma_beam_rad * fit.factor * residuals.distance_m)
 
 
 def _hits(fit: HeliostatFit, target: PlaneTarget, readings: FloatArray) -> FloatArray:

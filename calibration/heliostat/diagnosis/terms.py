@@ -1,7 +1,7 @@
 """Terms that a healthy heliostat's residuals do not contain: of its drives, of time, of the sun, of the targets."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -20,12 +20,14 @@ from calibration.heliostat.observations.observations import Group, Observations
 from calibration.heliostat.observations.residuals import evaluate, predicted_spots
 from heliogauge.geometry.rigid import rotation_from_vector
 from heliogauge.geometry.sun import Site
-from heliogauge.validate import BoolArray, FloatArray
+from heliogauge.validate import BoolArray, FloatArray, TimeArray
 
 #: The sky turns once a day [rad/s].
 SKY_RAD_PER_S = 2 * np.pi / 86400
 # Steps of the differences: 2 s of the sky, 1 mm of a spot.
 _TURN_RAD, _STEP_M = 1e-4, 1e-3
+# Spots may lie this far beyond the edge, as a share of the target.
+_MARGIN = 1.1
 # The reading before gives the direction of the last move on the same day only: at night the mirror was stowed.
 _LATEST = np.timedelta64(12, "h")
 # A period that fits in less than so often cannot be separated from a smooth misfit; more often than so, from noise.
@@ -43,6 +45,8 @@ class Term:
     names length q: Its coefficients with units.
     at (looks,): The number of each look.
     columns_at: Makes the columns at any such numbers, to look closer about the best.
+    spans (looks, 2): Of an episode: first day, and first day after it; empty for all others.
+    voting (n,): Rows among those looked at in which it shall explain something; None for all.
     """
 
     kind: str
@@ -51,6 +55,8 @@ class Term:
     names: tuple[str, ...]
     at: FloatArray
     columns_at: Callable[[FloatArray], FloatArray] | None = None
+    spans: TimeArray = field(default_factory=lambda: np.empty((0, 2), dtype="datetime64[D]"))
+    voting: BoolArray | None = None
 
 
 def _single(kind: str, name: str, columns: FloatArray, *names: str) -> Term:
@@ -206,9 +212,27 @@ class Terms:
         if not measured.size or np.ptp(measured, axis=0).min() < SAME_SPOT_M:
             # Beams that were steered to one place have no scale: what the fit leaves would pass for it.
             return terms
+        # A row that should lie off its target, or was seen off it, is wrong for another reason and has no vote.
+        votes = self._on_their_targets(targets, spots) & self._on_their_targets(targets, self._seen(targets))
+        spots = np.where(votes[:, None], spots, 0.0)
         scaled = np.stack([right * spots[self.owner, 0], up * spots[self.owner, 1]], axis=1)
-        terms.append(_single("target_scale", "spots on the targets", scaled, "width_share", "height_share"))
+        term = _single("target_scale", "spots on the targets", scaled, "width_share", "height_share")
+        terms.append(replace(term, voting=votes[self.rows]))
         return terms
+
+    def _seen(self, targets: Mapping[str, PlaneTarget]) -> FloatArray:
+        return np.nan_to_num(coordinates_on_targets(self.fit, targets), nan=np.inf)
+
+    def _on_their_targets(self, targets: Mapping[str, PlaneTarget], spots: FloatArray) -> BoolArray:
+        """Return whether spots (n, 2) lie on the targets that their rows name, with a margin of a tenth."""
+        half = np.array(
+            [
+                (targets[name].width_m, targets[name].height_m) if name in targets else (np.nan, np.nan)
+                for name in self.fit.observations.label
+            ]
+        )
+        with np.errstate(invalid="ignore"):
+            return np.asarray((np.abs(spots) <= 0.5 * _MARGIN * half).all(axis=1))
 
     def _predicted(self, targets: Mapping[str, PlaneTarget]) -> FloatArray:
         """Return where the fit has the beams on their targets (n, 2) [m]; 0 where on none."""

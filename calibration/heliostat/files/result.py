@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 FIELD = "priors of the field"
 #: Name of the model in which all parameters that are not parts of the drives move within general priors.
 PRIORS_ALONE = "all with priors"
+#: Name of the model of a heliostat whose fault was undone, with the fault.
+REMEDY = "remedy applied"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -98,6 +100,7 @@ class HeliostatResult:
     notes: What is good to know besides.
     properties: The properties file of PAINT it came from; empty with tables.
     duration_s: Time it took [s].
+    as_stated: The fit to numbers and records as they were stated, where ``fit`` is that with a remedy applied.
     """
 
     name: str
@@ -116,6 +119,7 @@ class HeliostatResult:
     notes: tuple[Doubt, ...] = ()
     properties: str = ""
     duration_s: float = 0.0
+    as_stated: HeliostatFit | None = None
 
     @property
     def main(self) -> HeldOut | None:

@@ -1,6 +1,7 @@
 """Results of heliostats on disk: ``heliostat.json``, ``residuals.csv``, ``summary.json``, ``field.csv``."""
 
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,9 @@ from heliogauge.results.json_file import read_json
 from heliogauge.validate import FloatArray
 
 HELIOSTAT_FILE = "heliostat.json"
+#: The model without the remedy, where one was applied.
+AS_STATED_FILE = "heliostat_as_stated.json"
+AS_STATED = "as stated, without the remedy"
 RESIDUALS_FILE = "residuals.csv"
 KIND = "heliostat"
 SCHEMA = 1
@@ -29,6 +33,10 @@ SCHEMA = 1
 def write_heliostat(result: HeliostatResult, shared: Shared, folder: Path) -> None:
     """Write ``heliostat.json`` and ``residuals.csv`` of one heliostat into an existing folder."""
     write_json(folder / HELIOSTAT_FILE, heliostat_content(result, shared))
+    if result.as_stated is not None:
+        # Nothing was tried out with what is known to be wrong.
+        stated = replace(result, fit=result.as_stated, free=AS_STATED, held={}, not_split={}, choice=None, sky=None)
+        write_json(folder / AS_STATED_FILE, heliostat_content(stated, shared))
     write_table_csv(folder / RESIDUALS_FILE, residual_columns(result, shared))
 
 
@@ -52,6 +60,7 @@ def heliostat_content(result: HeliostatResult, shared: Shared) -> dict[str, Any]
             "temperature_c": plant.site.temperature_c,
         },
         "model": _model_content(result),
+        "remedy": _remedy_content(result),
         "design": design_content(fit.design),
         "parameters": _parameters_content(result),
         "fitted_to": "all usable observations",
@@ -95,6 +104,20 @@ def heliostat_content(result: HeliostatResult, shared: Shared) -> dict[str, Any]
         "doubts": [doubt_content(one) for one in result.doubts],
         "notes": [doubt_content(one) for one in result.notes],
         "paint_properties": _properties(result),
+    }
+
+
+def _remedy_content(result: HeliostatResult) -> dict[str, Any] | None:
+    """Say which model this is of a heliostat whose fault was undone; None where nothing was."""
+    if result.as_stated is None:
+        return None
+    (fault, *_) = result.diagnosis.faults
+    applied = result.free != AS_STATED
+    return {
+        "kind": fault.kind,
+        "applied": applied,
+        "text": f"{fault.text} {fault.remedy}",
+        "other_model": AS_STATED_FILE if applied else HELIOSTAT_FILE,
     }
 
 

@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 from time import perf_counter
 
-from calibration.heliostat.diagnosis.full_diagnosis import Records, diagnose
-from calibration.heliostat.files.result import FIELD, HeliostatResult, Shared
+from calibration.heliostat.diagnosis.full_diagnosis import Diagnosis, Records, diagnose
+from calibration.heliostat.files.result import FIELD, REMEDY, HeliostatResult, Shared
 from calibration.heliostat.files.sources import HeliostatTask
 from calibration.heliostat.fitting.field_fit import WithinField, field_names, fit_within, linear_rows
 from calibration.heliostat.fitting.field_model import FieldUnit
@@ -15,6 +15,7 @@ from calibration.heliostat.observations.observed import Observed
 from calibration.heliostat.observations.rows import Rows
 from calibration.heliostat.pipeline.doubts import collect_doubts
 from calibration.heliostat.pipeline.free_parameters import (
+    FreeParameters,
     choose_free_parameters,
     is_hopeless,
     starting_design,
@@ -26,13 +27,16 @@ from calibration.heliostat.pipeline.trials import try_out
 from heliogauge.doubts import Severity, gather_doubts
 from heliogauge.errors import EstimationError, showing
 
+#: A median farther from the best fit than this is another machine or another sky, not a misfit [rad of the beam].
+IMPOSSIBLE_RAD = 0.1
+
 
 def calibrate_one(shared: Shared, task: HeliostatTask) -> HeliostatResult:
     """Calibrate one heliostat.
 
     Returns: Fit, splits, and a verdict on every row.
     InputError: What is known of it or its observations cannot be meant.
-    EstimationError: No row can be used, or they do not determine the answer.
+    EstimationError: No row can be used, they do not determine the answer, or nothing brings it near them.
     """
     begin = perf_counter()
     given = read_task(task, shared)
@@ -44,12 +48,21 @@ def calibrate_one(shared: Shared, task: HeliostatTask) -> HeliostatResult:
     free = choose_free_parameters(nominal, observations, shared, options)
     # Faults are judged by how a heliostat was delivered: by the fit that knows nothing of the field.
     judged = free.first if free.first is not None else fit(free.design, observations, options)
-    hopeless = is_hopeless(judged)
-    within = WithinField(judged, False) if hopeless or free.is_stated else fit_within(judged, free.field)
-    result = within.fit
-    trials = try_out(nominal, free, observations, rows, shared, options, hopeless=hopeless)
     records = Records(rows.flags, rows.text("image"), rows.times, rows.ids)
     diagnosis = diagnose(judged, targets=shared.plant.targets, site=shared.plant.site, records=records)
+    refuse_impossible(task.name, diagnosis)
+    remedied = diagnosis.remedied
+    if remedied is not None:
+        # What is wrong as a whole is undone: the heliostat as it was stated comes second.
+        observations = remedied.observations
+        free = FreeParameters(remedied.nominal, f"{REMEDY}: {diagnosis.kinds[0]}", is_stated=True)
+        within = WithinField(fit(free.design, observations, options), False)
+        hopeless = is_hopeless(within.fit)
+    else:
+        hopeless = is_hopeless(judged)
+        within = WithinField(judged, False) if hopeless or free.is_stated else fit_within(judged, free.field)
+    result = within.fit
+    trials = try_out(nominal, free, observations, rows, shared, options, hopeless=hopeless)
     main = trials.held.get(shared.split)
     inflation = None if main is None else main.prediction.inflation
     sky = map_sky(result, shared.plant, inflation)
@@ -59,6 +72,7 @@ def calibrate_one(shared: Shared, task: HeliostatTask) -> HeliostatResult:
         nominal=nominal,
         seen=seen,
         fit=result,
+        as_stated=judged if remedied is not None else None,
         free=FIELD if within.by_field else free.name,
         choice=free.choice,
         split=shared.split,
@@ -84,6 +98,23 @@ class FirstLook:
 
     unit: FieldUnit
     scales: dict[str, float]
+
+
+class ImpossibleError(EstimationError):
+    """A heliostat is so far from its observations that no number of it can be true."""
+
+    kind = "unexplained"
+
+
+def refuse_impossible(name: str, diagnosis: Diagnosis) -> None:
+    """Refuse a heliostat that nothing brings near its observations.
+
+    ImpossibleError: With what was tried.
+    """
+    for finding in diagnosis.findings:
+        far = 1e-3 * finding.evidence.get("median_before_mrad", 0.0)
+        if finding.kind == "unexplained" and far > IMPOSSIBLE_RAD:
+            raise ImpossibleError(f"{name}: {finding.text} {finding.remedy}")
 
 
 def look_first(shared: Shared, task: HeliostatTask) -> FirstLook | None:
