@@ -18,6 +18,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from _heliostats import line, title
 
+from calibration.heliostat.diagnosis.field_findings import judge_field
 from calibration.heliostat.diagnosis.full_diagnosis import Records, diagnose
 from calibration.heliostat.diagnosis.terms import Terms, approaches, turned_sky, with_suns
 from calibration.heliostat.fitting.fit_result import FitOptions
@@ -452,12 +453,56 @@ def drawn(seeds, kinds):
             print("      ", one[:420])
 
 
+def of_field():
+    """Compare six heliostats with the same fault, and one with five sound ones."""
+    names = [one for one in sound() if len(units()[one][1]) > 60]
+    wrong = "solar_tower_juelich_upper"
+
+    def off(name):
+        design, seen, plant = units()[name]
+        labels = np.array(beams(seen).target)
+        return judged(design, moved(seen, plant, np.where((labels == wrong)[:, None], [1.0, -0.8], 0.0)), plant)
+
+    def late(name):
+        design, seen, plant = units()[name]
+        return judged(design, turned_sky(seen, plant.site, 3600.0), plant)
+
+    def sound_one(name):
+        return judged(*units()[name])
+
+    def on_a_day(name, rng):
+        design, seen, plant = units()[name]
+        rows = seen.time >= np.datetime64("2023-06-01")
+        size = rng.choice([-1, 1], 2) * rng.uniform(5e-3, 10e-3, 2)
+        changes = {"tilt_1_u": size[0], "initial_angle_1": size[1]}
+        return judged(design, moved(seen, plant, by_values(name, changes, rows)), plant)
+
+    found = judge_field({name: off(name) for name in names})
+    texts = [one.doubt.text for one in found.findings]
+    line("a target 1.3 m off for six heliostats", "1 finding", f"{len(texts)}", len(texts) == 1)
+    print("      ", *texts)
+    alone = judge_field({name: off(name) if name == names[1] else sound_one(name) for name in names})
+    faults = [kind for one in alone.changed.values() for kind in one.kinds]
+    line("the same for one of six", "0 faults", f"{len(faults)}", not faults and bool(alone.changed))
+    clock = judge_field({name: late(name) for name in names})
+    texts = [one.doubt.text for one in clock.findings]
+    line("a clock an hour off for six heliostats", "1 finding", f"{len(texts)}", len(texts) == 1)
+    print("      ", *texts)
+    rng = np.random.default_rng(5)
+    day = judge_field({name: on_a_day(name, rng) if k < 4 else sound_one(name) for k, name in enumerate(names)})
+    texts = [one.doubt.text for one in day.findings]
+    line("four of six jump on one day", "1 finding", f"{len(texts)}", len(texts) == 1)
+    print("      ", *texts)
+
+
 def main():
     seeds = int(sys.argv[1]) if len(sys.argv) > 1 else 3
     kinds = sys.argv[2:]
     title("diagnosis of real heliostats")
     if not kinds or "healthy" in kinds:
         healthy(seeds)
+    if not kinds or "field" in kinds:
+        of_field()
     drawn(seeds, kinds)
 
 

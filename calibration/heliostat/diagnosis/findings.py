@@ -1,7 +1,7 @@
 """Findings of a diagnosis with evidence, the rows they concern, and what to do."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Literal, TypeAlias
 
 import numpy as np
@@ -9,7 +9,7 @@ import numpy as np
 from calibration.heliostat.fitting.fit_result import HeliostatFit
 from heliogauge import doubts
 from heliogauge.doubts import Doubt
-from heliogauge.validate import TimeArray
+from heliogauge.validate import FloatArray, TimeArray
 
 #: How a finding stands to the heliostat: it or its records as a whole are wrong ("fault"), single rows were wrong and
 #: are left out ("rows"), something may be wrong but explains less than half of what is unexplained ("hint"), the
@@ -61,6 +61,7 @@ class Finding:
     rows: Rows of the observations' table concerned; empty where it is all of them.
     dates: Their dates, each once.
     images: Their photos, as far as known.
+    subject: Which target, axis or thing it is about, where there are several.
     """
 
     kind: str
@@ -71,6 +72,7 @@ class Finding:
     rows: tuple[int, ...] = ()
     dates: tuple[str, ...] = ()
     images: tuple[str, ...] = ()
+    subject: str = ""
 
     @property
     def remedy(self) -> str:
@@ -103,22 +105,60 @@ class Finding:
             "dates": list(self.dates),
             "images": list(self.images),
             "remedy": self.remedy,
+            "subject": self.subject,
         }
 
+    @classmethod
+    def from_content(cls, content: Mapping[str, Any]) -> "Finding":
+        """Return a finding from what `content` returned."""
+        return cls(
+            content["kind"],
+            content["severity"],
+            content["text"],
+            {name: _number(value) for name, value in content["evidence"].items()},
+            _number(content["chance"]),
+            tuple(content["rows"]),
+            tuple(content["dates"]),
+            tuple(content["images"]),
+            content["subject"],
+        )
 
-@dataclass(frozen=True, slots=True)
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Check:
     """One look at the residuals.
 
     kind, name: What was looked for: the kind of term, and which one.
     chance: Probability of as much by chance in this look alone.
     explained: Share of the residuals' variance that it explains; NaN where it was not significant.
+    values, sigmas (q,): What the residuals say of its coefficients, significant or not; for targets and clock, which
+        other heliostats can confirm; else empty.
     """
 
     kind: str
     name: str
     chance: float
     explained: float = float("nan")
+    values: FloatArray = field(default_factory=lambda: np.empty(0))
+    sigmas: FloatArray = field(default_factory=lambda: np.empty(0))
+
+    def content(self) -> dict[str, Any]:
+        """Return the check as JSON has it."""
+        found: dict[str, Any] = {
+            "name": f"{self.kind}: {self.name}",
+            "chance": _plain(self.chance),
+            "explained_share": _plain(self.explained),
+        }
+        if self.values.size:
+            found |= {"values": self.values.tolist(), "sigmas": self.sigmas.tolist()}
+        return found
+
+    @classmethod
+    def from_content(cls, content: Mapping[str, Any]) -> "Check":
+        """Return a check from what `content` returned."""
+        kind, _, name = content["name"].partition(": ")
+        values, sigmas = (np.array(content.get(key, ()), dtype=np.float64) for key in ("values", "sigmas"))
+        return cls(kind, name, _number(content["chance"]), _number(content["explained_share"]), values, sigmas)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -164,16 +204,15 @@ class Diagnosis:
         """Return the diagnosis as JSON has it."""
         return {
             "findings": [one.content() for one in self.findings],
-            "checks": [
-                {
-                    "name": f"{one.kind}: {one.name}",
-                    "chance": _plain(one.chance),
-                    "explained_share": _plain(one.explained),
-                }
-                for one in self.checks
-            ],
+            "checks": [one.content() for one in self.checks],
             "significance": self.significance,
         }
+
+    @classmethod
+    def from_content(cls, content: Mapping[str, Any]) -> "Diagnosis":
+        """Return a diagnosis from what `content` returned; the fit with a remedy is not part of it."""
+        findings = tuple(Finding.from_content(one) for one in content["findings"])
+        return cls(findings, tuple(Check.from_content(one) for one in content["checks"]), content["significance"])
 
 
 _ORDER = {"fault": 0, "field": 1, "rows": 2, "doubt": 3, "hint": 4}
@@ -188,6 +227,10 @@ def dates_of(times: TimeArray) -> tuple[str, ...]:
     """Return the dates of times, each once; unknown times are passed over."""
     known = np.unique(times[~np.isnat(times)].astype("datetime64[D]"))
     return tuple(str(day) for day in known)
+
+
+def _number(value: float | None) -> float:
+    return float("nan") if value is None else float(value)
 
 
 def _plain(value: float) -> float | None:

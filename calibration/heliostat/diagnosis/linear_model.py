@@ -119,6 +119,22 @@ class LinearFit:
         sigma = np.sqrt(np.maximum(np.diag(covariance)[own], 0)) * max(settled.scale, self.stated)
         return Extension(settled, step[own], sigma, 1 - ratio, 1 - ratio * (1 + 2 * np.sqrt(2 / least)))
 
+    def estimate(self, columns: FloatArray) -> "Estimate":
+        """Estimate a term in one step, whether it is there or not.
+
+        Shapes: columns (m_rows, q).
+        Returns: Coefficients with sigma; of no use where the base imitates the term: then the sigma is large.
+        """
+        wide = self.padded(columns)
+        basis = _span(self.base * np.where(self.observed, 1.0, self.scale)[:, None])
+        wide -= basis @ (basis.T @ wide)
+        # What the base imitates wholly stays finite: a millionth of the information.
+        normal = wide.T @ wide
+        normal += np.diag(1e-6 * np.einsum("ij,ij->j", columns, columns) + 1e-300)
+        inverse = np.linalg.inv(normal)
+        values = -inverse @ (wide.T @ self._pull()) * self.scale
+        return Estimate(np.asarray(values), np.sqrt(np.diag(inverse)) * max(self.scale, self.stated))
+
     def freedom(self, columns: FloatArray, sigmas: FloatArray) -> float:
         """Return how many combinations of columns the observations determine beyond the base.
 
@@ -137,6 +153,13 @@ class LinearFit:
         lengths = self.lengths() / self.scale
         weight[own] = _HUBER.weight(lengths)[self.owner[own]]
         return np.asarray(weight * self.residual / np.where(own, self.scale, 1.0))
+
+
+class Estimate(NamedTuple):
+    """Coefficients of a term with their standard deviations."""
+
+    values: FloatArray
+    sigmas: FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -24,6 +24,8 @@ EXPLAINS = 0.6
 #: For jumps and drifts, which have a date or several angles to choose: of six healthy real heliostats a drift explains
 #: up to 51 % of what a rigid model leaves; a jump of 4 mrad explains over 90 %.
 EXPLAINS_IN_TIME = 0.7
+#: Terms that other heliostats can confirm.
+CONFIRMED = ("target_place", "target_scale", "time_offset")
 #: Terms of time.
 IN_TIME = ("change_point", "drift", "episode")
 #: A term is a fault, too, when with it the rows scatter by no more than this times their stated sigmas, and it is much
@@ -96,7 +98,7 @@ def residual_findings(
     for turn in range(_MOST_FAULTS):
         looks = [(group, look) for group in groups for look in _looks(group.model, group.terms)]
         if turn == 0:
-            checks = [Check(look.term.kind, look.term.name, look.chance) for _, look in looks]
+            checks = [_check(group.model, look) for group, look in looks]
         clear = [pair for pair in looks if pair[1].chance * count < significance]
         if not clear:
             break
@@ -246,6 +248,13 @@ def _closer(model: LinearFit, look: _Look) -> _Look:
     return replace(look, term=finer, index=int(np.argmax(statistics)), statistics=statistics)
 
 
+def _check(model: LinearFit, look: _Look) -> Check:
+    if look.term.kind not in CONFIRMED:
+        return Check(look.term.kind, look.term.name, look.chance)
+    found = model.estimate(look.term.columns[look.index])
+    return Check(look.term.kind, look.term.name, look.chance, float("nan"), found.values, found.sigmas)
+
+
 def _explained(check: Check, look: _Look, extension: Extension) -> Check:
     same = (check.kind, check.name) == (look.term.kind, look.term.name)
     return replace(check, explained=extension.explained) if same else check
@@ -296,7 +305,7 @@ def _finding(fit: HeliostatFit, tried: _Tried, chance: float) -> Finding:
     share += f"; {beyond}" if beyond else ""
     mirrored = term.kind == "target_scale" and float(values.max()) > MIRRORED[0]
     kind = "mirrored_spots" if mirrored else term.kind
-    return Finding(kind, severity, f"{said}{share}.", evidence, chance, rows, dates)
+    return Finding(kind, severity, f"{said}{share}.", evidence, chance, rows, dates, subject=term.name)
 
 
 def _during(times: TimeArray) -> str:

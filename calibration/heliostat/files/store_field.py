@@ -32,8 +32,8 @@ def _status(result: HeliostatResult, doubts: Sequence[Doubt]) -> str:
     if result.diagnosis.kinds:
         return "faulty"
     # Single rows that were wrong and left out make a heliostat no worse.
-    too_few = any(finding.severity == "doubt" for finding in result.diagnosis.findings)
-    return "doubtful" if too_few or set(doubts) - set(result.diagnosis.doubts) else "ok"
+    undecided = any(finding.severity in ("doubt", "field") for finding in result.diagnosis.findings)
+    return "doubtful" if undecided or set(doubts) - set(result.diagnosis.doubts) else "ok"
 
 
 def field_row(result: HeliostatResult) -> dict[str, Any]:

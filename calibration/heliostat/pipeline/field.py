@@ -2,14 +2,17 @@
 
 import hashlib
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from calibration.heliostat.diagnosis.field_findings import judge_field
+from calibration.heliostat.diagnosis.findings import Diagnosis
 from calibration.heliostat.files.field_folder import FieldFolder
 from calibration.heliostat.files.result import Shared
 from calibration.heliostat.files.sources import HeliostatTask
+from calibration.heliostat.files.store_diagnosis import VIEW, changed_row, rewrite_diagnosis, view_of
 from calibration.heliostat.files.store_field import (
     failed_row,
     field_row,
@@ -157,7 +160,10 @@ def _fill(
     if len(failures) == len(campaign.names):
         folder.finished.clear()
         refuse_all(failures)
-    rows = worst_first([folder.finished[name][1] for name in campaign.names])
+    compared = _compared(folder, campaign.names)
+    rows = worst_first(
+        [{key: cell for key, cell in compared.rows[name].items() if key != VIEW} for name in campaign.names]
+    )
     resumed = sum(folder.finished[name] is folder.before.get(name) for name in campaign.names)
     with progress.stage("write results"):
         summary = field_summary(
@@ -166,11 +172,30 @@ def _fill(
             campaign.shared,
             durations_s=dict(progress.durations_s),
             input_sha256=hashes,
-            of_field=campaign.source.doubts,
+            of_field=(*campaign.source.doubts, *compared.doubts),
         )
         write_field(folder.path, rows)
         write_summary(folder.path / "summary.json", summary)
     return FieldResult(rows, summary, resumed)
+
+
+@dataclass(frozen=True, slots=True)
+class _Compared:
+    """The rows of the field once its heliostats were compared, and what concerns it as a whole."""
+
+    rows: dict[str, dict[str, Any]]
+    doubts: tuple[Doubt, ...]
+
+
+def _compared(folder: FieldFolder, names: Sequence[str]) -> _Compared:
+    """Compare the diagnoses of a field's heliostats, and write anew the few that read otherwise beside the others."""
+    rows = {name: dict(folder.finished[name][1]) for name in names}
+    diagnoses = {name: Diagnosis.from_content(row[VIEW]) for name, row in rows.items() if row.get(VIEW)}
+    judgement = judge_field(diagnoses)
+    for name, changed in judgement.changed.items():
+        rewrite_diagnosis(folder.path / name, diagnoses[name], changed)
+        rows[name] = changed_row(rows[name], diagnoses[name], changed)
+    return _Compared(rows, tuple(one.doubt for one in judgement.findings))
 
 
 def _digest(shared: Shared) -> str:
@@ -221,4 +246,5 @@ def _finish(shared: Shared, task: HeliostatTask) -> _Finished:
         )
         write_result(result, shared, folder, summary)
         files = [path for path in sorted(folder.rglob("*")) if not path.is_dir()]
-        return _Finished(field_row(result), {file.relative_to(folder).as_posix(): read_regular(file) for file in files})
+        row = field_row(result) | {VIEW: view_of(result.diagnosis)}
+        return _Finished(row, {file.relative_to(folder).as_posix(): read_regular(file) for file in files})

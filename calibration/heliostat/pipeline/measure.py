@@ -4,6 +4,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar
 
+from calibration.heliostat.diagnosis.field_findings import judge_field
+from calibration.heliostat.diagnosis.findings import Diagnosis
 from calibration.heliostat.files.result import HeliostatResult, Shared
 from calibration.heliostat.files.store_field import (
     FIELD_KIND,
@@ -179,7 +181,9 @@ def run(measurement: HeliostatMeasurement, options: Options | None = None, progr
     if not heliostats:
         refuse_all(failures)
     durations = dict(progress.durations_s)
-    of_field = campaign.source.doubts
+    judgement = judge_field({one.name: one.diagnosis for one in heliostats})
+    heliostats = tuple(_beside_others(one, judgement.changed.get(one.name)) for one in heliostats)
+    of_field = (*campaign.source.doubts, *(one.doubt for one in judgement.findings))
     if len(heliostats) == 1 and not failures:
         doubts = (*of_field, *heliostats[0].doubts)
         heliostats = (replace(heliostats[0], doubts=doubts),)
@@ -195,6 +199,14 @@ def run(measurement: HeliostatMeasurement, options: Options | None = None, progr
         durations_s=durations,
         input_sha256=hashes,
     )
+
+
+def _beside_others(result: HeliostatResult, diagnosis: Diagnosis | None) -> HeliostatResult:
+    """Return a heliostat with the diagnosis that the others leave of its own."""
+    if diagnosis is None:
+        return result
+    rest = [one for one in result.doubts if one.text not in {doubt.text for doubt in result.diagnosis.doubts}]
+    return replace(result, diagnosis=diagnosis, doubts=(*diagnosis.doubts, *rest))
 
 
 def refuse_all(failures: dict[str, Failure]) -> None:
