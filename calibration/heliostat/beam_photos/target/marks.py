@@ -32,6 +32,8 @@ _DARK_SHARE = 0.2
 #: Where marks are looked for, from the picture's sides (Malan 2014: 50 of 300 pixels).
 _SEED = 1 / 6
 _LEAST_CROSSINGS = 5
+#: Rows of a mark this much wider than most are those of its level arm.
+_ARM = 2.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -78,7 +80,7 @@ def mark_corner(window_dn: npt.ArrayLike, corner: str, *, outer: bool = True) ->
     position_px (2,): Column and row [px].
     sigma_px: Uncertainty of a coordinate, from the scatter of the edges about their lines [px].
     InputError: No such corner, or no picture.
-    EstimationError: No dark mark, or its edges are too short.
+    EstimationError: No dark mark, its edges are too short, or it is T-shaped and has no outer corner.
     """
     if corner not in _OUTER:
         raise InputError(f"corner: one of {', '.join(CORNERS)} is needed, not {corner!r}")
@@ -90,6 +92,11 @@ def mark_corner(window_dn: npt.ArrayLike, corner: str, *, outer: bool = True) ->
     mark = _largest(smoothed < level)
     if mark.sum() < 20 or bright - dark < 1e-9:
         raise EstimationError(f"{corner} corner: no dark mark in a window of {window.shape[1]} x {window.shape[0]} px")
+    if outer and (_juts_out(mark, signs[1]) or _juts_out(mark.T, signs[0])):
+        raise EstimationError(
+            f"{corner} corner: the mark is T-shaped, as where two targets share it: which point of it is the corner "
+            "cannot be told from its outline"
+        )
     across = _edge(smoothed, mark, level, signs[0])
     down = _edge(smoothed.T, mark.T, level, signs[1])
     # x = a + b y of the upright edge and y = c + d x of the level one.
@@ -180,6 +187,21 @@ def _largest(dark: BoolArray) -> BoolArray:
     border = np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]])
     areas[np.unique(border)] *= 1e-3
     return np.asarray(labels == int(np.argmax(areas)))
+
+
+def _juts_out(mark: BoolArray, sign: int) -> bool:
+    """Whether an upright bar goes on beyond a level arm, above it (-1) or below it (+1): a T that lies on its side.
+
+    The level arm of an L begins where the upright one ends.
+    """
+    rows = mark[mark.any(axis=1)]
+    widths = np.count_nonzero(rows if sign < 0 else rows[::-1], axis=1)
+    bar = float(np.median(widths))
+    wide = np.flatnonzero(widths > _ARM * bar)
+    # A filled rectangle is as wide everywhere, and a line has no arm.
+    if not wide.size or wide.size > 0.5 * widths.size:
+        return False
+    return bool(wide[0] > max(0.5 * bar, 3.0))
 
 
 class _Line(NamedTuple):

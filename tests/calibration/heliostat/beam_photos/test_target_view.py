@@ -195,3 +195,42 @@ def test_real_frame_through_its_marks(shared_data: Path) -> None:
     # A pixel of the crop is 0.021 m x 0.025 m; sigma is 0.01 m.
     assert np.abs(mine.spot.position_m - theirs.spot.position_m).max() < 0.021
     assert mine.moments.widths_m == pytest.approx(theirs.moments.widths_m, rel=0.03)
+
+
+@pytest.mark.parametrize("angle_deg", [-3.0, 0.0, 3.0])
+@pytest.mark.parametrize("corner", CORNERS)
+def test_a_mark_that_two_targets_share_is_refused(corner: str, angle_deg: float) -> None:
+    """A bar goes on beyond the arm of a T: its outline has no corner of the target, and the bar's end is none."""
+    window = np.full((160, 160), 150.0)
+    window[20:140, 40:60] = 40.0
+    bent, shared = window.copy(), window.copy()
+    bent[20:40, 40:130] = 40.0
+    shared[70:90, 40:130] = 40.0
+    flips = {"upper left": (1, 1), "upper right": (1, -1), "lower right": (-1, -1), "lower left": (-1, 1)}[corner]
+
+    def turned(picture: np.ndarray) -> np.ndarray:
+        """Turn a picture a little, and lay its mark into this corner."""
+        matrix = cv2.getRotationMatrix2D((79.5, 79.5), angle_deg, 1.0)
+        whole = cv2.warpAffine(picture, matrix, (160, 160), borderMode=cv2.BORDER_REPLICATE)
+        return np.ascontiguousarray(whole[:: flips[0], :: flips[1]])
+
+    mark_corner(turned(bent), corner)
+    with pytest.raises(EstimationError, match="T-shaped"):
+        mark_corner(turned(shared), corner)
+    # Lying on its side it is one as well.
+    with pytest.raises(EstimationError, match="T-shaped"):
+        mark_corner(
+            np.ascontiguousarray(turned(shared).T),
+            {"upper right": "lower left", "lower left": "upper right"}.get(corner, corner),
+        )
+
+
+def test_real_marks_between_two_targets_are_refused(shared_data: Path) -> None:
+    """The tower's upper and lower target share their middle marks; those at the outside are corners."""
+    folder = shared_data / "csp" / "juelich_beam_images" / "markers"
+    for name, corner in (("left", "lower left"), ("right", "upper right")):
+        window = cv2.imread(str(folder / f"stj_{name}_middle.png"), cv2.IMREAD_GRAYSCALE)
+        with pytest.raises(EstimationError, match="T-shaped"):
+            mark_corner(window, corner)
+    for name, corner in (("stj_left_top", "upper left"), ("mft_right_bottom", "lower right")):
+        mark_corner(cv2.imread(str(folder / f"{name}.png"), cv2.IMREAD_GRAYSCALE), corner)

@@ -10,6 +10,7 @@ from calibration.heliostat.fitting.priors import PRIORS
 from calibration.heliostat.keys import load_heliostat
 from calibration.heliostat.kinematic_model.presets import azimuth_elevation, with_drive_terms
 from calibration.heliostat.pipeline.measure import Options, Result, run
+from heliogauge.errors import EstimationError
 from heliogauge.measurement.writer import dump_toml
 from heliogauge.results.tables import read_table_csv, write_table_csv
 from tests.calibration.heliostat_folders import CONTENT, SIGMA_M, sightings, write_field, write_paint
@@ -117,3 +118,26 @@ class TestTerms:
         self.write(tmp_path, {"terms": ["worm"], "worm_ratio": 30.0, "parameters": held})
         result = measured(tmp_path, Options(thorough=False, model="5", jobs=1))
         assert result.heliostats[0].fit.design.parameters.value("worm_sin_1") == 0.0
+
+
+class TestImpossible:
+    def test_what_nothing_explains_is_refused_with_what_was_tried(self, tmp_path: Path) -> None:
+        """Readings of another machine: hundreds of milliradians, and no result."""
+        write_field(tmp_path, observations=40)
+        table = read_table_csv(tmp_path / "observations.csv")
+        rng = np.random.default_rng(2)
+        for axis in (1, 2):
+            table[f"axis_{axis}_rad"] = [repr(one) for one in rng.permutation(np.linspace(-1.4, 1.4, 40)).tolist()]
+        write_table_csv(tmp_path / "observations.csv", table)
+        with pytest.raises(EstimationError, match=r"no known fault explains it.* were tried, the nearest"):
+            measured(tmp_path, Options(thorough=False, model="5", jobs=1))
+
+    @pytest.mark.slow
+    def test_a_latitude_of_the_wrong_sign_is_named_and_undone(self, tmp_path: Path) -> None:
+        write_field(tmp_path, observations=60)
+        content = {**CONTENT, "site": {**CONTENT["site"], "latitude_deg": -CONTENT["site"]["latitude_deg"]}}
+        (tmp_path / "measurement.toml").write_text(dump_toml(content), encoding="utf-8")
+        (one,) = measured(tmp_path, Options(thorough=False, model="5", jobs=1)).heliostats
+        assert one.diagnosis.kinds == ("site",)
+        assert one.fit.residuals.beam_angle_rad.max() < 8 * SIGMA_M / 60
+        assert np.median(one.as_stated.residuals.beam_angle_rad) > 0.01
