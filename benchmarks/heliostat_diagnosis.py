@@ -163,7 +163,7 @@ def worm_gear(name, rng):
 def sag(name, rng):
     design, seen, plant = units()[name]
     angle = angles_of(name, 1)
-    bent = rng.uniform(30e-3, 45e-3) * np.cos(angle + rng.uniform(0, 6))
+    bent = rng.uniform(25e-3, 38e-3) * np.cos(angle + rng.uniform(0, 6))
     return design, moved(seen, plant, by_angles(name, np.column_stack([0 * bent, bent]))), plant
 
 
@@ -363,19 +363,13 @@ FAULTS = {
 
 
 #: Faults that other numbers of the heliostat can make up for. Where the fit with the fault is not this much worse than
-#: without, it hides in what a rigid model leaves, and nobody can name it: 60 % of the variance are 1.6 times the RMS.
+#: without, it hides in what a rigid model leaves, and nobody can name it: what surely explains 60 % explains 67 % of 300
+#: numbers, and three times the variance are 1.75 times the RMS.
 OF_THE_MODEL = (
-    "position",
-    "time_offset",
-    "sag",
-    "actuator_numbers",
-    "drift",
-    "worm_gear",
-    "target_scale",
-    "target_place",
-    "mirrored_spots",
+    *("position", "time_offset", "sag", "actuator_numbers", "drift", "change_point", "backlash", "worm_gear"),
+    *("target_scale", "target_place", "mirrored_spots"),
 )
-HIDDEN = 1.6
+HIDDEN = 1.75
 
 
 # --- studies ----------------------------------------------------------------------------------------------------------

@@ -13,7 +13,7 @@ BOUNDS: Mapping[str, tuple[float, str]] = {
     "episode": (0.5, "a larger jump is another zero, not a slip"),
     "backlash": (0.05, "drives with 3 degrees of play do not hold in wind"),
     "worm_gear": (0.02, "ten times what data sheets of slew drives state"),
-    "sag": (0.05, "an edge at 1.5 m would hang by 7 cm"),
+    "sag": (0.04, "an edge at 1.5 m would hang by 6 cm"),
     "scale": (0.1, "gear ratios are counted teeth"),
     "refraction": (3.0, "refracted twice or not at all is 1"),
     "time_offset": (3600.0, "beyond an hour the sky does not turn by a small angle: hours are tried out"),

@@ -6,7 +6,7 @@ from math import comb
 
 import numpy as np
 
-from calibration.heliostat.diagnosis.findings import REMEDIES, Check, Diagnosis, Finding, ordered
+from calibration.heliostat.diagnosis.findings import REMEDIES, Check, Diagnosis, Finding
 from heliogauge.doubts import Doubt, Severity
 from heliogauge.validate import FloatArray
 
@@ -55,7 +55,8 @@ class FieldJudgement:
     """What came of comparing the heliostats of a field.
 
     findings: Of the field.
-    changed: Diagnoses of heliostats that read otherwise beside the others, by name.
+    changed: Diagnoses of heliostats that read otherwise beside the others, by name; their findings stand where they
+        stood.
     """
 
     findings: tuple[FieldFinding, ...]
@@ -80,7 +81,7 @@ def judge_field(diagnoses: Mapping[str, Diagnosis]) -> FieldJudgement:
     for name, new in changes.items():
         old = diagnoses[name]
         listed = [new.get(place, finding) for place, finding in enumerate(old.findings)]
-        changed[name] = replace(old, findings=ordered(listed))
+        changed[name] = replace(old, findings=tuple(listed))
     return FieldJudgement(tuple(findings), changed)
 
 
@@ -180,10 +181,10 @@ def _clocks(diagnoses: Mapping[str, Diagnosis], changes: _Changes) -> list[Field
 def _tables(diagnoses: Mapping[str, Diagnosis], changes: _Changes) -> list[FieldFinding]:
     accused = _accused(diagnoses, _OF_TABLES)
     findings = []
-    for said in dict.fromkeys((one.kind, one.text.split(":")[0]) for _, _, one in accused):
-        same = [one for one in accused if (one[2].kind, one[2].text.split(":")[0]) == said]
-        if len(same) >= 2 and said[0] != "units":
-            findings.append(FieldFinding(said[0], said[1], tuple(name for name, _, _ in same)))
+    for kind, subject in dict.fromkeys((one.kind, one.subject) for _, _, one in accused):
+        same = [one for one in accused if (one[2].kind, one[2].subject) == (kind, subject)]
+        if len(same) >= 2 and subject:
+            findings.append(FieldFinding(kind, subject, tuple(name for name, _, _ in same)))
             _share(changes, same)
     return findings
 

@@ -20,6 +20,8 @@ __all__ = ["Diagnosis", "Finding", "Records", "diagnose"]
 
 #: With fewer rows than this nothing is a fault that records alone do not show: freed numbers explain as much.
 FEW_ROWS = 20
+# What is wrong with single rows or days shows once the whole is mended; what that model lacks is no further fault.
+_OF_ROWS = ("episode", "wrong_target", "outliers")
 # What the records show by themselves, whatever the heliostat.
 _OF_RECORDS = ("duplicates", "constant_column", "units")
 #: Faults of heliostat or records as a whole, which can be undone by calculation.
@@ -29,9 +31,9 @@ REMEDIED = (
 )
 #: A heliostat with fewer spare components than this cannot be distinguished from a faulty one.
 _FEWEST_SPARE = 8
-# A term that leaves no more than this times what a hypothesis leaves is the simpler answer; where no hypothesis helps,
-# it must bring the median down by as much as one would have to.
-_AS_GOOD, _SUNK = 2.0, 4.0
+# A term that leaves no more than a hypothesis does is the simpler answer; where no hypothesis helps, it must bring the
+# median down by as much as one would have to.
+_AS_GOOD, _SUNK = 1.0, 4.0
 # A rejected row is no outlier any more where a fault's term brings it back within this [sigma].
 _UNDONE = 4.0
 
@@ -65,10 +67,9 @@ def diagnose(
     known = {} if targets is None else dict(targets)
     found = _diagnosed(fit, known, site, records, significance)
     if found.remedied is not None:
-        # What was hidden behind the fault shows without it.
         behind = _diagnosed(found.remedied, known, site, records, significance)
-        said = {one.kind for one in found.findings}
-        more = [one for one in behind.findings if one.kind not in said and one.severity in ("fault", "rows")]
+        kinds = {one.kind for one in found.findings}
+        more = [one for one in behind.findings if one.kind in _OF_ROWS and one.kind not in kinds]
         found = replace(found, findings=(*found.findings, *more))
     rows = int((fit.used | fit.rejected).sum())
     findings = ordered([_by_few(one, rows) for one in found.findings])

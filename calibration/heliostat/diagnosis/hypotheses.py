@@ -32,6 +32,8 @@ FAR_RAD = 0.010
 REJECTED = 0.3
 # What is believed brings the median down by this factor.
 _BETTER = 4.0
+# Many free numbers must be so much better than a changed sign, and their triangles than where the actuators start.
+_WORTH, _MORE_WORTH = 2.0, 1.3
 # Rows that decide between hypotheses; the winner is fitted to all.
 _ROWS = 40
 # Computed and recorded suns agree to this where the suns are those of the times.
@@ -76,12 +78,13 @@ def hypothesis_finding(
     few = _some(fit.observations)
     tried = [(_tried(one, few), one) for one in _all(fit, targets, site)]
     best, hypothesis = min(tried, key=lambda pair: pair[0], default=(np.inf, None))
+    worth = _WORTH
     for numbers in _free_actuators(fit):
-        # Many free numbers fit more than one changed sign does, and more of them more: they have to be twice as good.
+        # Many free numbers fit more than one changed sign does, and more of them more.
         freed = _tried(numbers, fit.observations)
         tried.append((freed, numbers))
-        if 2 * freed < best:
-            best, hypothesis = freed, numbers
+        if worth * freed < best:
+            best, hypothesis, worth = freed, numbers, _MORE_WORTH
     if hypothesis is None or best > max(before / _BETTER, 1e-4) or best > FAR_RAD:
         return _unexplained(fit, before, tried), None
     corrected = _fitted(hypothesis, fit.observations)
@@ -92,7 +95,7 @@ def hypothesis_finding(
     chance = _chance(fit, after / before, len(tried) + 1)
     fall = f"from {1e3 * before:.1f} to {1e3 * after:.2f} mrad of the beam"
     text = f"{hypothesis.text}: without that the median residual falls {fall}."
-    return Finding(hypothesis.kind, "fault", text, evidence, chance), corrected
+    return Finding(hypothesis.kind, "fault", text, evidence, chance, subject=hypothesis.text), corrected
 
 
 def _chance(fit: HeliostatFit, ratio: float, tried: int) -> float:

@@ -96,12 +96,14 @@ def loosened_finding(fit: HeliostatFit, kind: str) -> Loosened | None:
     share = 1 - float(after @ after) / max(float(before @ before), 1e-300)
     shifts = (other.values - parameters.values)[parameters.indices(names)]
     prior = parameters.sigmas[parameters.indices(names)]
-    if share < NUMBERS_EXPLAIN[kind] or not (np.abs(shifts) > FAR_SIGMAS * prior).any():
+    # With 95 %: of few rows more is asked.
+    spare = max(int(fit.observations.n_components.sum()) - fit.n_free, 1)
+    surely = 1 - (1 - share) * (1 + 2 * np.sqrt(2 / spare))
+    if surely < NUMBERS_EXPLAIN[kind] or not (np.abs(shifts) > FAR_SIGMAS * prior).any():
         return None
     order = np.argsort(-np.abs(shifts / prior))
     compared = replace(other, nominal=fit.nominal)
     # The bound of Markov on the likelihood ratio.
-    spare = int(fit.observations.n_components.sum()) - fit.n_free
     chance = np.array([np.exp(0.5 * spare * np.log(max(1 - share, 1e-300)))])
     found = _finding(compared, kind, "fault", [names[i] for i in order], chance)
     evidence = {**found.evidence, "explained_share": share}

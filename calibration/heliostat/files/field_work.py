@@ -31,9 +31,9 @@ def found_over_expected(result: HeliostatResult) -> float | None:
 
 def work_of(result: HeliostatResult) -> str:
     """Return what is to be done about a heliostat in a plain sentence; empty where nothing is."""
-    findings = [one for one in result.diagnosis.findings if one.severity in _WORK]
-    if findings:
-        return " ".join(_sentence(one) for one in findings[:2])
+    asked = work_of_findings(result.diagnosis.findings)
+    if asked:
+        return asked
     ratio = found_over_expected(result)
     if ratio is not None and ratio > _FAR_OVER_EXPECTED:
         return (
@@ -46,6 +46,11 @@ def work_of(result: HeliostatResult) -> str:
             "radius of the sun. Measure more: heliogauge heliostat plan says at which suns."
         )
     return ""
+
+
+def work_of_findings(findings: Sequence[Finding]) -> str:
+    """Return what findings ask for, the gravest two; empty where they ask for nothing."""
+    return " ".join(_sentence(one) for one in [one for one in findings if one.severity in _WORK][:2])
 
 
 def _sentence(finding: Finding) -> str:

@@ -5,7 +5,9 @@ from pathlib import Path
 from typing import Any
 
 from calibration.heliostat.diagnosis.findings import Check, Diagnosis
+from calibration.heliostat.files.field_work import work_of_findings
 from calibration.heliostat.files.store_heliostat import AS_STATED_FILE, HELIOSTAT_FILE
+from heliogauge.doubts import doubt_content
 from heliogauge.results.folder import SUMMARY_FILE, write_json
 from heliogauge.results.json_file import read_json
 
@@ -24,39 +26,24 @@ def view_of(diagnosis: Diagnosis) -> dict[str, Any]:
 
 
 def changed_row(row: Mapping[str, Any], old: Diagnosis, new: Diagnosis) -> dict[str, Any]:
-    """Return a heliostat's row of ``field.csv`` with another diagnosis."""
-    reason = str(row["reason"])
-    texts = {one.text: one.text for one in new.doubts}
-    for before, after in _pairs(old, new).items():
-        reason = reason.replace(before, texts.get(after, after))
+    """Return a heliostat's row of ``field.csv`` with another diagnosis; its findings stand where they stood."""
+    # The reason begins with what the diagnosis says.
+    before, after = ("; ".join(one.text for one in diagnosis.doubts) for diagnosis in (old, new))
     status = "faulty" if new.kinds else "doubtful" if row["status"] == "faulty" else row["status"]
-    return {**row, "status": status, "diagnosis": ", ".join(new.named), "reason": reason}
+    said = {"status": status, "diagnosis": ", ".join(new.named), "reason": after + str(row["reason"])[len(before) :]}
+    return {**row, **said, "work": work_of_findings(new.findings)}
 
 
 def rewrite_diagnosis(folder: Path, old: Diagnosis, new: Diagnosis) -> None:
-    """Put another diagnosis into the files of a finished heliostat."""
-    pairs = _pairs(old, new)
-    severities = {one.text: one.severity.value for one in new.doubts}
+    """Put another diagnosis into the files of a finished heliostat; its findings stand where they stood."""
+    own = [doubt_content(one) for one in new.doubts]
     for name in (HELIOSTAT_FILE, AS_STATED_FILE, SUMMARY_FILE):
         if not (folder / name).is_file():
             continue
         content = read_json(folder / name)
-        for doubt in content["doubts"]:
-            doubt["text"] = pairs.get(doubt["text"], doubt["text"])
-            doubt["severity"] = severities.get(doubt["text"], doubt["severity"])
+        # Doubts begin with those of the diagnosis.
+        content["doubts"] = own + content["doubts"][len(old.doubts) :]
         if "diagnosis" in content:
-            for finding in content["diagnosis"]["findings"]:
-                said = next((one for one in new.findings if one.text.startswith(finding["text"])), None)
-                if said is not None:
-                    finding |= {"text": said.text, "severity": said.severity}
+            for finding, now in zip(content["diagnosis"]["findings"], new.findings, strict=True):
+                finding |= {"text": now.text, "severity": now.severity}
         write_json(folder / name, content)
-
-
-def _pairs(old: Diagnosis, new: Diagnosis) -> dict[str, str]:
-    """Return the texts of doubts that changed: a finding's new text begins with the old one."""
-    found = {}
-    for before in old.findings:
-        after = next((one for one in new.findings if one.text.startswith(before.text)), before)
-        if after.text != before.text:
-            found[before.doubt.text] = after.doubt.text
-    return found

@@ -205,7 +205,8 @@ def _beside_others(result: HeliostatResult, diagnosis: Diagnosis | None) -> Heli
     """Return a heliostat with the diagnosis that the others leave of its own."""
     if diagnosis is None:
         return result
-    rest = [one for one in result.doubts if one.text not in {doubt.text for doubt in result.diagnosis.doubts}]
+    # Doubts begin with those of the diagnosis.
+    rest = result.doubts[len(result.diagnosis.doubts) :]
     return replace(result, diagnosis=diagnosis, doubts=(*diagnosis.doubts, *rest))
 
 
