@@ -18,20 +18,15 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from _heliostats import line, title
 
-from calibration.heliostat.diagnosis.field_findings import judge_field
-from calibration.heliostat.diagnosis.full_diagnosis import Records, diagnose
-from calibration.heliostat.diagnosis.terms import Terms, approaches, turned_sky, with_suns
-from calibration.heliostat.fitting.fit_result import FitOptions
-from calibration.heliostat.fitting.priors import with_priors
-from calibration.heliostat.fitting.robust_fit import fit
-from calibration.heliostat.keys import load_heliostat
-from calibration.heliostat.observations.beam_observations import BeamSpots
-from calibration.heliostat.observations.observations import Observations, Pointings
-from calibration.heliostat.observations.residuals import predicted_spots
-from calibration.heliostat.pipeline.measure import Options
-from calibration.heliostat.pipeline.reading import read_task
-from heliogauge.errors import EstimationError, InputError
+from calibration.heliostat import Options, run
+from calibration.heliostat.diagnosis import Records, diagnose, judge_field
+from calibration.heliostat.fitting import FitOptions, fit, with_priors
+from calibration.heliostat.kinematic_model import mirror_poses
+from calibration.heliostat.observations import BeamSpots, Observations, Pointings, predicted_spots
+from heliogauge.errors import EstimationError
+from heliogauge.geometry.rigid import rotation_from_vector
 from heliogauge.geometry.sun import sun_directions
+from heliogauge.measurement.load import load
 
 HERE = Path(__file__).resolve().parents[2]
 DATA = (
@@ -48,13 +43,9 @@ def units():
     """Return design, observations, plant and fit of each real heliostat that has its files."""
     found = {}
     for folder in ("juelich_calibration", "juelich_calibration_short"):
-        campaign = Options().choose(load_heliostat(DATA / folder))
-        for task in campaign.source.tasks(campaign.names):
-            try:
-                given = read_task(task, campaign.shared)
-            except InputError:
-                continue
-            found[task.name] = (with_priors(given.nominal), given.seen.observations, campaign.shared.plant)
+        result = run(load(DATA / folder), Options(thorough=False, model="8", jobs=1))
+        for one in result.heliostats:
+            found[one.name] = (with_priors(one.nominal), one.seen.observations, result.shared.plant)
     return found
 
 
@@ -109,9 +100,32 @@ def by_angles(name, angles):
     return parts[0] * angles[:, :1] + parts[1] * angles[:, 1:]
 
 
-def angles_of(name, axis):
+def azimuths(name):
+    """Return the azimuths of the normal: of the second axis but for the tilts."""
     found = fitted(name)
-    return Terms(found, np.ones(len(found.observations), dtype=bool)).angle(axis)[::2]
+    normals = mirror_poses(found.design, found.values, found.observations.readings).normals(found.design)
+    return np.arctan2(normals[:, 0], normals[:, 1])
+
+
+def approaches(seen):
+    """Return the directions of the last moves, from the reading before on the same day (n, 2)."""
+    moves, order = np.zeros((len(seen), 2)), np.argsort(seen.time, kind="stable")
+    recent = np.diff(seen.time[order]) <= np.timedelta64(12, "h")
+    moves[order[1:][recent]] = np.sign(np.diff(seen.readings[order], axis=0))[recent]
+    return moves
+
+
+def with_suns(seen, change):
+    group = beams(seen)
+    return Observations((replace(group, sun=change(group.sun)),))
+
+
+def turned_sky(seen, site, seconds):
+    """Return the observations with the sun so much later: it turns about the pole."""
+    latitude = np.radians(site.latitude_deg)
+    pole = np.array([0.0, np.cos(latitude), np.sin(latitude)])
+    turn = rotation_from_vector(-2 * np.pi / 86400 * seconds * pole)
+    return with_suns(seen, lambda suns: suns @ turn.T)
 
 
 def episode(name, rng, size=None):
@@ -162,7 +176,7 @@ def worm_gear(name, rng):
 
 def sag(name, rng):
     design, seen, plant = units()[name]
-    angle = angles_of(name, 1)
+    angle = azimuths(name)
     bent = rng.uniform(25e-3, 38e-3) * np.cos(angle + rng.uniform(0, 6))
     return design, moved(seen, plant, by_angles(name, np.column_stack([0 * bent, bent]))), plant
 
@@ -363,8 +377,8 @@ FAULTS = {
 
 
 #: Faults that other numbers of the heliostat can make up for. Where the fit with the fault is not this much worse than
-#: without, it hides in what a rigid model leaves, and nobody can name it: what surely explains 60 % explains 67 % of 300
-#: numbers, and three times the variance are 1.75 times the RMS.
+#: without, it hides in what a rigid model leaves, and nobody can name it: what surely explains 60 % explains 67 % of
+#: 300 numbers, and three times the variance are 1.75 times the RMS.
 OF_THE_MODEL = (
     *("position", "time_offset", "sag", "actuator_numbers", "drift", "change_point", "backlash", "worm_gear"),
     *("target_scale", "target_place", "mirrored_spots"),

@@ -22,6 +22,7 @@ BOUNDS: Mapping[str, tuple[float, str]] = {
 }
 #: Spots mirrored about the middle of the target look like a scale of -1: 200 % short of what it should be.
 MIRRORED = (1.5, 2.5)
+_WAVES = ("sag", "worm_gear")
 # Beyond so many of its own sigmas a coefficient is there at all.
 _SIGMAS = 3.0
 
@@ -61,6 +62,9 @@ def beyond_text(kind: str, names: Sequence[str], coefficients: FloatArray, sigma
 
 
 def _within(kind: str, coefficients: FloatArray, sigmas: FloatArray) -> BoolArray:
+    if kind in _WAVES:
+        # Sine and cosine of one amplitude.
+        return np.asarray([np.linalg.norm(coefficients) - 2 * sigmas.max() <= BOUNDS[kind][0]])
     within = np.abs(coefficients) - 2 * sigmas <= BOUNDS[kind][0]
     if kind == "target_scale":
         # Whichever direction is not mirrored has its usual scale.

@@ -1,10 +1,10 @@
 """Single rows that are wrong: what each would have to be instead, repeats, columns that never change."""
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import bdtrc
 
 from calibration.heliostat.diagnosis.episodes import Episode, episode_finding, find_episodes
 from calibration.heliostat.diagnosis.findings import Finding, Severity, dates_of
@@ -125,7 +125,19 @@ def _is_of_a_target(fit: HeliostatFit, episode: Episode) -> bool:
 
 def binomial_tail(count: int, tries: int, chance: float) -> float:
     """Return the probability of at least so many hits in so many tries."""
-    return float(bdtrc(count - 1, tries, min(chance, 1.0))) if count else 1.0
+    if not 0 < chance < 1 or count < 1:
+        return float(chance >= 1 or count < 1)
+    hits = range(count, tries + 1)
+    whole = math.lgamma(tries + 1)
+    logarithms = [
+        whole
+        - math.lgamma(k + 1)
+        - math.lgamma(tries - k + 1)
+        + k * math.log(chance)
+        + (tries - k) * math.log1p(-chance)
+        for k in hits
+    ]
+    return min(1.0, math.fsum(math.exp(one) for one in logarithms))
 
 
 def outlier_finding(
