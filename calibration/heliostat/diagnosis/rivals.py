@@ -86,11 +86,11 @@ def _numbers(terms: Terms) -> tuple[FloatArray, FloatArray]:
     design = terms.fit.design
     names = [name for name in design.used_names if name in PRIORS]
     by = [terms.by(name) for name in names]
-    sigmas = [_WIDE * PRIORS[name].sigma for name in names]
+    sigmas = [_WIDE * PRIORS[name].of(design.parameters.value(name)) for name in names]
     for axis in (0, 1):
         angle, by_axis = terms.angle(axis), terms.by_axis(axis)
         by += [by_axis * np.cos(angle), by_axis * np.sin(angle)]
-        sigmas += [_WIDE * PRIORS["sag_1"].sigma] * 2
+        sigmas += [_WIDE * PRIORS["sag_1"].of(0.0)] * 2
     columns = np.stack(by, axis=1)
     seen = np.linalg.norm(columns, axis=0) > 0
     return columns[:, seen], np.array(sigmas)[seen]
