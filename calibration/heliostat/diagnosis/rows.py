@@ -15,6 +15,7 @@ from calibration.heliostat.kinematic_model.kinematics import mirror_poses
 from calibration.heliostat.observations.beam_observations import BeamSpots
 from calibration.heliostat.observations.observations import Observations
 from heliogauge.geometry.rays import intersect_plane, reflect
+from heliogauge.short_repr import ShortRepr
 from heliogauge.validate import BoolArray, FloatArray
 
 # Spots that differ by less were not measured one by one.
@@ -42,7 +43,7 @@ _MANY, _MANY_SHARE = 4, 0.035
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Records:
+class Records(ShortRepr):
     """What the table of observations has beyond the observations: all its rows, those left out before the fit too.
 
     flags: Why each row was left out before the fit; empty if it was not.
