@@ -75,16 +75,16 @@ class TestEpisodes:
 
 class TestFewRows:
     def test_what_few_rows_show_is_a_doubt(self, rng):
-        """The same drift of the same heliostat: a fault of 72 rows, open with 18."""
+        """The same jump of the same heliostat: a fault of 72 rows, open with 16."""
         truth = drawn(nominal(), rng)
-        later = truth.with_value({"azimuth_offset": truth.parameters.value("azimuth_offset") + 30e-3})
-        many, few = (seen(truth, np.random.default_rng(3), count=count, later=later) for count in (72, FEW_ROWS - 2))
+        later = truth.with_value({"azimuth_offset": truth.parameters.value("azimuth_offset") + 8e-3})
+        many, few = (seen(truth, np.random.default_rng(3), count=count, later=later) for count in (72, FEW_ROWS - 4))
         assert judged(many).kinds == ("change_point",)
         found = judged(few)
         assert found.kinds == ()
         assert [one.severity for one in found.findings if one.kind == "change_point"] == ["doubt"]
         assert "change_point?" in found.named
-        assert f"18 rows are too few to decide it: {FEW_ROWS} are needed" in found.doubts[0].text
+        assert f"16 rows are too few to decide it: {FEW_ROWS} are needed" in found.doubts[0].text
 
 
 class TestBounds:
