@@ -167,7 +167,7 @@ def test_it_shows_itself_in_a_notebook(result: hg.Result) -> None:
     text = result._repr_html_()
     assert "<img" in text
     assert "sdx_rad" in text
-    assert "0.2721 ± 0.0018 mrad" in text
+    assert "0.2721 ± 0.0019 mrad" in text
     assert len(text) < 250_000
 
 
