@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from calibration.camera.report.planned_pictures import board_pictures
+from calibration.camera.report.planned_pictures import board_picture
 from heliogauge.camera.model import Camera
 from heliogauge.reporting import page
 from heliogauge.reporting.html import Html, Shown, join, table, table_under_name
@@ -20,6 +20,7 @@ from heliogauge.results.folder import (
 )
 from heliogauge.validate import FloatArray
 from heliogauge.view.charts import ChartSeries, ChartView, Mark
+from heliogauge.view.stills import side_by_side
 from heliogauge.view.tables import TableColumn, TableView
 
 _SIGMA = "sigma_ray_without_rotation_rms_rad"
@@ -70,15 +71,15 @@ def first_screen(plan: PlannedPhotos) -> Html:
     numbers = summary.numbers
     before, after = (float(numbers[key] or np.nan) for key in (_SIGMA, f"planned_{_SIGMA}"))
     rows = [
-        ("Sigma of lines of sight today", f"{1e6 * before:.3g} \u00b5rad", "RMS, best rotation taken out"),
-        ("with the planned photos", f"{1e6 * after:.3g} \u00b5rad"),
+        ("Sigma of lines of sight today", f"{1e3 * before:.2g} mrad", "RMS, best rotation taken out"),
+        ("with the planned photos", f"{1e3 * after:.2g} mrad"),
         ("Photos so far", f"{numbers['earlier_photos_count']}"),
         ("Photos to take", f"{numbers['photos_count']}"),
     ]
     wanted = numbers.get(f"wanted_{_SIGMA}")
     passed = []
     if wanted is not None:
-        rows.append(("Wanted", f"{1e6 * wanted:.3g} \u00b5rad"))
+        rows.append(("Wanted", f"{1e3 * wanted:.2g} mrad"))
         if after <= wanted:
             passed.append("the wanted sigma is reached")
     return page.first_screen(summary.name, line, verdict_of(summary, [], passed), rows, sigmas(plan))
@@ -103,15 +104,17 @@ def sigmas(plan: PlannedPhotos) -> ChartView:
         "sigma, RMS over the image [mrad]",
         tuple(series),
         "best rotation taken out",
-        y_log=True,
     )
 
 
 def pictures(plan: PlannedPhotos) -> Html:
     """Return how the board should look in each photo."""
-    words = list(zip(plan.photos["photo"], plan.photos["what"], strict=True))
-    sheet = board_pictures(plan.camera, plan.outlines_px, plan.points_px, words)
-    return sheet.html("How the board should look in each photo: " + "; ".join(what for _, what in words))
+    ones = zip(plan.outlines_px, plan.points_px, plan.photos["photo"], plan.photos["what"], strict=True)
+    shown = []
+    for outline, points, name, what in ones:
+        sheet = board_picture(plan.camera, outline, points, (name, what))
+        shown.append(sheet.html(f"How the board should look in {name}: {what}"))
+    return side_by_side(shown, caption="Orange: the board's upper edge as drawn, its left end with a dot.")
 
 
 def photos(plan: PlannedPhotos) -> Shown:

@@ -120,7 +120,7 @@ def headline(report: CalibrationReport) -> Html:
         ("RMS residual, board as drawn", _pixels(quality.rms_as_drawn_px, "nothing was drawn")),
         ("RMS of photos kept apart, only their pose fitted", _pixels(result.kept_apart_px, "not asked")),
         ("RMS of photos held out, only their pose fitted", _pixels(result.held_out_px, "none held out")),
-        ("Line of sight, 1 sigma, RMS over the image, best rotation taken out", f"{1e6 * sigma.rms_free_rad:.2g} µrad"),
+        ("Line of sight, 1 sigma, RMS over the image, best rotation taken out", f"{1e3 * sigma.rms_free_rad:.2g} mrad"),
         ("Projection, 1 sigma, largest in the image", f"{sigma.worst_projection_px:.2g} px"),
         (
             "Image covered",
