@@ -25,6 +25,8 @@ _MIN_PROBABILITY = 1e-4
 #: Explanations that leave so little more chi-square than the best one are named beside it: three sigma.
 _AS_GOOD = 9.0
 _MOST_NAMED = 3
+#: An input is named only where it leaves the means within so many of their sigmas, RMS; else none explains the curl.
+_EXPLAINED = 3.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,27 +69,38 @@ def setup_doubt(setup: Setup, evaluation: Evaluation) -> Doubt | None:
         key=lambda one: one.chi_square,
     )
     best = explained[0]
-    # What not even the best one explains is no measure of the others.
-    as_good = _AS_GOOD * max(1.0, best.chi_square / (len(moments.values_per_m) - 1))
-    named = [one for one in explained if one.chi_square < best.chi_square + as_good][:_MOST_NAMED]
     where = f" (facet {name}, one of {len(found)})" if len(found) > 1 else ""
-    changes = np.abs([_change_of_quadratic(one, moments) for one in named]).max(axis=0)
-    ratio = float(np.sqrt(chi_square / len(moments.values_per_m)))
-    return Doubt(
-        "setup_contradicts_slopes",
+    ratio, left = (float(np.sqrt(one / len(moments.values_per_m))) for one in (chi_square, best.chi_square))
+    text = (
         f"the slopes have {ratio:.1f} times the smooth curl that noise and the stated sigmas make{where}, which no "
-        f"surface has. Most of it would go with {', or '.join(map(str, named))}: by that much 1/f is off by up to "
-        f"{2 * changes[0]:.2g} (x) and {2 * changes[1]:.2g} 1/m (y), twist by {changes[2]:.2g} 1/m, which their sigmas "
-        "do not contain. Measure that again, or state how well it is known ([screen] sigma_rotation_mrad, "
-        "sigma_translation_mm; [camera] sigma_center_px; [mirror.distance] sigma_mm)",
-        {
-            "curl_ratio": ratio,
-            "unexplained_ratio": float(np.sqrt(best.chi_square / len(moments.values_per_m))),
+        "surface has. "
+    )
+    numbers = {"curl_ratio": ratio, "unexplained_ratio": left}
+    if left < _EXPLAINED:
+        # What not even the best one explains is no measure of the others.
+        as_good = _AS_GOOD * max(1.0, best.chi_square / (len(moments.values_per_m) - 1))
+        named = [one for one in explained if one.chi_square < best.chi_square + as_good][:_MOST_NAMED]
+        changes = np.abs([_change_of_quadratic(one, moments) for one in named]).max(axis=0)
+        numbers |= {
             "curvature_x_per_m": 2 * changes[0],
             "curvature_y_per_m": 2 * changes[1],
             "twist_per_m": changes[2],
-        },
+        }
+        text += (
+            f"Most of it would go with {', or '.join(map(str, named))}: by that much 1/f is off by up to "
+            f"{2 * changes[0]:.2g} (x) and {2 * changes[1]:.2g} 1/m (y), twist by {changes[2]:.2g} 1/m, which their "
+            "sigmas do not contain. "
+        )
+    else:
+        text += (
+            "Neither screen, mirror nor principal point out of place explains it alone: several are, or the lens or "
+            "the shape of the screen is not as stated. "
+        )
+    text += (
+        "Measure that again, or state how well it is known ([screen] sigma_rotation_mrad, sigma_translation_mm; "
+        "[camera] sigma_center_px; [mirror.distance] sigma_mm)"
     )
+    return Doubt("setup_contradicts_slopes", text, numbers)
 
 
 def _explain(moments: CurlMoments, words: str, mode: CommonModes) -> _Explanation:
