@@ -57,6 +57,7 @@ def surroundings(root, scratch):
         **os.environ,
         **ONE_THREAD,
         "PYTHONPATH": str(root),
+        "PYTHONSAFEPATH": "1",  # else the version in the working directory would be measured
         "PYTHONPYCACHEPREFIX": f"{scratch}/bytecode",
     }
     environment.pop("PYTHONDONTWRITEBYTECODE", None)

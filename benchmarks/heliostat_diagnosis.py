@@ -28,12 +28,7 @@ from heliogauge.geometry.rigid import rotation_from_vector
 from heliogauge.geometry.sun import sun_directions
 from heliogauge.measurement.load import load
 
-HERE = Path(__file__).resolve().parents[2]
-DATA = (
-    next((place for place in (HERE / "shared", Path("/work/shared")) if place.is_dir()), HERE / "shared")
-    / "data"
-    / "csp"
-)
+DATA = Path(__file__).resolve().parents[2] / "shared" / "data" / "csp"
 FAULTY = ("BF41",)
 ESTIMATED = FitOptions(sigma="estimated")
 

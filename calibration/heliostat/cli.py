@@ -27,6 +27,16 @@ if TYPE_CHECKING:
 app = make_app("Where beams were seen and the drive readings -> tracking models of heliostats.")
 exports = add_formats(app, "export")
 
+TableDay = Annotated[
+    str | None, typer.Option(metavar="YYYY-MM-DD", help="The day; default: today.", show_default=False)
+]
+TableStep = Annotated[float, typer.Option(help="Step of the table.")]
+AimedTarget = Annotated[
+    str | None, typer.Option(help="Target whose centre is aimed at; default: the first.", show_default=False)
+]
+OnlyNames = Annotated[
+    str | None, typer.Option(metavar="NAMES", help="Only these heliostats; * stands for any text, commas separate.")
+]
 HeliostatResults = Annotated[
     Path,
     typer.Argument(metavar="OUT", help="Results of `heliogauge heliostat measure`.", show_default=False),
@@ -52,9 +62,7 @@ def measure_command(
     label: Annotated[
         Literal["UTIS", "HeliOS"] | None, typer.Option(help="Centres of beams in PAINT's records.")
     ] = None,
-    only: Annotated[
-        str | None, typer.Option(metavar="NAMES", help="Only these heliostats; * stands for any text, commas separate.")
-    ] = None,
+    only: OnlyNames = None,
     thorough: Annotated[
         bool | None,
         typer.Option(
@@ -124,13 +132,9 @@ def export_artist_command(
 def export_table_command(
     result: HeliostatResults,
     out: OutFolder,
-    date: Annotated[
-        str | None, typer.Option(metavar="YYYY-MM-DD", help="The day; default: today.", show_default=False)
-    ] = None,
-    step_minutes: Annotated[float, typer.Option(help="Step of the table.")] = 10.0,
-    target: Annotated[
-        str | None, typer.Option(help="Target whose centre is aimed at; default: the first.", show_default=False)
-    ] = None,
+    date: TableDay = None,
+    step_minutes: TableStep = 10.0,
+    target: AimedTarget = None,
     force: Force = False,
     quiet: Quiet = False,
     verbose: Verbose = False,
@@ -153,16 +157,10 @@ def _say_files(out: Path, exported: "Exported", *, quiet: bool) -> None:
 def aim_command(
     result: HeliostatResults,
     out: OutFolder,
-    date: Annotated[
-        str | None, typer.Option(metavar="YYYY-MM-DD", help="The day; default: today.", show_default=False)
-    ] = None,
-    step_minutes: Annotated[float, typer.Option(help="Step of the table.")] = 10.0,
-    target: Annotated[
-        str | None, typer.Option(help="Target whose centre is aimed at; default: the first.", show_default=False)
-    ] = None,
-    only: Annotated[
-        str | None, typer.Option(metavar="NAMES", help="Only these heliostats; * stands for any text, commas separate.")
-    ] = None,
+    date: TableDay = None,
+    step_minutes: TableStep = 10.0,
+    target: AimedTarget = None,
+    only: OnlyNames = None,
     readings: Annotated[
         Path | None,
         typer.Option(

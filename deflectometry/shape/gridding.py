@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import cv2
 import numpy as np
@@ -179,38 +179,39 @@ def grid_slopes(
 class _NodeSample(NamedTuple):
     """Slopes minus the smooth shape's (2, n) at nodes, their sigma (2, n), and the flag of the nearest pixel (n,)."""
 
-    residual: Float32Array
+    residual: FloatArray
     sigma: Float32Array
     flags: FlagArray
+
+
+_Plane = TypeVar("_Plane", FloatArray, Float32Array)
 
 
 class _WeightedSums(NamedTuple):
     """Sums over the pixels beside each node: weights (n,), weighted differences and squared-weight variances (2, n)."""
 
-    weight: Float32Array
-    residual: Float32Array
+    weight: FloatArray
+    residual: FloatArray
     variance: Float32Array
 
 
 def _sample(image: SlopeImage, surface: FittedSurface, pixels: FloatArray, width: int) -> _NodeSample:
-    """Interpolate the pixels' differences from the smooth shape at positions in the image (n, 2).
-
-    Single precision keeps 1e-10 rad of a difference of 1 mrad.
-    """
+    """Interpolate the pixels' differences from the smooth shape at positions in the image (n, 2)."""
     smooth_x, smooth_y = surface.gradient(image.x_m, image.y_m)
     usable = np.isfinite(image.slope_x) & np.isfinite(image.slope_y)
     weight = usable.astype(np.float32)
-    planes: list[Float32Array] = []
-    for plane in (image.slope_x - smooth_x, image.slope_y - smooth_y, image.sigma_x**2, image.sigma_y**2):
-        planes.append(plane.astype(np.float32, copy=False))
-        planes[-1][~usable] = 0.0
+    slopes = [image.slope_x - smooth_x, image.slope_y - smooth_y]
+    # Seven digits are enough for a variance.
+    variances = [(sigma**2).astype(np.float32, copy=False) for sigma in (image.sigma_x, image.sigma_y)]
+    for slope, variance in zip(slopes, variances, strict=True):
+        slope[~usable] = variance[~usable] = 0.0
     if width > 1:
         count = _box_sum(weight, width)
         # Half a cell must be seen for its mean to stand for it.
         weight = (count >= 0.5 * width * width).astype(np.float32)
-        share = (weight / np.maximum(count, 1)).astype(np.float32)
-        powers = (share, share, share**2, share**2)
-        planes = [np.multiply(_box_sum(plane, width), power) for plane, power in zip(planes, powers, strict=True)]
+        share = weight / np.maximum(count, 1).astype(np.float64)
+        slopes = [_box_sum(plane, width) * share for plane in slopes]
+        variances = [_box_sum(plane, width) * (share**2).astype(np.float32) for plane in variances]
     rows, columns = weight.shape
     nearest, inside = _nearest(pixels, (rows, columns))
     # OpenCV anchors an even box half a pixel past its middle.
@@ -223,9 +224,9 @@ def _sample(image: SlopeImage, surface: FittedSurface, pixels: FloatArray, width
     # A node whose nearest pixel was rejected has no value, whatever its other neighbours say.
     flags[usable_node] &= ~np.uint32(REJECTED)
     flags[~usable_node & (flags == 0)] = np.uint32(SampleFlag.NOT_SEEN)
-    sums = _interpolate(at, weight, planes, width)
+    sums = _interpolate(at, weight, slopes, variances, width)
     with np.errstate(invalid="ignore", divide="ignore"):
-        residual: Float32Array = np.divide(sums.residual, sums.weight, dtype=np.float32)
+        residual = sums.residual / sums.weight
         sigma: Float32Array = np.divide(np.sqrt(sums.variance), sums.weight, dtype=np.float32)
     residual[:, ~usable_node] = sigma[:, ~usable_node] = np.nan
     return _NodeSample(residual, sigma, flags)
@@ -238,12 +239,15 @@ def _nearest(pixels: FloatArray, shape: tuple[int, int]) -> tuple[IntArray, Bool
     return np.where(inside, row * shape[1] + column, 0), np.asarray(inside)
 
 
-def _box_sum(plane: Float32Array, width: int) -> Float32Array:
-    summed = cv2.boxFilter(plane, cv2.CV_32F, (width, width), normalize=False, borderType=cv2.BORDER_CONSTANT)
-    return np.asarray(summed, dtype=np.float32)
+def _box_sum(plane: _Plane, width: int) -> _Plane:
+    """Sum the boxes about all pixels, in the plane's own precision."""
+    summed = cv2.boxFilter(plane, -1, (width, width), normalize=False, borderType=cv2.BORDER_CONSTANT)
+    return np.asarray(summed, dtype=plane.dtype)
 
 
-def _interpolate(pixels: FloatArray, weight: Float32Array, planes: list[Float32Array], width: int) -> _WeightedSums:
+def _interpolate(
+    pixels: FloatArray, weight: Float32Array, slopes: list[FloatArray], variances: list[Float32Array], width: int
+) -> _WeightedSums:
     """Sum the neighbours of each position.
 
     Cubic where all 16 neighbours are there, linear over the ones of the 4 that are there elsewhere. Neighbours that
@@ -255,21 +259,21 @@ def _interpolate(pixels: FloatArray, weight: Float32Array, planes: list[Float32A
     shared = np.maximum(1.0 - apart / width, 0.0).astype(np.float32)
     # A border of two pixels without weight: every tap reads within the image.
     wide = columns + 4
-    padded = [np.pad(plane, 2).ravel() for plane in (weight, *planes)]
-    total = np.ones(len(pixels), dtype=np.float32)
-    residual, variance = np.zeros((2, 2, len(pixels)), dtype=np.float32)
+    padded_weight = np.pad(weight, 2).ravel()
+    padded = [(np.pad(one, 2).ravel(), np.pad(other, 2).ravel()) for one, other in zip(slopes, variances, strict=True)]
+    total, residual = np.ones(len(pixels)), np.zeros((2, len(pixels)))
+    variance = np.zeros((2, len(pixels)), dtype=np.float32)
     for start in range(0, len(pixels), _BLOCK):
         part = slice(start, start + _BLOCK)
         place = np.floor(pixels[part])
         left = np.clip(place[:, 0], -1, columns - 1).astype(np.intp)
         top = np.clip(place[:, 1], -1, rows - 1).astype(np.intp)
-        to_right = (pixels[part, 0] - left).astype(np.float32)
-        down = (pixels[part, 1] - top).astype(np.float32)
+        to_right, down = pixels[part, 0] - left, pixels[part, 1] - top
         inner = (left >= 1) & (left < columns - 2) & (top >= 1) & (top < rows - 2)
         # OpenCV anchors an even box one pixel past its middle: the 4 x 4 block from (-1, -1) ends at (+2, +2).
         cubic = inner & (block.take(np.where(inner, (top + 1) * columns + left + 1, 0)) > 15.5)
         along_x, along_y = _tap_weights(to_right, cubic), _tap_weights(down, cubic)
-        noise_x, noise_y = along_x * (shared @ along_x), along_y * (shared @ along_y)
+        noise_x, noise_y = (one * (shared @ one) for one in (along_x.astype(np.float32), along_y.astype(np.float32)))
         first = (top + 1) * wide + left + 1
         # The weights of a cubic add up to 1.
         all_there = bool(cubic.all())
@@ -279,14 +283,14 @@ def _interpolate(pixels: FloatArray, weight: Float32Array, planes: list[Float32A
             at = first + (tap_y * wide + tap_x)
             share, noise = along_x[tap_x] * along_y[tap_y], noise_x[tap_x] * noise_y[tap_y]
             if not all_there:
-                total[part] += share * padded[0].take(at)
-            for axis in (0, 1):
-                residual[axis, part] += share * padded[1 + axis].take(at)
-                variance[axis, part] += noise * padded[3 + axis].take(at)
+                total[part] += share * padded_weight.take(at)
+            for axis, (slope, its_variance) in enumerate(padded):
+                residual[axis, part] += share * slope.take(at)
+                variance[axis, part] += noise * its_variance.take(at)
     return _WeightedSums(total, residual, variance)
 
 
-def _tap_weights(fraction: Float32Array, cubic: BoolArray) -> Float32Array:
+def _tap_weights(fraction: FloatArray, cubic: BoolArray) -> FloatArray:
     """Return the weights of the pixels at -1, 0, 1, 2: Catmull and Rom's cubic, or linear, shape (4, n)."""
     t, rest = fraction, 1 - fraction
     weights = np.stack(

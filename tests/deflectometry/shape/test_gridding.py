@@ -49,9 +49,8 @@ def test_slopes_stay_where_they_are(step_m):
     x, y = np.meshgrid(result.x_m, result.y_m)
     good = result.valid
     assert good[result.aperture].all()
-    # Single precision: 6e-8 of 1.2 mrad for each of a value, its weight, their product and the sum.
-    assert np.abs(result.slope_x - 1e-3 * x)[good].max() < 2.9e-10
-    assert np.abs(result.slope_y - 2e-3 * y + 1e-3 * x)[good].max() < 2.9e-10
+    assert np.abs(result.slope_x - 1e-3 * x)[good].max() < 1e-12
+    assert np.abs(result.slope_y - 2e-3 * y + 1e-3 * x)[good].max() < 1e-12
 
 
 @pytest.mark.slow

@@ -444,7 +444,7 @@ class TestRealHeliostats:
         rows = {row["heliostat"]: row for row in rows_of(tmp_path / "out" / "field.csv")}
         assert len(rows) == 7
         faulty = rows.pop("BF41")
-        assert (faulty["status"], faulty["diagnosis"].split(", ")[:2]) == ("faulty", ["actuator_numbers", "episode"])
+        assert (faulty["status"], faulty["diagnosis"]) == ("faulty", "actuator_numbers, episode, outliers")
         assert "does not close at 20 of 169 readings" in faulty["reason"]
         assert all(float(row["beam_test_rms_mrad"]) < 2.7 for row in rows.values())
         assert [row["status"] for row in rows.values()] == ["ok"] * 6
