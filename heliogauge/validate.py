@@ -37,10 +37,11 @@ def float_array(name: str, values: npt.ArrayLike, shape: Sequence[int | None], *
         array = np.array(values, dtype=np.float64)
     except (TypeError, ValueError) as error:
         raise InputError(f"{name}: numbers of shape {_shape_text(shape)} are needed, not {values!r:.80}") from error
-    fits = array.ndim == len(shape) and all(
-        want is None or size == want for size, want in zip(array.shape, shape, strict=True)
-    )
-    if not fits:
+    # The quick comparison first: values of single targets are checked by the thousand.
+    if array.shape != shape and not (
+        array.ndim == len(shape)
+        and all(want is None or size == want for size, want in zip(array.shape, shape, strict=True))
+    ):
         raise InputError(f"{name}: shape {_shape_text(shape)} is needed, not {array.shape}")
     if finite and not np.isfinite(array).all():
         raise InputError(f"{name}: {np.count_nonzero(~np.isfinite(array))} of {array.size} values are not finite")

@@ -5,6 +5,7 @@ Importing scipy.special takes 0.18 s of CPU: 13 % of the whole command on a smal
 """
 
 import math
+from functools import lru_cache
 from statistics import NormalDist
 
 from heliogauge.errors import InputError
@@ -53,6 +54,7 @@ def _upper_fraction(a: float, x: float) -> float:
     return result
 
 
+@lru_cache(maxsize=1024)
 def chi_square_quantile(probability: float, freedom: float) -> float:
     """Return the value below which a chi-square variable stays with a given probability.
 

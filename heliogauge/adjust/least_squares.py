@@ -1,6 +1,6 @@
 """Weighted, robust adjustment of named parameters: priors, constraints, datum, rank, covariance."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Generic
 
@@ -292,10 +292,8 @@ class _Model(Generic[StateT]):
             weights = np.repeat(self.loss.weight(lengths), self.block_size)
             cost = 0.5 * float(self.loss.rho(lengths).sum())
         if problem.extra:
-            extra = [_extra_rows(problem.names, item, state, values) for item in problem.extra]
-            residuals = np.concatenate([residuals, *(row for row, _ in extra)])
-            jacobian = np.concatenate([jacobian, *(row for _, row in extra)])
-            known = residuals[n_observations:]
+            known, known_jacobian = _extra_rows(problem, state, values)
+            residuals, jacobian = np.concatenate([residuals, known]), np.concatenate([jacobian, known_jacobian])
             weights, cost = np.concatenate([weights, np.ones(known.size)]), cost + 0.5 * float(known @ known)
         if not np.isfinite(jacobian).all():
             cost = float("inf")
@@ -307,13 +305,18 @@ class _Model(Generic[StateT]):
         return _Rows(residuals, jacobian, n_observations, weights, cost, values, constraints, self.rank_tolerance)
 
 
-def _extra_rows(
-    names: Sequence[str], item: Prior | Constraint[Any], state: Any, values: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    if isinstance(item, Prior):
-        place = names.index(item.name)
-        row = np.zeros((1, len(names)))
-        row[0, place] = 1.0 / item.sigma
-        return np.array([(values[place] - item.value) / item.sigma]), row
-    residuals, jacobian = item.evaluate(state)
-    return np.atleast_1d(residuals) / item.sigma, np.atleast_2d(jacobian) / item.sigma
+def _extra_rows(problem: Problem[Any], state: Any, values: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Residuals and derivatives of priors, then of constraints."""
+    priors = [item for item in problem.extra if isinstance(item, Prior)]
+    places = [problem.names.index(item.name) for item in priors]
+    over = 1.0 / np.array([item.sigma for item in priors])
+    jacobian = np.zeros((len(priors), len(problem.names)))
+    jacobian[np.arange(len(priors)), places] = over
+    residuals = (values[places] - [item.value for item in priors]) * over
+    constraints = [item for item in problem.extra if isinstance(item, Constraint)]
+    if not constraints:
+        return np.asarray(residuals), jacobian
+    found = [(one.sigma, *one.evaluate(state)) for one in constraints]
+    more = [np.atleast_1d(rest) / sigma for sigma, rest, _ in found]
+    derivatives = [np.atleast_2d(derivative) / sigma for sigma, _, derivative in found]
+    return np.concatenate([residuals, *more]), np.concatenate([jacobian, *derivatives])

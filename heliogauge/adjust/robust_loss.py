@@ -1,6 +1,7 @@
 """Robust losses of an adjustment: what one observation, or one block of them, costs when it is far off."""
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Protocol
 
 import numpy as np
@@ -16,6 +17,10 @@ class Loss(Protocol):
     psi'(s)`` what the covariance needs: an observation that no longer pulls (slope 0) adds nothing to the precision,
     although its weight is not 0.
     """
+
+    def __hash__(self) -> int:
+        """Losses are values: averages over normal errors are kept."""
+        ...
 
     def rho(self, s: FloatArray) -> FloatArray:
         """Cost of a block, equal to ``s**2`` near zero."""
@@ -166,6 +171,7 @@ def loss_moments(loss: Loss, s: FloatArray, block_size: int) -> LossMoments:
     return LossMoments(float(slope.mean()), float(np.mean((weight * s) ** 2)) / block_size, float(slope.var()))
 
 
+@lru_cache(maxsize=64)
 def normal_moments(loss: Loss, block_size: int) -> LossMoments:
     """Average a loss over normal errors of the stated sigma (by quadrature, good to 1e-3).
 

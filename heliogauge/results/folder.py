@@ -243,15 +243,16 @@ def _finite_or_reason(
     return None
 
 
-def hash_files(paths: Iterable[Path], relative_to: Path | None = None) -> dict[str, str]:
+def hash_files(paths: Iterable[Path], relative_to: Path | None = None, most_bytes: int | None = None) -> dict[str, str]:
     """Hash files, several at a time.
 
     relative_to: Folder the names are given from; the bare file name for files elsewhere and without it.
+    most_bytes: Largest size of a file; any size without it.
     Returns: Name with forward slashes, SHA-256 in hexadecimal digits, in the order given.
     """
     files = list(dict.fromkeys(paths))
     with ThreadPoolExecutor(max_workers=min(4, os.cpu_count() or 1)) as pool:
-        digests = list(pool.map(_hash_file, files))
+        digests = list(pool.map(lambda path: _hash_file(path, most_bytes), files))
     root = relative_to.resolve() if relative_to is not None else None
     names = [_relative_name(path, root) for path in files]
     return dict(zip(names, digests, strict=True))
@@ -286,8 +287,8 @@ def _relative_name(path: Path, root: Path | None) -> str:
     return resolved.relative_to(root).as_posix() if root and resolved.is_relative_to(root) else path.name
 
 
-def _hash_file(path: Path) -> str:
-    with open_regular(path) as file:
+def _hash_file(path: Path, most_bytes: int | None) -> str:
+    with open_regular(path, most_bytes=most_bytes) as file:
         try:
             return hashlib.file_digest(file, "sha256").hexdigest()
         except OSError as error:

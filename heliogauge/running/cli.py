@@ -8,6 +8,7 @@ error, exit 2. Any other exception is a bug and shows its traceback. Ctrl-C ends
 143; both unwind the stack, so that a result that is being written is removed.
 """
 
+import atexit
 import gc
 import os
 import re
@@ -44,7 +45,7 @@ from heliogauge.running.commands import (
 from heliogauge.running.help_text import HelpContext, show_whole, write_commands
 
 #: Objects with references, made and still there, before cycles among them are looked for; Python's own number is 700.
-_NEW_OBJECTS = 50_000
+_NEW_OBJECTS = 100_000
 
 
 def group_of(instrument: Instrument) -> Any:
@@ -346,6 +347,8 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
     signal.signal(signal.SIGTERM, _terminate)
     # Looking for cycles among the objects of a hundred thousand definitions is a tenth of a short command.
     gc.set_threshold(_NEW_OBJECTS)
+    # Nor are cycles looked for among all objects when the process ends and its memory goes back as a whole.
+    atexit.register(gc.freeze)
     for stream in (sys.stdout, sys.stderr):
         # A console that cannot show a sign (Windows' code pages, a log in ASCII) gets a stand-in, not a traceback.
         if isinstance(stream, TextIOWrapper):

@@ -4,6 +4,7 @@ One thing that cannot be measured does not stop the others: its failure is an ou
 are under way at a time, so memory does not grow with their number. Dask is imported only where a scheduler is named.
 """
 
+import gc
 import multiprocessing
 import os
 import signal
@@ -138,6 +139,8 @@ def _begin_worker(function: Callable[..., Any], context: Any) -> None:
     # Ctrl-C reaches the whole group of processes; the parent alone decides what becomes of it.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     _shared.update(function=function, context=context)
+    # What was imported stays: looking for cycles among it is a twelfth of the work on a heliostat.
+    gc.freeze()
 
 
 def _work(task: Any) -> Any:

@@ -1,7 +1,7 @@
 """Smooth curl of a slope map: means over the mirror that are zero for every surface, with their covariance."""
 
-from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import product
 
 import cv2
 import numpy as np
@@ -60,17 +60,7 @@ def curl_moments(slope_map: SlopeMap) -> CurlMoments | None:
     if np.count_nonzero(complete) < 100:
         return None
     weights = _Weights.of(slope_map, valid, complete)
-    values, random = np.zeros(len(_POWERS)), np.zeros((len(_POWERS),) * 2)
-    for rows, weights_x, weights_y in weights.blocks():
-        # Nodes without a value have no weight.
-        known = valid[rows].ravel()
-        for one, slopes, design, sigma in (
-            (weights_x, slope_map.slope_x, slope_map.design_slope_x, slope_map.sigma_random_x),
-            (weights_y, slope_map.slope_y, slope_map.design_slope_y, slope_map.sigma_random_y),
-        ):
-            errors = np.where(known, (slopes[rows] - design[rows]).ravel(), 0.0)
-            values += one @ errors
-            random += (one * np.where(known, sigma[rows].ravel(), 0.0) ** 2) @ one.T
+    values, random = weights.of_slopes(slope_map, valid)
     modes = weights.of_modes(slope_map.common)
     return CurlMoments(values, slope_map.noise_correlation * random + modes @ modes.T, slope_map, weights)
 
@@ -81,11 +71,14 @@ _POWERS = [(order - j, j) for order in range(_DEGREE + 1) for j in range(order +
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Weights:
-    """What slopes in x and y of each node add to each mean.
+    """What the curl of each node adds to each mean: a window times powers of the place in x and in y.
 
     x_m, y_m: The map's grid [m].
     columns (d + 1, nx), rows (d + 1, ny): Powers of the places.
-    window (ny, nx): Weight of each node's curl, with a sum of 1.
+    window (ny, nx): Weight of each node's curl, with a sum of 1; none in the first and last rows and columns.
+
+    The curl of a node is that of differences over two steps. Sums over all nodes of a window times powers are made of
+    two products of matrices, the powers of y with the window and what comes with the powers of x.
     """
 
     x_m: FloatArray
@@ -104,40 +97,115 @@ class _Weights:
         columns, rows = ((place / scale) ** powers for place, _ in places)
         return cls(slope_map.x_m, slope_map.y_m, columns, rows, window / window.sum())
 
-    def blocks(self) -> Iterator[tuple[slice, FloatArray, FloatArray]]:
-        """Yield some rows, and the weights (k, b) of their slopes in x and in y [1/m]."""
-        height, width = self.window.shape
-        # Sums of differences over two steps, moved from the slopes to the weights; none at the edge.
-        along_x, along_y = (np.zeros(grid.size) for grid in (self.x_m, self.y_m))
-        for one, grid in ((along_x, self.x_m), (along_y, self.y_m)):
-            one[1:-1] = 1 / (grid[2:] - grid[:-2])
-        step = max(1, _BLOCK // width)
-        for start in range(0, height, step):
-            rows = slice(start, min(start + step, height))
-            above = slice(max(start - 1, 0), min(rows.stop + 1, height))
-            by_y = np.zeros((rows.stop - rows.start + 2, width))
-            by_y[above.start - start + 1 : above.stop - start + 1] = self.window[above] * along_y[above, None]
-            by_x = self.window[rows] * along_x
-            powers_y = np.zeros((_DEGREE + 1, len(by_y)))
-            powers_y[:, above.start - start + 1 : above.stop - start + 1] = self.rows[:, above]
-            weights_x, weights_y = np.zeros((2, len(_POWERS), *by_x.shape))
-            for number, (power_x, power_y) in enumerate(_POWERS):
-                part = by_y * powers_y[power_y][:, None]
-                np.multiply(part[:-2] - part[2:], self.columns[power_x], out=weights_x[number])
-                part = by_x * np.multiply.outer(self.rows[power_y, rows], self.columns[power_x])
-                weights_y[number, :, :-1] = part[:, 1:]
-                weights_y[number, :, 1:] -= part[:, :-1]
-            yield rows, weights_x.reshape(len(_POWERS), -1), weights_y.reshape(len(_POWERS), -1)
+    def of_slopes(self, slope_map: SlopeMap, valid: BoolArray) -> tuple[FloatArray, FloatArray]:
+        """Return the means (k,) of a map's slope errors [1/m], and their covariance (k, k) from its noise [1/m^2].
+
+        A slope has the difference of the weights of two nodes. The covariance is therefore that of each node's curl
+        with itself, less that of two nodes that share the slope between them.
+        """
+        along_x, along_y = _Differences.of(self.x_m, self.columns), _Differences.of(self.y_m, self.rows)
+        size = 2 * _DEGREE + 1
+        means = np.zeros((_DEGREE + 1, self.x_m.size))
+        own_x, own_y = np.zeros((2, size, self.x_m.size))
+        shared_x, shared_y = np.zeros((_SQUARES, self.x_m.size)), np.zeros((size, self.x_m.size))
+        step = max(1, _BLOCK // self.x_m.size)
+        for start in range(1, self.y_m.size - 1, step):
+            rows = slice(start, min(start + step, self.y_m.size - 1))
+            halo = slice(rows.start - 1, rows.stop + 1)
+            # Nodes without a value have no weight.
+            known, window = valid[halo], self.window[halo]
+            errors_x = np.where(known, slope_map.slope_x[halo] - slope_map.design_slope_x[halo], 0.0)
+            errors_y = np.where(known, slope_map.slope_y[halo] - slope_map.design_slope_y[halo], 0.0)[1:-1]
+            curl = (errors_x[2:] - errors_x[:-2]) * along_y.per_m[rows, None]
+            curl[:, 1:-1] -= (errors_y[:, 2:] - errors_y[:, :-2]) * along_x.per_m[1:-1]
+            means += self.rows[:, rows] @ (window[1:-1] * curl)
+            variance_x = np.where(known, slope_map.sigma_random_x[halo], 0.0) ** 2
+            variance_y = np.where(known, slope_map.sigma_random_y[halo], 0.0)[1:-1] ** 2
+            squares = window[1:-1] ** 2
+            own_x += along_y.squares[:, rows] @ (squares * (variance_x[2:] + variance_x[:-2]))
+            shared_x += along_y.shared[:, rows] @ (window[2:] * window[:-2] * variance_x[1:-1])
+            powers = along_y.powers[:, rows]
+            window, squares = window[1:-1], squares[:, 1:-1]
+            own_y[:, 1:-1] += powers @ (squares * (variance_y[:, 2:] + variance_y[:, :-2]))
+            shared_y[:, 1:-1] += powers @ (window[:, 2:] * window[:, :-2] * variance_y[:, 1:-1])
+        # The first and last nodes have no weight: not even in a slope that another node shares.
+        shared_x = shared_x @ along_x.powers.T
+        own = own_x @ along_x.powers.T + own_y @ along_x.squares.T
+        shared_y = shared_y @ along_x.shared.T
+        values = np.array([means[j] @ self.columns[i] for i, j in _POWERS])
+        random = np.empty((len(_POWERS),) * 2)
+        for (row, (i, j)), (column, (m, n)) in product(enumerate(_POWERS), repeat=2):
+            shared = shared_x[_square(j, n), i + m] + shared_y[j + n, _square(i, m)]
+            random[row, column] = own[j + n, i + m] - shared
+        return values, random
 
     def of_modes(self, modes: CommonModes) -> FloatArray:
         """Return the means of smooth slope errors, shape (k, number of modes) [1/m]."""
         total = np.zeros((len(_POWERS), len(modes.sources)))
         if not modes.sources:
             return total
-        for rows, weights_x, weights_y in self.blocks():
-            values = np.stack(list(modes.on_grid(self.x_m, self.y_m[rows]))).reshape(len(modes.sources), 2, -1)
-            total += weights_x @ values[:, 0].T + weights_y @ values[:, 1].T
+        along_x, along_y = _Differences.of(self.x_m, self.columns), _Differences.of(self.y_m, self.rows)
+        columns, rows = modes.powers_on(self.x_m, self.y_m)
+        # Sums of the window times powers of the polynomials and of the modes: [of y: both, of x: both].
+        of_y, of_x = _products(self.rows, along_y.of_functions(rows)), _products(self.columns, columns)
+        by_y = _split(of_y @ self.window @ of_x.T, modes.degree + 1)
+        of_y, of_x = _products(self.rows, rows), _products(self.columns, along_x.of_functions(columns))
+        by_x = _split(of_y @ self.window @ of_x.T, modes.degree + 1)
+        for number, table in enumerate(modes.tables()):
+            for row, (i, j) in enumerate(_POWERS):
+                total[row, number] = np.sum(table[0] * by_y[j, :, i]) - np.sum(table[1] * by_x[j, :, i])
         return total
+
+
+#: Number of pairs of powers of two places.
+_SQUARES = (_DEGREE + 1) ** 2
+
+
+def _square(first: int, second: int) -> int:
+    return first * (_DEGREE + 1) + second
+
+
+def _products(first: FloatArray, second: FloatArray) -> FloatArray:
+    """Return all products of two sets of functions of one place, shape (a * b, n)."""
+    return np.asarray((first[:, None] * second[None]).reshape(-1, first.shape[1]))
+
+
+def _split(sums: FloatArray, size: int) -> FloatArray:
+    """Take sums of products of y (rows) and of x (columns) apart: [polynomial y, mode y, polynomial x, mode x]."""
+    return np.asarray(sums.reshape(_DEGREE + 1, size, _DEGREE + 1, size))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Differences:
+    """Differences over two steps along one axis of the grid, of n places.
+
+    per_m (n,): One over the two steps; 0 at the ends [1/m].
+    powers (2 d + 1, n): Powers of the places.
+    squares (2 d + 1, n): The same times the square of `per_m`.
+    shared ((d + 1)^2, n): For the slope of a node, which its neighbours' curls share: products of the powers of the
+        place behind and of the one ahead, in both orders, times both `per_m`.
+    """
+
+    per_m: FloatArray
+    powers: FloatArray
+    squares: FloatArray
+    shared: FloatArray
+
+    @classmethod
+    def of(cls, grid_m: FloatArray, powers: FloatArray) -> "_Differences":
+        per_m = np.zeros(grid_m.size)
+        per_m[1:-1] = 1 / (grid_m[2:] - grid_m[:-2])
+        more = powers[1] ** np.arange(2 * _DEGREE + 1)[:, None]
+        weighted, shared = powers * per_m, np.zeros((_DEGREE + 1, _DEGREE + 1, grid_m.size))
+        ahead_behind = weighted[:, None, 2:] * weighted[None, :, :-2]
+        shared[..., 1:-1] = ahead_behind + ahead_behind.swapaxes(0, 1)
+        return cls(per_m, more, more * per_m**2, shared.reshape(_SQUARES, -1))
+
+    def of_functions(self, values: FloatArray) -> FloatArray:
+        """Return the differences of functions of the place, shape (k, n); 0 at the ends."""
+        result = np.zeros_like(values)
+        result[:, 1:-1] = (values[:, 2:] - values[:, :-2]) * self.per_m[1:-1]
+        return result
 
 
 def _window(complete: BoolArray) -> FloatArray:

@@ -1,6 +1,7 @@
 """Slope maps as fields on a grid: curl and curvature, resampling, differences."""
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -10,6 +11,9 @@ from heliogauge.slopes.interpolation import weighted_sigma
 from heliogauge.slopes.map import CommonModes, SlopeMap
 from heliogauge.slopes.removal import fit_modes
 from heliogauge.validate import BoolArray, FlagArray, FloatArray, IntArray, float_array
+
+#: Nodes that are worked on at once: what belongs to them stays in the second-level cache.
+_BLOCK = 8192
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -39,6 +43,66 @@ def curl(slope_map: SlopeMap) -> Derivative:
         turn = _central(mode_x, slope_map.y_m, 0, reach) - _central(mode_y, slope_map.x_m, 1, reach)
         variance += turn**2
     return _derivative(x_by_y - y_by_x, variance)
+
+
+class CurlRms(NamedTuple):
+    """RMS over a map of its `curl`, and of the curl's sigma; NaN where no node has one [1/m]."""
+
+    measured_per_m: float
+    expected_per_m: float
+
+
+def curl_rms(slope_map: SlopeMap) -> CurlRms:
+    """Return the RMS of a map's `curl` and of its sigma over the measured nodes, without either as a map."""
+    reach, valid = _reach(slope_map), slope_map.valid
+    if min(slope_map.shape) <= 2 * reach:
+        return CurlRms(np.nan, np.nan)
+    middle, ahead, behind = slice(reach, -reach), slice(2 * reach, None), slice(None, -2 * reach)
+    steps_x, steps_y = (grid[ahead] - grid[behind] for grid in (slope_map.x_m, slope_map.y_m))
+    seen = valid[middle, middle] & valid[ahead, middle] & valid[behind, middle]
+    seen &= valid[middle, ahead] & valid[middle, behind]
+    squares = variances = 0.0
+    for start in range(0, len(seen), max(1, _BLOCK // seen.shape[1])):
+        rows = slice(start, min(start + max(1, _BLOCK // seen.shape[1]), len(seen)))
+        inner, later = (
+            slice(rows.start + reach, rows.stop + reach),
+            slice(rows.start + 2 * reach, rows.stop + 2 * reach),
+        )
+        known, steps = seen[rows], steps_y[rows, None]
+        slope_x, slope_y = slope_map.slope_x, slope_map.slope_y[inner]
+        turn = (slope_x[later, middle] - slope_x[rows, middle]) / steps
+        turn -= (slope_y[:, ahead] - slope_y[:, behind]) / steps_x
+        squares += float(np.sum(np.square(turn, out=turn), where=known))
+        sigma_x, squared_y = slope_map.sigma_random_x, slope_map.sigma_random_y[inner] ** 2
+        variance = (sigma_x[later, middle] ** 2 + sigma_x[rows, middle] ** 2) / steps**2
+        variance += (squared_y[:, ahead] + squared_y[:, behind]) / steps_x**2
+        variances += float(np.sum(variance, where=known))
+    count = int(np.count_nonzero(seen))
+    if not count:
+        return CurlRms(np.nan, np.nan)
+    variances += _curl_squares(slope_map.common, slope_map, reach, seen)
+    return CurlRms(float(np.sqrt(squares / count)), float(np.sqrt(variances / count)))
+
+
+def _curl_squares(modes: CommonModes, slope_map: SlopeMap, reach: int, seen: BoolArray) -> float:
+    """Return the sum over nodes and modes of the squared curl of each mode [1/m^2].
+
+    A mode's curl is a sum of products of a function of y and one of x: its square is summed by products of matrices.
+    """
+    middle, ahead, behind = slice(reach, -reach), slice(2 * reach, None), slice(None, -2 * reach)
+    of_x, of_y = modes.powers_on(slope_map.x_m, slope_map.y_m)
+    d_x, d_y = (
+        (powers[:, ahead] - powers[:, behind]) / (grid[ahead] - grid[behind])
+        for powers, grid in ((of_x, slope_map.x_m), (of_y, slope_map.y_m))
+    )
+    along_y = np.concatenate([d_y, of_y[:, middle]])
+    products = (along_y[:, None] * along_y[None]).reshape(-1, along_y.shape[1])
+    sums = (products @ seen.astype(np.float64)).reshape(len(along_y), len(along_y), -1)
+    total = 0.0
+    for by_x, by_y in modes.tables():
+        along_x = np.concatenate([by_x @ of_x[:, middle], -by_y @ d_x])
+        total += float(np.einsum("abn,an,bn->", sums, along_x, along_x, optimize=True))
+    return total
 
 
 def curvature(slope_map: SlopeMap) -> tuple[Derivative, Derivative]:

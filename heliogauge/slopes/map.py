@@ -65,16 +65,26 @@ class CommonModes:
         Shapes: x_m (nx,), y_m (ny,).
         Yields (2, ny, nx): Change of slope_x and slope_y for +1 sigma of the source [rad].
         """
+        columns, rows = self.powers_on(x_m, y_m)
+        for table in self.tables():
+            yield rows.T @ (table @ columns)
+
+    def powers_on(self, x_m: FloatArray, y_m: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the powers of u on the columns and of v on the rows of a grid, shape (degree + 1, nx or ny)."""
+        powers = np.arange(self.degree + 1)[:, None]
+        u, v = (x_m - self.center_m[0]) / self.scale_m, (y_m - self.center_m[1]) / self.scale_m
+        return u**powers, v**powers
+
+    def tables(self) -> Iterator[FloatArray]:
+        """Yield the coefficients of the modes, shape (2, degree + 1, degree + 1): of v by rows, of u by columns."""
         powers = np.arange(self.degree + 1)
-        columns = ((x_m - self.center_m[0]) / self.scale_m)[:, None] ** powers
-        rows = ((y_m - self.center_m[1]) / self.scale_m)[:, None] ** powers
         # The term j of total power n is u**(n - j) v**j.
         total = np.repeat(powers, powers + 1)
         of_v = np.concatenate([np.arange(n + 1) for n in powers])
         for coefficients in self.coefficients:
             table = np.zeros((2, powers.size, powers.size))
             table[:, of_v, total - of_v] = coefficients
-            yield rows @ (table @ columns.T)
+            yield table
 
     def variance_on_grid(self, x_m: FloatArray, y_m: FloatArray) -> FloatArray:
         """Return the variance of both slopes at the nodes of a grid.
@@ -82,10 +92,18 @@ class CommonModes:
         Shapes: x_m (nx,), y_m (ny,).
         Returns (2, ny, nx): Variance of slope_x and slope_y from all sources together [rad^2].
         """
-        variance = np.zeros((2, y_m.size, x_m.size))
-        for mode in self.on_grid(x_m, y_m):
-            variance += mode**2
-        return variance
+        columns, rows = self.powers_on(x_m, y_m)
+        size = self.degree + 1
+        # The square of a polynomial is one of twice the degree; so is the sum of all.
+        squares = np.zeros((2, 2 * size - 1, 2 * size - 1))
+        for table in self.tables():
+            for i, j in np.ndindex(size, size):
+                squares[:, i : i + size, j : j + size] += table[:, i, j, None, None] * table
+        if not self.sources:
+            return np.zeros((2, y_m.size, x_m.size))
+        more_columns, more_rows = (powers[1] ** np.arange(2 * size - 1)[:, None] for powers in (columns, rows))
+        variance = more_rows.T @ (squares @ more_columns)
+        return np.asarray(np.maximum(variance, 0.0, out=variance))
 
 
 def no_common_modes() -> CommonModes:

@@ -54,12 +54,12 @@ def angles_of_errors(
 ) -> FloatArray:
     """Return what `normal_angles` does, from slope errors (measured minus design) and `across_normal` of the design."""
     p, q, dp, dq = design_slope_x, design_slope_y, error_x, error_y
-    # n = (-p, -q, 1) and m = n - (dp, dq, 0), not of unit length
-    cross = np.sqrt(dp**2 + dq**2 + (p * dq - q * dp) ** 2)
-    angle = np.arctan2(cross, 1 + p * (p + dp) + q * (q + dq))
     along_x, mixed, along_y = across
     direction = np.stack([along_x * dp + mixed * dq, mixed * dp + along_y * dq])
-    length = np.sqrt(direction[0] ** 2 + direction[1] ** 2)
+    length = np.sqrt(direction[0] * direction[0] + direction[1] * direction[1])
+    # n = (-p, -q, 1) and m = n - (dp, dq, 0), not of unit length: |n x m| = |n| |what m - n has across n|
+    squared = 1 + p * p + q * q
+    angle = np.arctan2(np.sqrt(squared) * length, squared + p * dp + q * dq)
     direction *= angle / np.maximum(length, np.finfo(np.float64).tiny)
     return direction
 

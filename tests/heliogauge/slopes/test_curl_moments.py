@@ -67,3 +67,34 @@ def test_a_map_of_few_nodes_has_none() -> None:
     aperture = np.zeros(slope_map.shape, dtype=bool)
     aperture[30:40, 30:40] = True
     assert curl_moments(replace(slope_map, aperture=aperture)) is None
+
+
+def test_covariance_and_modes_are_those_of_the_written_out_weights() -> None:
+    """Each slope's weight in each mean from a map with that slope alone, on a small uneven grid with a hole."""
+    rng = np.random.default_rng(4)
+    x_m, y_m = np.sort(rng.uniform(-0.6, 0.6, 17)), np.sort(rng.uniform(-0.5, 0.5, 15))
+    shape = (y_m.size, x_m.size)
+    modes = CommonModes(("camera", "screen pose"), rng.normal(size=(2, 2, 10)), np.array([0.1, -0.05]), 0.6)
+    flags = np.zeros(shape, dtype=np.uint32)
+    flags[6, 5] = SampleFlag.SATURATED
+    sigma = np.where(flags != 0, np.nan, rng.uniform(1e-5, 3e-5, (2, *shape)))
+    zero = np.zeros(shape)
+    words = plane().describe(), "facet", "nothing"
+    empty = SlopeMap(
+        x_m, y_m, zero, zero, zero, zero, *sigma, 2.0, modes, zero, flags, np.ones(shape, dtype=bool), *words
+    )
+    found = curl_moments(empty)
+    weights = np.zeros((6, 2, *shape))
+    for axis, name in enumerate(("slope_x", "slope_y")):
+        for node in np.argwhere(flags == 0).tolist():
+            slopes = zero.copy()
+            slopes[tuple(node)] = 1.0
+            weights[:, axis, *node] = curl_moments(replace(empty, **{name: slopes})).values_per_m
+    by_mode = np.einsum("kaij,maij->km", weights, np.stack(list(modes.on_grid(x_m, y_m))))
+    np.testing.assert_allclose(found.of_modes(modes), by_mode, atol=1e-12 * np.abs(by_mode).max())
+    random = np.einsum("kaij,laij->kl", weights * np.nan_to_num(sigma) ** 2, weights)
+    np.testing.assert_allclose(
+        found.covariance, 2.0 * random + by_mode @ by_mode.T, atol=1e-12 * np.abs(found.covariance).max()
+    )
+    only_noise = curl_moments(replace(empty, common=no_common_modes()))
+    np.testing.assert_allclose(only_noise.covariance, 2.0 * random, atol=1e-12 * np.abs(random).max())

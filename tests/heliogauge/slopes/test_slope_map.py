@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from heliogauge.errors import InputError
 from heliogauge.flags import SampleFlag
 from heliogauge.geometry.surfaces import paraboloid
-from heliogauge.slopes.grid import curl, curvature, difference, resample
+from heliogauge.slopes.grid import curl, curl_rms, curvature, difference, resample
 from heliogauge.slopes.map import CommonModes, SlopeMap, monomials, no_common_modes
 
 
@@ -184,6 +184,23 @@ def test_derivatives_do_not_use_a_missing_neighbour():
     holed = without(make_map(), 8, 10)
     assert np.isnan(curl(holed).value_per_m[7:10, 10]).tolist() == [True, False, True]
     assert np.isnan(curvature(holed)[0].value_per_m[8, 9:12]).tolist() == [True, False, True]
+
+
+@pytest.mark.parametrize("correlation", [1.0, 5.0])
+def test_rms_of_the_curl_is_that_of_its_map(correlation):
+    rng = np.random.default_rng(11)
+    errors = rng.normal(0, 1e-4, (2, 17, 21))
+    holed = without(make_map(*errors, common=modes(3, degree=3), correlation=correlation), [5, 8, 9], [4, 10, 10])
+    uneven = replace(holed, x_m=holed.x_m + 0.1 * holed.x_m**2, y_m=holed.y_m + 0.1 * holed.y_m**3)
+    turn = curl(uneven)
+    seen = uneven.valid & np.isfinite(turn.value_per_m)
+    expected = [np.sqrt(np.mean(one[seen] ** 2)) for one in (turn.value_per_m, turn.sigma_per_m)]
+    np.testing.assert_allclose(curl_rms(uneven), expected, rtol=1e-12)
+
+
+def test_a_map_without_four_neighbours_has_no_curl():
+    assert np.isnan(curl_rms(make_map(nx=2))).all()
+    assert np.isnan(curl_rms(without(make_map(nx=3), slice(None), 1))).all()
 
 
 @pytest.mark.parametrize("quantity", [curl, lambda m: curvature(m)[0], lambda m: curvature(m)[1]])
