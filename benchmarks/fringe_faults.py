@@ -6,7 +6,9 @@ Each fault is put into a measurement that is else good: drawn (exact truth), or 
 without the fault is the truth). Seed 0 has the amounts written here; further seeds draw frame and amount. What counts
 as wrong: curvatures, twist or the deviation from the best quadratic more than 3 sigma off, or single nodes scattering
 by more than 3 of their sigmas. Silent: no doubt that the measurement without the fault does not have, and none that
-names the faulty input ("warned": its sigma is not stated, so that the result's is too small by as much).
+names the faulty input ("warned"). "Told before" is wrong without a doubt, but the note of the good measurement names
+this input as one that nothing confirms (`inputs_unconfirmed`), with an amount no smaller than the fault: below it, a
+value whose stated sigma is not true cannot be told from a true one.
 """
 
 import argparse
@@ -109,14 +111,14 @@ def plain(value: Any) -> Any:
 class Fault:
     """One fault: its kind, its words, and what it does to a folder (in place, or a new one).
 
-    named_by: Doubts of the good measurement that name the faulty input as one that counts as exact.
+    key_of: The stated input that is made wrong, and what a unit of its amounts is in the file.
     """
 
     name: str
     kind: str
     apply: Callable[[Folder, "Draw"], Folder | None]
     drawn_only: bool = False
-    named_by: frozenset[str] = frozenset()
+    key_of: tuple[str, float] | None = None
 
 
 @dataclass
@@ -377,7 +379,7 @@ def draw_again(folder, draw, *, pattern=None, gamma=None, blur_px=None, wall=Non
     again = globals()["draw"](scene, draw.seed, Knowledge())
     # The same stated values; what was drawn anew is the light.
     again.content |= {key: folder.content[key] for key in ("camera", "screen", "mirror")}
-    if wall is not None:
+    if wall is not None and wall.is_plain:
         again.content["screen"] = {**folder.content["screen"], "width_m": wall.width_m, "height_m": wall.height_m}
     return again
 
@@ -524,8 +526,9 @@ def width_height_exchanged(folder, draw):
 
 def sagging_screen(folder, draw):
     wall = replace(folder.scene.bench.wall, sag_x_m=draw.amount(0.02, 0.002, 0.1))
+    # What is stated is the screen without sag.
     new = draw_again(folder, draw, wall=wall)
-    new.tables = {}
+    new.tables, new.content["screen"] = folder.tables, deepcopy(folder.content["screen"])
     new.content["screen"].pop("sigma_sag_mm", None)
     return new
 
@@ -533,9 +536,6 @@ def sagging_screen(folder, draw):
 def nothing(folder, draw):
     """Leave it as it is: what a good measurement says."""
 
-
-#: The doubt that the pose of the screen has no sigma.
-POSE_OF_SCREEN = frozenset({"sigma_of_setup_missing", "setup_contradicts_slopes"})
 
 FAULTS = (
     Fault("none", "control", nothing),
@@ -584,24 +584,31 @@ FAULTS = (
     Fault("height 2 sigma off, mm", "set-up", size_stated("height_m")),
     Fault("width and height exchanged", "set-up", width_height_exchanged),
     Fault("screen sags, m", "set-up", sagging_screen, True),
+    Fault("screen moved, m", "set-up", key(("screen", ("translation_m", 0)), 0.1, 0.01, 1, relative=False)),
     Fault(
-        "screen moved, m",
-        "set-up",
-        key(("screen", ("translation_m", 0)), 0.1, 0.01, 1, relative=False),
-        named_by=POSE_OF_SCREEN,
-    ),
-    Fault(
-        "screen turned, rad",
-        "set-up",
-        key(("screen", ("rotation_vector_rad", 1)), 0.02, 0.002, 0.2, relative=False),
-        named_by=POSE_OF_SCREEN,
+        "screen turned, rad", "set-up", key(("screen", ("rotation_vector_rad", 1)), 0.02, 0.002, 0.2, relative=False)
     ),
     Fault("screen's pose inverted", "set-up", screen_inverse),
     Fault("screen's pose in degrees", "set-up", screen_in_degrees),
-    Fault("distance", "set-up", key(("mirror", "distance", "distance_m"), 0.01, 5e-4, 0.1)),
+    Fault(
+        "distance",
+        "set-up",
+        key(("mirror", "distance", "distance_m"), 0.01, 5e-4, 0.1),
+        key_of=("mirror.distance.distance_m", 1e-3),
+    ),
     Fault("distance 2 sigma off, mm", "set-up", distance_stated),
-    Fault("camera's focal length", "set-up", key(("camera", "focal_x_px"), 0.01, 1e-3, 0.1)),
-    Fault("principal point, px", "set-up", key(("camera", "center_x_px"), 10.0, 1, 40, relative=False)),
+    Fault(
+        "camera's focal length",
+        "set-up",
+        key(("camera", "focal_x_px"), 0.01, 1e-3, 0.1),
+        key_of=("camera.focal_x_px", 1.0),
+    ),
+    Fault(
+        "principal point, px",
+        "set-up",
+        key(("camera", "center_x_px"), 10.0, 1, 40, relative=False),
+        key_of=("camera.center_x_px", 1.0),
+    ),
     Fault("distortion reversed", "set-up", distortion_reversed),
     Fault("distortion left out", "set-up", distortion_left_out),
     Fault("outline scaled", "outline", outline_scaled),
@@ -624,6 +631,7 @@ class Outcome:
     codes: frozenset[str]
     errors: dict[str, float]
     refused: bool = False
+    unconfirmed: dict[str, float] = field(default_factory=dict)
 
     def beside(self, clean: "Outcome") -> dict[str, float]:
         """Return the errors in sigma that the fault has brought: what the good measurement has is no part of it."""
@@ -644,6 +652,7 @@ def measure(folder: Folder, place: Path) -> Outcome:
         "; ".join(f"{doubt.code}: {doubt.text}" for doubt in heard),
         frozenset(doubt.code for doubt in heard),
         errors_in_sigma(one, folder.truth(one)),
+        unconfirmed={row.key: row.unnoticed for row in result.inputs if row.unnoticed_sigmas > 3},
     )
 
 
@@ -709,7 +718,18 @@ def same_nodes(clean: SlopeMap, found: SlopeMap) -> SlopeMap:
     return replace(found, slope_x=slopes[0], slope_y=slopes[1])
 
 
-def verdict(outcome: Outcome, clean: Outcome, fault: Fault) -> str:
+def amount_of(fault: Fault, base: Folder, damaged: Folder) -> float:
+    """Return by how much the stated input is off, in the unit of `StatedInput`; infinite where it is no single one."""
+    if fault.key_of is None:
+        return np.inf
+    name, unit = fault.key_of
+    before, after = base.content, damaged.content
+    for part in name.split("."):
+        before, after = before[part], after[part]
+    return abs(after - before) / unit
+
+
+def verdict(outcome: Outcome, clean: Outcome, fault: Fault, amount: float) -> str:
     if outcome.refused:
         return "refused"
     if outcome.errors.get("bug"):
@@ -717,8 +737,8 @@ def verdict(outcome: Outcome, clean: Outcome, fault: Fault) -> str:
     wrong = max(outcome.beside(clean).values()) > 3
     if outcome.codes - clean.codes:
         return "doubt, wrong" if wrong else "doubt"
-    if wrong and outcome.codes & fault.named_by:
-        return "warned, wrong"
+    if wrong and fault.key_of is not None and amount <= clean.unconfirmed.get(fault.key_of[0], 0.0):
+        return "told before"
     return "SILENT, WRONG" if wrong else "good"
 
 
@@ -756,7 +776,7 @@ def main() -> None:
                     print(f"  {fault.name:28} not made here: {type(error).__name__} {str(error)[:60]}")
                     continue
                 outcome = measure(damaged, Path(scratch) / f"fault-{number}")
-                seen = verdict(outcome, usual, fault)
+                seen = verdict(outcome, usual, fault, amount_of(fault, base, damaged))
                 counts[seen] += 1
                 errors = outcome.beside(usual)
                 worst = max(errors, key=lambda name: errors[name], default="")

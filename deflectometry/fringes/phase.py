@@ -203,7 +203,8 @@ def _squared_residuals(readings: FloatArray, solvers: Sequence[StepSolver], resp
         weights = solver.residual**2
         _, cosine, sine = solver.estimate @ light
         constant = weights @ slope_squared
-        steepness = slope_squared.max(axis=0) / (float(np.median(slope_squared)) or 1.0)
+        usual = 1.0 if response is None else float(np.median(slope_squared)) or 1.0
+        steepness = slope_squared.max(axis=0) / usual
         # Next to black a response can be steep and bent: such pixels must not shape the harmonics of all others.
         gentle = (
             (steepness < _STEEP)
@@ -243,8 +244,17 @@ def residual_distortion(light: FloatArray, solver: StepSolver, weights: FloatArr
 
 def _harmonics(cosine: FloatArray, sine: FloatArray) -> FloatArray:
     """Return modulation times cos 2 phi, sin 2 phi, cos 3 phi, sin 3 phi, shape (4, n_pixels)."""
-    modulation, phase = np.hypot(cosine, sine), np.arctan2(sine, cosine)
-    return np.stack([modulation * wave(order * phase) for order in (2, 3) for wave in (np.cos, np.sin)])
+    cosine_squared, sine_squared = cosine * cosine, sine * sine
+    power = np.maximum(cosine_squared + sine_squared, np.finfo(np.float64).tiny)
+    modulation = np.sqrt(power)
+    return np.stack(
+        [
+            (cosine_squared - sine_squared) / modulation,
+            2 * cosine * sine / modulation,
+            cosine * (cosine_squared - 3 * sine_squared) / power,
+            sine * (3 * cosine_squared - sine_squared) / power,
+        ]
+    )
 
 
 def _regress(squares: _Squares, expected: FloatArray, floor: float) -> tuple[float, float]:

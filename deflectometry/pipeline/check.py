@@ -9,6 +9,7 @@ from deflectometry.pipeline.inputs import (
     check_missing_sigmas,
     check_screen,
     describe_mirror,
+    inputs_without_sigma,
 )
 from deflectometry.pipeline.plausibility import refuse_impossible
 from heliogauge.images.photos import read_frames
@@ -28,7 +29,8 @@ def find_faults(measurement: DeflectometryMeasurement, findings: Findings) -> No
     setup = findings.attempt(build_setup, measurement)
     findings.add(check_compression([file.name for file in measurement.fringe_files]))
     if setup is not None:
-        findings.add(check_screen(measurement, setup.screen), check_missing_sigmas(measurement, setup))
+        unstated = inputs_without_sigma(measurement, setup)
+        findings.add(check_screen(measurement, setup.screen), check_missing_sigmas(unstated))
         if size is not None:
             findings.attempt(check_size, size, setup.camera, str(measurement.folder))
         mirror = findings.attempt(describe_mirror, measurement, setup)

@@ -12,12 +12,11 @@ from deflectometry.shape.facet_canting import FacetCanting
 from heliogauge.flags import FLAG_TEXTS, count_flags
 from heliogauge.reporting.notation import number_text
 from heliogauge.results.folder import Summary, unit_of
-from heliogauge.slopes.grid import curl
+from heliogauge.slopes.grid import curl_rms
 from heliogauge.slopes.map import SlopeMap
 from heliogauge.slopes.mounts import LEAST_SHARE
 from heliogauge.slopes.removal import MeasuredNodes, Removal, measured_nodes
 from heliogauge.slopes.statistics import Canting, SlopeStatistics, common_rms, fit_quadratic, statistics_of_removals
-from heliogauge.validate import FloatArray
 
 Numbers = dict[str, float | int | None]
 
@@ -156,7 +155,6 @@ def _deviation_numbers(deviation: SlopeStatistics, view: str) -> Numbers:
 
 def _uncertainty_numbers(slope_map: SlopeMap, nodes: MeasuredNodes) -> Numbers:
     """Return the shares of the uncertainty: random, and each common source, as RMS over the map."""
-    valid = slope_map.valid
     random = np.sqrt(nodes.variance.mean(axis=1)).tolist()
     shares = common_rms(slope_map, nodes)
     numbers: Numbers = {
@@ -169,14 +167,13 @@ def _uncertainty_numbers(slope_map: SlopeMap, nodes: MeasuredNodes) -> Numbers:
         name = source.replace(" ", "_")
         numbers[f"sigma_{name}_x_rms_rad"] = share_x
         numbers[f"sigma_{name}_y_rms_rad"] = share_y
-    turn = curl(slope_map)
-    numbers["curl_rms_per_m"] = _rms(turn.value_per_m[valid & np.isfinite(turn.value_per_m)])
-    numbers["curl_expected_rms_per_m"] = _rms(turn.sigma_per_m[valid & np.isfinite(turn.value_per_m)])
-    return numbers
+    return numbers | curl_numbers(slope_map)
 
 
-def _rms(values: FloatArray) -> float:
-    return float(np.sqrt(np.mean(np.square(values)))) if values.size else float("nan")
+def curl_numbers(slope_map: SlopeMap) -> Numbers:
+    """Return the curl of a map, which no surface has, and what its errors of measurement make of it."""
+    found, expected = curl_rms(slope_map)
+    return {"curl_rms_per_m": found, "curl_expected_rms_per_m": expected}
 
 
 def pose_numbers(located: LocatedMirror, evaluation: Evaluation) -> Numbers:

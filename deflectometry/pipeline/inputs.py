@@ -1,5 +1,7 @@
 """From measurement.toml to what the numeric modules work on: camera, screen, pattern, mirror."""
 
+from collections.abc import Collection
+
 import numpy as np
 
 from deflectometry.keys import (
@@ -211,31 +213,46 @@ def describe_mirror(measurement: DeflectometryMeasurement, setup: Setup) -> Mirr
     )
 
 
-def check_missing_sigmas(measurement: DeflectometryMeasurement, setup: Setup) -> Doubt | None:
-    """Return which inputs count as exact because no sigma is given; a sigma of 0.0 is a statement."""
-    exact = []
-    if not setup.camera.covariance.any() and not _states_sigma(measurement.model.camera):
-        exact.append("the camera ([camera] sigma_focal_px ...)")
-    if not setup.covariance_cam_from_screen.any() and not _states_sigma(measurement.model.screen):
-        exact.append("the pose of the screen ([screen] sigma_rotation_mrad, sigma_translation_mm)")
-    if not exact:
+def inputs_without_sigma(measurement: DeflectometryMeasurement, setup: Setup) -> frozenset[str]:
+    """Return the keys of inputs for which no sigma is given; a sigma of 0.0 is a statement.
+
+    Camera and pose of the screen count where none of their sigmas is given, each size of the screen by itself.
+    """
+    model, keys = measurement.model, set[str]()
+    if not setup.camera.covariance.any() and not _states_sigma(model.camera, ("sigma",)):
+        keys |= {f"camera.{name}" for name in ("focal_x_px", "focal_y_px", "center_x_px", "center_y_px")}
+    if not setup.covariance_cam_from_screen.any() and not _states_sigma(
+        model.screen, ("sigma_rotation", "sigma_translation")
+    ):
+        keys |= {"screen.rotation_vector_rad", "screen.translation_m"}
+    if "sigma_points_mm" not in model.screen.model_fields_set:
+        sizes = {"width": "screen.width_m", "height": "screen.height_m", "sag": "screen.sag"}
+        keys |= {key for name, key in sizes.items() if f"sigma_{name}_mm" not in model.screen.model_fields_set}
+    return frozenset(keys)
+
+
+def check_missing_sigmas(unstated: Collection[str]) -> Doubt | None:
+    """Return which inputs of camera and screen's pose have no sigma.
+
+    unstated: Keys, from `inputs_without_sigma`.
+    """
+    missing = []
+    if "camera.focal_x_px" in unstated:
+        missing.append("the camera ([camera] sigma_focal_px ...)")
+    if "screen.translation_m" in unstated:
+        missing.append("the pose of the screen ([screen] sigma_rotation_mrad, sigma_translation_mm)")
+    if not missing:
         return None
     return Doubt(
         "sigma_of_setup_missing",
-        f"no sigma is given for {' nor for '.join(exact)}: counted as exact, so the common share of the "
-        "uncertainty (focus, astigmatism, twist) is too small",
-        {"inputs_count": len(exact)},
+        f"no sigma is given for {' nor for '.join(missing)}: counted as known no better than the images know them "
+        "(sigma_unstated_setup), so focus, astigmatism and twist are less sure than they could be; state their sigmas",
+        {"inputs_count": len(missing)},
     )
 
 
-def _states_sigma(section: Section) -> bool:
-    return any(key.startswith("sigma") for key in section.model_fields_set)
-
-
-def states_screen_size(measurement: DeflectometryMeasurement) -> bool:
-    """Return whether it is stated how well the size of the screen is known; a sigma of 0.0 is a statement."""
-    stated = measurement.model.screen.model_fields_set
-    return {"sigma_width_mm", "sigma_height_mm", "sigma_sag_mm"} <= stated or "sigma_points_mm" in stated
+def _states_sigma(section: Section, beginnings: tuple[str, ...]) -> bool:
+    return any(key.startswith(beginnings) for key in section.model_fields_set)
 
 
 def check_screen(measurement: DeflectometryMeasurement, screen: Screen) -> Doubt | None:

@@ -8,7 +8,7 @@ from deflectometry.keys import DeflectometryMeasurement
 from deflectometry.pipeline.choices import Options, build_choices
 from deflectometry.pipeline.contradictions import refuse_contradictions
 from deflectometry.pipeline.evaluate import evaluate_frames
-from deflectometry.pipeline.headline import canting_numbers, facet_numbers, numbers_of_maps, pose_numbers
+from deflectometry.pipeline.headline import canting_numbers, curl_numbers, facet_numbers, numbers_of_maps, pose_numbers
 from deflectometry.pipeline.images import image_files, mend_frames, observe, pictures_of_frames
 from deflectometry.pipeline.inputs import (
     build_mounts,
@@ -17,11 +17,12 @@ from deflectometry.pipeline.inputs import (
     check_missing_sigmas,
     check_screen,
     describe_mirror,
-    states_screen_size,
+    inputs_without_sigma,
 )
 from deflectometry.pipeline.plausibility import implausible, refuse_impossible, size_doubt
 from deflectometry.pipeline.result import Result
-from deflectometry.pipeline.setup_test import setup_doubt
+from deflectometry.pipeline.setup_test import contradiction_of_setup
+from deflectometry.pipeline.stated_inputs import stated_inputs, unconfirmed_note, with_sigmas_of_images
 from deflectometry.setup.camera_and_screen import Setup
 from deflectometry.setup.screen_table import check_beyond_table
 from deflectometry.shape.assemble import assemble_maps
@@ -87,6 +88,14 @@ def run(
     with showing(lambda: pictures_of_frames(observation)):
         evaluation = evaluate_frames(observation, setup, mirror, choices, progress)
     refuse_impossible(setup, evaluation.solution.cam_from_mirror)
+    with progress.stage("stated inputs"):
+        inputs, unstated = stated_inputs(setup, evaluation), inputs_without_sigma(measurement, setup)
+        contradiction = contradiction_of_setup(evaluation, inputs)
+        as_stated = evaluation.maps
+        # Of several poses of one mirror the adjustment finds what the inputs are.
+        if adjusted is None:
+            evaluation = with_sigmas_of_images(evaluation, inputs, unstated)
+            evaluation = evaluation if contradiction is None else contradiction.contained(evaluation)
     facets, align = evaluation.located.facets, choices.align
     as_measured = assemble_maps(facets, evaluation.maps, align, Removal.NOTHING)
     maps = {name: remove(one, choices.removal) for name, one in evaluation.maps.items()}
@@ -97,21 +106,27 @@ def run(
         numbers = facet_numbers(assembled, as_measured) | pose_numbers(evaluation.located, evaluation)
         numbers |= canting_numbers(cantings)
         numbers_by_facet = numbers_of_maps(maps, evaluation.maps, cantings)
+        # Curl is held against what was stated: sigmas enlarged for a contradiction would explain it away.
+        if evaluation.maps is not as_stated:
+            curls = {name: curl_numbers(one) for name, one in as_stated.items()}
+            numbers |= next(iter(curls.values())) if len(facets) == 1 else {}
+            numbers_by_facet = {name: one | curls[name] for name, one in numbers_by_facet.items()}
     doubts = gather_doubts(
         check_screen(measurement, setup.screen),
         frames.doubts,
         check_compression([file.name for file in measurement.fringe_files]),
         usable.doubts,
         None if known is None else known.doubt(observation.pattern),
-        check_missing_sigmas(measurement, setup),
-        None if states_screen_size(measurement) else size_doubt(setup, evaluation),
+        check_missing_sigmas(unstated),
+        size_doubt(inputs, unstated),
         evaluation.doubts,
         check_beyond_table(setup.screen, *evaluation.screen_map.points_seen()),
         doubt_of_canting(cantings),
         implausible(numbers, numbers_by_facet, evaluation),
     )
-    if not any(doubt.code == "slopes_of_no_surface" for doubt in doubts):
-        doubts = gather_doubts(doubts, setup_doubt(setup, evaluation))
+    if contradiction is not None and not any(doubt.code == "slopes_of_no_surface" for doubt in doubts):
+        doubts = gather_doubts(doubts, contradiction.doubt)
+    doubts = gather_doubts(doubts, unconfirmed_note([one for one in inputs if one.key not in unstated]))
     with progress.stage("check result"):
         by_code = {doubt.code: doubt for doubt in doubts}
         refuse_contradictions(observation, setup, mirror, evaluation, by_code)
@@ -127,6 +142,7 @@ def run(
         numbers,
         numbers_by_facet,
         cantings,
+        inputs,
         name=measurement.model.name,
         doubts=doubts,
         durations_s=dict(progress.durations_s),

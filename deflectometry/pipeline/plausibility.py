@@ -4,12 +4,13 @@ Mirrored images, exchanged axes or a screen of the wrong size leave frames and o
 geometry, in slopes that no surface can have, and in a mirror that is far from its design.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 
 import numpy as np
 
 from deflectometry.pipeline.evaluate import Evaluation
 from deflectometry.pipeline.headline import flag_words
+from deflectometry.pipeline.stated_inputs import StatedInput
 from deflectometry.setup.camera_and_screen import Setup
 from deflectometry.shape.smooth_shape import Align
 from heliogauge.doubts import Doubt, Severity
@@ -87,29 +88,23 @@ def implausible(numbers: Numbers, facets: Mapping[str, Numbers], evaluation: Eva
         )
 
 
-def size_doubt(setup: Setup, evaluation: Evaluation) -> Doubt:
+def size_doubt(inputs: Sequence[StatedInput], unstated: Collection[str]) -> Doubt | None:
     """Say what a screen of another size would do, where nobody says how well its size is known.
 
-    A width off by s moves the point at u by s (u - 1/2), and with it the normal by half of that over the distance d of
-    the screen: the curvature along x changes by ``s du/dx / (2 d)``. One pose cannot tell it from that of the mirror.
+    One pose can hardly tell it from the curvature of the mirror.
     """
-    image = next(iter(evaluation.images.values()))
-    rows = slice(image.row, image.row + image.x_m.shape[0])
-    columns = slice(image.column, image.column + image.x_m.shape[1])
-    mirror_m = (setup.cam_from_screen.inverse() @ evaluation.solution.cam_from_mirror).translation_m
-    changes = []
-    for place_m, seen in ((image.x_m, evaluation.screen_map.u), (image.y_m, evaluation.screen_map.v)):
-        good = np.isfinite(place_m) & np.isfinite(seen[rows, columns]) & np.isfinite(image.slope_x)
-        along = np.polyfit(place_m[good], seen[rows, columns][good], 1)[0]
-        changes.append(1e-3 * abs(float(along)) / float(np.linalg.norm(mirror_m)))
+    sizes = {one.key: one for one in inputs if one.key in ("screen.width_m", "screen.height_m")}
+    if not {*sizes, "screen.sag"}.intersection(unstated):
+        return None
+    width, height = sizes["screen.width_m"], sizes["screen.height_m"]
+    per_mm = [2 * abs(float(one.changes[axis])) for axis, one in enumerate((width, height))]
     return Doubt(
         "screen_size_exact",
-        "no sigma is given for width, height and sag of the screen ([screen] sigma_width_mm, sigma_height_mm, "
-        "sigma_sag_mm): counted as exact, so the sigma of the focal length is too small; 1 mm changes 1/f by "
-        f"{changes[0]:.2g} (width, x) and {changes[1]:.2g} (height, y) per metre, "
-        f"at f = 100 m the focal length by {1e4 * changes[0]:.2g} and "
-        f"{1e4 * changes[1]:.2g} m",
-        {"curvature_x_per_mm_per_m": changes[0], "curvature_y_per_mm_per_m": changes[1]},
+        "no sigma is given for width, height or sag of the screen ([screen] sigma_width_mm, sigma_height_mm, "
+        f"sigma_sag_mm): counted as known no better than the images know them ({width.sigma_images:.2g} and "
+        f"{height.sigma_images:.2g} mm); 1 mm changes 1/f by {per_mm[0]:.2g} (width, x) and {per_mm[1]:.2g} "
+        f"(height, y) per metre, at f = 100 m the focal length by {1e4 * per_mm[0]:.2g} and {1e4 * per_mm[1]:.2g} m",
+        {"curvature_x_per_mm_per_m": 0.5 * per_mm[0], "curvature_y_per_mm_per_m": 0.5 * per_mm[1]},
     )
 
 

@@ -9,6 +9,7 @@ import numpy.typing as npt
 
 from deflectometry.pipeline.evaluate import Evaluation
 from deflectometry.pipeline.headline import Numbers, flag_words, geometry, headline_text, reasons
+from deflectometry.pipeline.stated_inputs import INPUTS_FILE, StatedInput, inputs_table
 from deflectometry.pose.adjust_pose import MirrorPose
 from deflectometry.setup.camera_and_screen import Setup
 from deflectometry.setup.patterns import FringePattern
@@ -55,6 +56,8 @@ class Result(InstrumentResult):
         Headline numbers of each facet; empty for a single one.
     cantings : tuple of FacetCanting
         Canting of each facet of an ensemble with the moves of its mounts; empty for a single facet.
+    inputs : tuple of StatedInput
+        What measurement.toml states, and how much the result rests on each.
     name : str
         Name of the mirror.
     doubts : tuple of Doubt
@@ -75,6 +78,7 @@ class Result(InstrumentResult):
     numbers: Numbers
     facets: dict[str, Numbers]
     cantings: tuple[FacetCanting, ...]
+    inputs: tuple[StatedInput, ...]
 
     def summarise(self) -> Summary:
         """Collect the headline numbers with their sigmas, doubts and provenance."""
@@ -112,6 +116,7 @@ class Result(InstrumentResult):
         write_cameras_json(folder / "cameras.json", {"camera": self.setup.camera}, _facet_poses(evaluation))
         if evaluation.located.evidence is not None:
             write_table_csv(folder / "outline.csv", _outline_columns(evaluation.located.evidence))
+        write_table_csv(folder / INPUTS_FILE, inputs_table(self.inputs))
         write_canting(folder, self.cantings)
 
     def headline(self) -> str:

@@ -13,7 +13,7 @@ from deflectometry.shape.facet_pixels import PixelSamples, spread_indices, trace
 from deflectometry.shape.pixel_slopes import SlopeImage
 from deflectometry.shape.smooth_shape import FittedSurface, ShapeSolution, slopes_at
 from heliogauge.geometry.rigid import RigidTransform
-from heliogauge.validate import BoolArray, FloatArray
+from heliogauge.validate import BoolArray, Float32Array, FloatArray
 
 #: Step on the display for the derivative of the slopes, a thousandth of its width and height.
 _STEP = 1e-3
@@ -86,39 +86,43 @@ def _blur_share(image: SlopeImage, edge_width_px: float) -> FloatArray:
     if not blur_px > 0 or np.count_nonzero(seen) < _FEWEST_PIXELS:
         return np.zeros(2)
     left = _beside_quadratic(image, seen)
-    weight = _blurred(seen.astype(np.float64), blur_px)
+    weight = _blurred(seen.astype(np.float32), blur_px)
     # Where a third of the weight is beyond the mirror a blurred slope is no mean about its pixel.
-    inner = seen & (weight > 2 / 3)
-    single = np.zeros((2 * int(np.ceil(4 * blur_px)) + 3,) * 2)
+    inner = np.flatnonzero(seen & (weight > 2 / 3))
+    single = np.zeros((2 * int(np.ceil(4 * blur_px)) + 3,) * 2, dtype=np.float32)
     single[len(single) // 2, len(single) // 2] = 1.0
-    of_noise = float(np.square(_blurred(single, blur_px)).sum())
+    of_noise, weight = _mean_square(_blurred(single, blur_px)) * single.size, weight.take(inner)
     lost = []
     for waves, sigma in zip(left, (image.sigma_x, image.sigma_y), strict=True):
-        noise = float(np.mean(np.square(sigma[inner], dtype=np.float64)))
-        blurred = _blurred(waves, blur_px)[inner] / weight[inner]
-        before = float(np.mean(waves[inner] ** 2)) - noise
-        after = float(np.mean(blurred**2)) - of_noise * noise
+        noise = _mean_square(sigma.take(inner))
+        before = _mean_square(waves.take(inner)) - noise
+        after = _mean_square(_blurred(waves, blur_px).take(inner) / weight) - of_noise * noise
         lost.append(1.0 - np.sqrt(min(max(after, 0.0) / before, 1.0)) if before > _LEAST_WAVINESS * noise else 0.0)
     return np.array(lost)
 
 
-def _blurred(values: FloatArray, blur_px: float) -> FloatArray:
+def _mean_square(values: Float32Array) -> float:
+    return float(np.mean(np.square(values, dtype=np.float64)))
+
+
+def _blurred(values: Float32Array, blur_px: float) -> Float32Array:
     """Blur an image by a Gaussian out to four of its standard deviations, with zero beyond the edge."""
     width = 2 * int(4 * blur_px + 0.5) + 1
-    return np.asarray(cv2.GaussianBlur(values, (width, width), blur_px, borderType=cv2.BORDER_CONSTANT), np.float64)
+    return np.asarray(cv2.GaussianBlur(values, (width, width), blur_px, borderType=cv2.BORDER_CONSTANT), np.float32)
 
 
-def _beside_quadratic(image: SlopeImage, seen: BoolArray) -> FloatArray:
+def _beside_quadratic(image: SlopeImage, seen: BoolArray) -> Float32Array:
     """Return what the best quadratic surface leaves of the slopes, shape (2, h, w); 0 where nothing was seen."""
-    x, y = image.x_m[seen], image.y_m[seen]
-    linear = np.stack([np.ones_like(x), x - x.mean(), y - y.mean()])
-    slopes = np.stack([image.slope_x[seen], image.slope_y[seen]])
+    index = np.flatnonzero(seen)
+    slopes = np.stack([image.slope_x.take(index), image.slope_y.take(index)])
+    linear = np.stack([np.ones(index.size), image.x_m.take(index), image.y_m.take(index)])
+    linear[1:] -= linear[1:].mean(axis=1, keepdims=True)
     # Of 1, x and y in the slopes in x and in y for two curvatures, twist and two tilts.
     shares = np.zeros((5, 2, 3))
     shares[0, 0, 1] = shares[1, 1, 2] = shares[2, 0, 2] = shares[2, 1, 1] = shares[3, 0, 0] = shares[4, 1, 0] = 1.0
     products = np.einsum("kci,ij,lcj->kl", shares, linear @ linear.T, shares)
     found = np.linalg.solve(products, np.einsum("kci,ci->k", shares, slopes @ linear.T))
-    left = np.zeros((2, *seen.shape))
-    for plane, values in zip(left, slopes - np.tensordot(found, shares, axes=1) @ linear, strict=True):
-        plane[seen] = values
+    slopes -= np.tensordot(found, shares, axes=1) @ linear
+    left = np.zeros((2, *seen.shape), dtype=np.float32)
+    left.reshape(2, -1)[:, index] = slopes
     return left

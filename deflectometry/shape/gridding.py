@@ -275,18 +275,17 @@ def _interpolate(
         along_x, along_y = _tap_weights(to_right, cubic), _tap_weights(down, cubic)
         noise_x, noise_y = (one * (shared @ one) for one in (along_x.astype(np.float32), along_y.astype(np.float32)))
         first = (top + 1) * wide + left + 1
-        # The weights of a cubic add up to 1.
-        all_there = bool(cubic.all())
-        if not all_there:
-            total[part] = 0.0
         for tap_x, tap_y in np.ndindex(4, 4):
             at = first + (tap_y * wide + tap_x)
             share, noise = along_x[tap_x] * along_y[tap_y], noise_x[tap_x] * noise_y[tap_y]
-            if not all_there:
-                total[part] += share * padded_weight.take(at)
             for axis, (slope, its_variance) in enumerate(padded):
                 residual[axis, part] += share * slope.take(at)
                 variance[axis, part] += noise * its_variance.take(at)
+        # The weights of a cubic add up to 1; those of the 4 pixels of a linear one do where all of these are there.
+        linear = np.flatnonzero(~cubic)
+        at = first[linear] + np.add.outer(wide * np.arange(1, 3), np.arange(1, 3))[..., None]
+        shares = along_y[1:3, None, linear] * along_x[None, 1:3, linear]
+        total[start + linear] = (shares * padded_weight.take(at)).sum(axis=(0, 1))
     return _WeightedSums(total, residual, variance)
 
 

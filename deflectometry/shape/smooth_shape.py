@@ -24,8 +24,11 @@ SLOPE_TOLERANCE_RAD = 1e-9
 SETTLED = 1e-7
 #: Where the biweight ends, in median absolute residuals: 95 % efficient for normal errors.
 _BIWEIGHT_MEDIANS = 4.685 / 0.6745
-#: Newton rounds along a line of sight.
+#: Newton rounds along a line of sight, and what may be missing at the end [m]: it changes no slope by 1e-12.
 MAX_ITERATIONS = 30
+_SETTLED_M = 1e-12
+#: Places that are worked on at once: what belongs to them stays in a 2 MiB second-level cache.
+_BLOCK = 16384
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,14 +49,24 @@ class FittedSurface:
 
     def correction(self, x_m: FloatArray, y_m: FloatArray) -> FloatArray:
         """Return the height of the polynomial, shape (...) [m]."""
-        u, v = (x_m - self.center_m[0]) / self.scale_m, (y_m - self.center_m[1]) / self.scale_m
-        return polynomial(self.coefficients_m, u, v)
+        return self._evaluate([self.coefficients_m], x_m, y_m)[0]
 
     def correction_gradient(self, x_m: FloatArray, y_m: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the slopes of the polynomial in x and y, each of shape (...)."""
-        u, v = (x_m - self.center_m[0]) / self.scale_m, (y_m - self.center_m[1]) / self.scale_m
         along_u, along_v = derivative_coefficients(self.coefficients_m)
-        return polynomial(along_u / self.scale_m, u, v), polynomial(along_v / self.scale_m, u, v)
+        slope_x, slope_y = self._evaluate([along_u / self.scale_m, along_v / self.scale_m], x_m, y_m)
+        return slope_x, slope_y
+
+    def _evaluate(self, polynomials: Sequence[FloatArray], x_m: FloatArray, y_m: FloatArray) -> list[FloatArray]:
+        """Evaluate polynomials in the surface's variables, some places at a time."""
+        found = [np.empty(np.shape(x_m)) for _ in polynomials]
+        flat_x, flat_y, flat = x_m.reshape(-1), y_m.reshape(-1), [one.reshape(-1) for one in found]
+        for start in range(0, flat_x.size, _BLOCK):
+            part = slice(start, start + _BLOCK)
+            u, v = (flat_x[part] - self.center_m[0]) / self.scale_m, (flat_y[part] - self.center_m[1]) / self.scale_m
+            for values, coefficients in zip(flat, polynomials, strict=True):
+                values[part] = polynomial(coefficients, u, v)
+        return found
 
     def gradient(self, x_m: FloatArray, y_m: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the slopes of design and polynomial together, each of shape (...)."""
@@ -78,14 +91,17 @@ class FittedSurface:
             return np.asarray(points)
         # Newton along the ray: each step leaves the product of two small slopes, 3 steps reach round-off
         # from a plane that stands for an f = 10 m dish.
+        before = 0.0
         for _ in range(MAX_ITERATIONS):
-            design_x, design_y = self.design.gradient(points[0], points[1])
-            missing = self.design.height(points[0], points[1]) - points[2]
+            height, design_x, design_y = self.design.height_and_gradient(points[0], points[1])
+            missing = height - points[2]
             missing += self.correction(points[0], points[1])
-            step = missing / (directions[2] - design_x * directions[0] - design_y * directions[1])
-            points += step * directions
-            if not np.nanmax(np.abs(missing), initial=0.0) > 1e-9:
+            points += missing / (directions[2] - design_x * directions[0] - design_y * directions[1]) * directions
+            # The next would be smaller by the same factor again.
+            now = float(np.fmax.reduce(np.abs(missing), initial=0.0))
+            if now <= max(_SETTLED_M, min(np.sqrt(_SETTLED_M * before), 1e-3 * before)):
                 break
+            before = now
         return np.asarray(points)
 
 
@@ -96,22 +112,23 @@ def polynomial(coefficients: FloatArray, u: FloatArray, v: FloatArray) -> FloatA
     coefficients (n_terms,): Coefficients ordered by total degree, then by the power of v.
     """
     degree = int((np.sqrt(8 * coefficients.size + 1) - 3) / 2)
-    total = np.zeros(np.shape(u))
-    for power_u in range(degree, -1, -1):
-        inner = np.zeros(np.shape(u))
-        for power_v in range(degree - power_u, -1, -1):
+    # The last coefficient of a row or column is still a number, not an array.
+    total: FloatArray | float = float(coefficients[degree * (degree + 1) // 2])
+    for power_u in range(degree - 1, -1, -1):
+        inner: FloatArray | float = float(coefficients[-1 - power_u])
+        for power_v in range(degree - power_u - 1, -1, -1):
             order = power_u + power_v
-            inner *= v
+            inner = np.multiply(inner, v, out=inner if isinstance(inner, np.ndarray) else None)
             inner += coefficients[order * (order + 1) // 2 + power_v]
-        total *= u
+        total = np.multiply(total, u, out=total if isinstance(total, np.ndarray) else None)
         total += inner
-    return total
+    return total if isinstance(total, np.ndarray) else np.full(np.shape(u), total)
 
 
 def derivative_coefficients(coefficients: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the coefficients of the derivatives after u and after v (same length, the last order zero)."""
-    along_u, along_v = np.zeros_like(coefficients), np.zeros_like(coefficients)
+    """Return the coefficients of the derivatives after u and after v, which are of one degree less."""
     degree = int((np.sqrt(8 * coefficients.size + 1) - 3) / 2)
+    along_u, along_v = np.zeros((2, degree * (degree + 1) // 2))
     for order in range(1, degree + 1):
         first, below = order * (order + 1) // 2, order * (order - 1) // 2
         for power_v in range(order + 1):
@@ -254,12 +271,13 @@ def solve_shape(
     pose = cam_from_mirror
     limits = rounds or RoundLimits()
     before = [np.zeros((2, sample.rays_cam.shape[1])) for sample in samples]
+    near: Sequence[_FacetFit | None] = [None] * len(samples)
     for iteration in range(1, limits.outer + 1):
         fits = [
-            _fit_facet(sample, surface, pose @ sample.facet.ensemble_from_facet, limits.reweighting)
-            for sample, surface in zip(samples, surfaces, strict=True)
+            _fit_facet(sample, surface, pose @ sample.facet.ensemble_from_facet, limits.reweighting, old)
+            for sample, surface, old in zip(samples, surfaces, near, strict=True)
         ]
-        surfaces = tuple(fit.surface for fit in fits)
+        near, surfaces = fits, tuple(fit.surface for fit in fits)
         errors = [fit.slope_error for fit in fits]
         tilts = np.array([fit.tilt_rad for fit in fits])
         change = max(float(np.nanmax(np.abs(now - old))) for now, old in zip(errors, before, strict=True))
@@ -278,32 +296,50 @@ def solve_shape(
 
 
 class _FacetFit(NamedTuple):
-    """What one round gave for one facet: its shape, its slope errors (2, n) and its tilt (2,)."""
+    """What one round gave for one facet: its shape, its slope errors (2, n) and its tilt (2,).
+
+    quadratic (5,): What the tilt is part of, as `_fit_potential` returns it.
+    """
 
     surface: FittedSurface
     slope_error: FloatArray
     tilt_rad: FloatArray
+    quadratic: FloatArray
 
 
 def _fit_facet(
-    sample: FacetSamples, surface: FittedSurface, cam_from_facet: RigidTransform, reweighting: int
+    sample: FacetSamples,
+    surface: FittedSurface,
+    cam_from_facet: RigidTransform,
+    reweighting: int,
+    near: _FacetFit | None,
 ) -> _FacetFit:
-    """Fit shape and tilt of one facet once."""
+    """Fit shape and tilt of one facet once; the fit of the round before is near."""
     facet_from_cam = cam_from_facet.inverse()
     camera = facet_from_cam.translation_m
     points = surface.intersect(camera, facet_from_cam.rotation @ sample.rays_cam)
     screen = facet_from_cam.rotation @ sample.screen_cam_m + camera[:, None]
     error = np.stack(slopes_at(points, camera, screen)) - np.stack(surface.design.gradient(points[0], points[1]))
-    shape = _fit_potential(surface, points, error, SHAPE_DEGREE, reweighting)
-    tilt = _fit_potential(surface, points, error, 2, reweighting)[:2] / surface.scale_m
+    near_shape, near_quadratic = (None, None) if near is None else (near.surface.coefficients_m[1:], near.quadratic)
+    shape = _fit_potential(surface, points, error, SHAPE_DEGREE, reweighting, near_shape)
+    quadratic = _fit_potential(surface, points, error, 2, reweighting, near_quadratic)
     # The height of the polynomial stays zero at the reference point.
-    return _FacetFit(replace(surface, coefficients_m=np.concatenate([[0.0], shape])), error, tilt)
+    moved = replace(surface, coefficients_m=np.concatenate([[0.0], shape]))
+    return _FacetFit(moved, error, quadratic[:2] / surface.scale_m, quadratic)
 
 
 def _fit_potential(
-    surface: FittedSurface, points_m: FloatArray, slope_error: FloatArray, degree: int, reweighting: int
+    surface: FittedSurface,
+    points_m: FloatArray,
+    slope_error: FloatArray,
+    degree: int,
+    reweighting: int,
+    near: FloatArray | None,
 ) -> FloatArray:
-    """Fit slopes by the gradient of one polynomial, robustly: Tukey's biweight in each axis (95 % efficient)."""
+    """Fit slopes by the gradient of one polynomial, robustly: Tukey's biweight in each axis (95 % efficient).
+
+    near (n_terms - 1,): Coefficients to begin reweighting with, instead of those of plain least squares.
+    """
     usable = np.isfinite(points_m).all(axis=0) & np.isfinite(slope_error).all(axis=0)
     if np.count_nonzero(usable) < (degree + 1) * (degree + 2) // 2:
         raise EstimationError(
@@ -313,18 +349,23 @@ def _fit_potential(
     u, v = (points_m[:2, usable] - surface.center_m[:, None]) / surface.scale_m
     matrix = gradient_terms(u, v, degree).swapaxes(0, 1).reshape(-1, 2 * u.size) / surface.scale_m
     target = slope_error[:, usable]
-    coefficients: FloatArray = np.zeros(len(matrix))
-    weight = np.ones(2 * u.size)
+
+    def weight_of(coefficients: FloatArray) -> FloatArray:
+        residual = target - (coefficients @ matrix).reshape(2, -1)
+        limit = _BIWEIGHT_MEDIANS * np.median(np.abs(residual), axis=1, keepdims=True)
+        return Tukey(1.0).weight(residual / np.maximum(limit, SLOPE_TOLERANCE_RAD)).ravel()
+
+    is_robust = reweighting > 1
+    coefficients: FloatArray = np.zeros(len(matrix)) if near is None or not is_robust else near
+    weight = np.ones(2 * u.size) if near is None or not is_robust else weight_of(near)
     for _ in range(reweighting):
         weighted = matrix * weight
         # Least squares, not solve: a facet seen on one line of pixels has no shape across it, and needs none.
         solved = np.linalg.lstsq(weighted @ matrix.T, weighted @ target.ravel(), rcond=1e-13)[0]
         before, coefficients = coefficients, np.asarray(solved, dtype=np.float64)
-        if np.abs(coefficients - before).max() < SETTLED * np.abs(coefficients).max():
+        if not is_robust or np.abs(coefficients - before).max() < SETTLED * np.abs(coefficients).max():
             break
-        residual = target - (coefficients @ matrix).reshape(2, -1)
-        limit = _BIWEIGHT_MEDIANS * np.median(np.abs(residual), axis=1, keepdims=True)
-        weight = Tukey(1.0).weight(residual / np.maximum(limit, SLOPE_TOLERANCE_RAD)).ravel()
+        weight = weight_of(coefficients)
     return np.asarray(coefficients)
 
 

@@ -20,7 +20,9 @@ GROSS, CURL, SHAPE = ("too far for any solar mirror", "no surface has these", "c
 def warnings_of(folder) -> str:
     result = run(load_deflectometry(folder))
     assert result.summarise().doubts == result.doubts
-    return "\n".join(one.text for one in result.doubts if one.code != "sigma_of_setup_missing")
+    return "\n".join(
+        one.text for one in result.doubts if one.code not in ("sigma_of_setup_missing", "inputs_unconfirmed")
+    )
 
 
 def refused(folder) -> str:

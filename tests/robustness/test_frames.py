@@ -18,7 +18,7 @@ from heliogauge.slopes.statistics import fit_quadratic
 def said(folder) -> tuple[str, ...]:
     """What the evaluation warns of, without the missing sigmas of every synthetic measurement."""
     result = run(load_deflectometry(folder))
-    return tuple(one.text for one in result.doubts if one.code != "sigma_of_setup_missing")
+    return tuple(one.text for one in result.doubts if one.code not in ("sigma_of_setup_missing", "inputs_unconfirmed"))
 
 
 def refused(folder) -> str:

@@ -63,6 +63,6 @@ def test_panel_that_leans_in_the_frame_of_its_optic(tmp_path, seed):
     """Start poses took a trough's panel for flat in z: the pose was 0.45 rad off, and the image contradicted it."""
     write_dataset(tmp_path / "m", preset_scene("trough-panel"), DatasetOptions(seed, Knowledge()))
     result = run(load_deflectometry(tmp_path / "m"))
-    assert [one.code for one in result.doubts] in ([], ["sigma_of_setup_missing"])
+    assert {one.code for one in result.doubts} <= {"sigma_of_setup_missing", "inputs_unconfirmed"}
     assert result.numbers["alignment_turn_rad"] < 0.01
     assert np.all(agreement(result, tmp_path / "m").rms_mrad < 0.03)
