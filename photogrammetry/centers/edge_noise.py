@@ -14,7 +14,7 @@ from heliogauge.validate import FloatArray
 
 #: Harmonics of the outline in which residuals are looked at. On 582 targets of drawn displays (8 to 150 px, beats of 4
 #: to 21 px) the third to fifth predict the centres as well as these, the third to eighth worse.
-_HARMONICS = (3, 4, 5, 6)
+HARMONICS = (3, 4, 5, 6)
 #: A target counts at most so many times the median of its photo: dust is no property of the photo.
 _MOST_MEDIANS = 5.0
 #: Targets with independent residuals that are taken to be there as well.
@@ -41,7 +41,7 @@ def edge_powers(
     usual = ((weight.real**2 + weight.imag**2) * variance).sum(axis=1)
     term = weight * residuals * turn
     found = []
-    for _ in _HARMONICS:
+    for _ in HARMONICS:
         term = term * turn
         found.append(np.abs(term.sum(axis=1)) ** 2)
     with np.errstate(divide="ignore", invalid="ignore"):

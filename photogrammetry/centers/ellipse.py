@@ -36,10 +36,8 @@ class Ellipse(ShortRepr):
 
     def __post_init__(self) -> None:
         shape = float_array("shape_px2", self.shape_px2, (2, 2))
-        determinant = shape[0, 0] * shape[1, 1] - shape[0, 1] * shape[1, 0]
-        if abs(shape[0, 1] - shape[1, 0]) > 1e-9 * (shape[0, 0] + shape[1, 1]) or not (
-            shape[0, 0] > 0 and determinant > 0
-        ):
+        (xx, xy), (yx, yy) = shape.tolist()
+        if abs(xy - yx) > 1e-9 * (xx + yy) or not (xx > 0 and xx * yy - xy * yx > 0):
             raise InputError(f"shape_px2: a symmetric, positive definite matrix is needed, not {shape.tolist()}")
         object.__setattr__(self, "center_px", float_array("center_px", self.center_px, (2,)))
         object.__setattr__(self, "shape_px2", shape)

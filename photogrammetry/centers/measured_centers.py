@@ -17,7 +17,7 @@ from heliogauge.errors import EstimationError
 from heliogauge.flags import SampleFlag
 from heliogauge.validate import BoolArray, FloatArray, IntArray, freeze
 from photogrammetry.centers.disc_model import N_PARAMETERS, disc_model
-from photogrammetry.centers.edge_noise import edge_powers
+from photogrammetry.centers.edge_noise import HARMONICS, edge_powers
 from photogrammetry.centers.ellipse import Ellipse
 from photogrammetry.centers.target_center import REACH, TargetCenter, UnmeasuredTargetError
 
@@ -86,6 +86,8 @@ class _Effort:
 _CAREFUL = _Effort(np.dtype(np.float32), 25, 1e-3, True, 40_000)
 _COARSE = replace(_CAREFUL, enough_px=2e-2)
 _QUICK = _Effort(np.dtype(np.float32), 8, 1e-3, False, 80_000)
+#: What a quick fit gives of each target.
+_TAKEN = ("centers_px", "shapes_px2", "covariance_px2", "contrast_dn", "inside_dn", "residual_dn", "edge_powers")
 
 
 def measure_center(image_dn: npt.NDArray[np.generic], start: Ellipse, reach: float = REACH) -> TargetCenter:
@@ -186,6 +188,7 @@ class CentersNear:
     shapes_px2 (n, 2, 2): Their ellipses [px^2].
     covariance_px2 (n, 2, 2): Covariances of the centres [px^2].
     contrast_dn, inside_dn, residual_dn (n,): As in `TargetCenter` [DN].
+    edge_powers (n, 4): Power of the residuals in harmonics of the outlines, as in `TargetCenter`.
     settled (n,): Whether the fit ended; else the numbers mean nothing and `measure_center` may try.
     """
 
@@ -195,6 +198,7 @@ class CentersNear:
     contrast_dn: FloatArray
     inside_dn: FloatArray
     residual_dn: FloatArray
+    edge_powers: FloatArray
     settled: BoolArray
 
     def put(self, row: int, center: TargetCenter) -> None:
@@ -202,7 +206,7 @@ class CentersNear:
         self.centers_px[row], self.covariance_px2[row] = center.center_px, center.covariance_px2
         self.shapes_px2[row], self.settled[row] = center.ellipse.shape_px2, True
         self.contrast_dn[row], self.inside_dn[row] = center.contrast_dn, center.inside_dn
-        self.residual_dn[row] = center.residual_dn
+        self.residual_dn[row], self.edge_powers[row] = center.residual_dn, center.edge_powers
 
 
 def centers_near(
@@ -227,6 +231,7 @@ def centers_near(
         np.zeros(count),
         np.zeros(count),
         np.zeros(count),
+        np.ones((count, len(HARMONICS))),
         np.zeros(count, dtype=np.bool_),
     )
     sizes = _window_sizes(shapes_px2, reach)
@@ -237,7 +242,7 @@ def centers_near(
             own = _fitted(images, photo[rows], start, found.shapes_px2[rows], reach, _QUICK)
             good = own.settled & own.stands_out
             found.settled[rows] = good
-            for name in ("centers_px", "shapes_px2", "covariance_px2", "contrast_dn", "inside_dn", "residual_dn"):
+            for name in _TAKEN:
                 getattr(found, name)[rows[good]] = getattr(own, name)[good]
             moved = np.hypot(*(found.centers_px[rows] - start).T)
             rows = rows[good & (moved > _MOVED_RADII * _smaller(shapes_px2[rows]))]

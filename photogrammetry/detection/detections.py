@@ -2,7 +2,7 @@
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -89,4 +89,19 @@ class Detections(ShortRepr):
             self.covariance_px2[index],
             self.radius_px[index],
             self.flags[index],
+        )
+
+    def renamed(self, names: Sequence[str]) -> "Detections":
+        """Return the same points under other names, one for each."""
+        return replace(self, names=tuple(names))
+
+    def joined(self, other: "Detections") -> "Detections":
+        """Return these points and then the others of the same photo."""
+        return Detections(
+            self.photo,
+            self.names + other.names,
+            np.concatenate([self.pixels_px, other.pixels_px]),
+            np.concatenate([self.covariance_px2, other.covariance_px2]),
+            np.concatenate([self.radius_px, other.radius_px]),
+            np.concatenate([self.flags, other.flags]),
         )

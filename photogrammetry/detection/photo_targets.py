@@ -187,11 +187,13 @@ def measure_at(
     for k, (image, name) in enumerate(zip(images_dn, photos, strict=True)):
         rows = np.flatnonzero((photo == k) & fine)
         outlines = stack.shapes_px2[rows]
+        # Neighbouring pixels err alike here as in a photo that is searched.
+        alike = variance_factor(stack.edge_powers[rows])
         detections = Detections(
             name,
             tuple(names[row] for row in rows),
             stack.centers_px[rows],
-            stack.covariance_px2[rows],
+            alike * stack.covariance_px2[rows],
             np.linalg.det(outlines) ** 0.25,
             _flag_clipped(image, stack.inside_dn[rows], stack.contrast_dn[rows]),
         )

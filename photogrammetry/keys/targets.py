@@ -41,6 +41,9 @@ class TargetsSection(Section):
     dictionary: Text | None = Field(
         None, description="Ring codes (aicon-12, metashape-14), square markers (DICT_4X4_100), or a file."
     )
+    square_dictionary: Text | None = Field(
+        None, description="Square markers that stand beside ring codes (DICT_4X4_100)."
+    )
     sense: Literal["clockwise", "counterclockwise"] | None = Field(
         None, description="Sense of the printed codes; default: the dictionary's."
     )
@@ -85,6 +88,11 @@ class TargetsSection(Section):
             raise ValueError(
                 "say which dictionary the targets in the photos are from; or list targets without a code "
                 "(uncoded_file), or name a file with marks set by hand (tracked_from)"
+            )
+        if self.square_dictionary is not None and (self.has_markers or not self.square_dictionary.startswith("DICT_")):
+            raise ValueError(
+                "square_dictionary: the name of square markers beside ring codes or dots is needed, DICT_...; square "
+                "markers alone are the dictionary"
             )
         if self.charuco is not None and not self.has_markers:
             raise ValueError("charuco: the dictionary must be that of the board's markers, DICT_...")

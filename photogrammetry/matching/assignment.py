@@ -73,13 +73,29 @@ class Assignment:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Scene:
-    """What is given, also as directions without lens: dots (m, 2)."""
+    """What is given, also as directions without lens: dots (m, 2); targets whose codes were read (m,), -1 for none."""
 
     camera: Camera
     pixels: FloatArray
     covariance: FloatArray
     ideal: FloatArray
     listed: ListedTargets
+    read: IntArray
+
+    @classmethod
+    def of(
+        cls,
+        camera: Camera,
+        pixels_px: FloatArray,
+        covariance_px2: FloatArray,
+        listed: ListedTargets,
+        read: IntArray | None,
+    ) -> "_Scene":
+        pixels = float_array("pixels_px", pixels_px, (None, 2))
+        covariance = float_array("covariance_px2", covariance_px2, (len(pixels), 2, 2))
+        rays = camera.cast_rays(pixels)
+        known = np.full(len(pixels), -1, dtype=np.intp) if read is None else np.asarray(read, dtype=np.intp)
+        return cls(camera, pixels, covariance, rays[:, :2] / rays[:, 2:], listed, known)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -98,6 +114,7 @@ def assign_targets(
     listed: ListedTargets,
     *,
     sense: Sense | None = None,
+    read: IntArray | None = None,
 ) -> Assignment:
     """Find which dots of a photo are which listed targets, and the photo's pose.
 
@@ -105,6 +122,8 @@ def assign_targets(
     pixels_px (m, 2): The dots, false ones among them [px].
     listed: The targets with approximate coordinates; some may not be in the photo.
     sense: What settles symmetric layouts.
+    read (m,): Place in the list of the target that a dot's code says it is, -1 where no code is read: up to three of
+        them stand in every triple that is tried, and no pose names them otherwise.
     InputError: Lengths differ.
     EstimationError: Fewer than five targets or dots; no pose explains them; or several do: a layout that looks the
         same after a turn or in a mirror, which ``sense`` may settle.
@@ -116,18 +135,16 @@ def assign_targets(
     freedom. A rival is a pose with other names for the dots, as many of them but one, and residuals that the sigmas
     allow.
     """
-    pixels = float_array("pixels_px", pixels_px, (None, 2))
-    covariance = float_array("covariance_px2", covariance_px2, (len(pixels), 2, 2))
-    if min(len(pixels), len(listed)) < _LEAST:
+    scene = _Scene.of(camera, pixels_px, covariance_px2, listed, read)
+    if min(len(scene.pixels), len(listed)) < _LEAST:
         raise EstimationError(
-            f"assignment: {len(pixels)} dots and {len(listed)} listed targets; {_LEAST} of both are needed"
+            f"assignment: {len(scene.pixels)} dots and {len(listed)} listed targets; {_LEAST} of both are needed"
         )
-    rays = camera.cast_rays(pixels)
-    scene = _Scene(camera, pixels, covariance, rays[:, :2] / rays[:, 2:], listed)
     triples = _ordered_triples(listed)
     tried, solutions = 0, list[_Solution]()
-    for dots in _dot_triples(scene.ideal):
-        poses = _three_point_poses(scene, dots, triples)
+    for dots in _dot_triples(scene.ideal, np.flatnonzero(scene.read >= 0)):
+        fitting = _fitting(scene, dots, triples)
+        poses = _three_point_poses(scene, dots, fitting)
         tried += len(poses[0])
         solutions += _refine_best(scene, poses, tried)
         if any(one.accidents < _MOST_ACCIDENTS for one in solutions):
@@ -137,10 +154,55 @@ def assign_targets(
         most = max((int((one.target_of_dot >= 0).sum()) for one in solutions), default=0)
         raise EstimationError(
             f"assignment: no pose explains the dots: at most {most} of {len(listed)} listed targets agree with one of "
-            f"{len(pixels)} dots; are the coordinates, their sigmas and the camera right?"
+            f"{len(scene.pixels)} dots; are the coordinates, their sigmas and the camera right?"
         )
     best = _select(good, listed, sense or Sense())
     return Assignment(best.target_of_dot, best.pose, best.misses, best.accidents)
+
+
+def assign_near(
+    camera: Camera,
+    pixels_px: FloatArray,
+    covariance_px2: FloatArray,
+    listed: ListedTargets,
+    cam_from_list: RigidTransform,
+    *,
+    read: IntArray | None = None,
+) -> Assignment | None:
+    """Find which dots of a photo are which listed targets where a pose predicts them.
+
+    Shapes: covariance_px2 (m, 2, 2).
+    pixels_px (m, 2): The dots, false ones among them [px].
+    cam_from_list: Pose, from codes that were read or from a prediction.
+    read (m,): Place in the list of the target that a dot's code says it is, -1 where no code is read.
+    Returns: Names and the pose from all of them; None where fewer than five agree.
+    """
+    scene = _Scene.of(camera, pixels_px, covariance_px2, listed, read)
+    found = _refine(scene, cam_from_list, 1)
+    return None if found is None else Assignment(found.target_of_dot, found.pose, found.misses, found.accidents)
+
+
+def _fitting(scene: _Scene, dots: IntArray, triples: IntArray) -> IntArray:
+    """Return the ordered triples of targets that name three dots as their codes do, shape (k, 3)."""
+    said = scene.read[dots]
+    if (said < 0).all():
+        return triples
+    each = [np.array([target]) if target >= 0 else np.arange(len(scene.listed)) for target in said.tolist()]
+    all_of_them = np.stack(np.meshgrid(*each, indexing="ij"), axis=-1).reshape(-1, 3)
+    rest = np.sort(all_of_them, axis=1)
+    # A target whose code is read elsewhere is none of the others.
+    taken = np.isin(all_of_them, scene.read[scene.read >= 0]) & (said < 0)
+    apart = (rest[:, 0] < rest[:, 1]) & (rest[:, 1] < rest[:, 2]) & ~taken.any(axis=1)
+    return np.asarray(_spread(scene.listed, all_of_them[apart])[:_MOST_LISTED], dtype=np.intp)
+
+
+def _spread(listed: ListedTargets, triples: IntArray) -> IntArray:
+    """Return the triples that are not nearly on a line."""
+    sides = listed.points_m[triples]
+    one, two = sides[:, 1] - sides[:, 0], sides[:, 2] - sides[:, 0]
+    area = np.linalg.norm(np.cross(one, two), axis=1)
+    longest = np.maximum((one**2).sum(axis=1), (two**2).sum(axis=1))
+    return np.asarray(triples[area > 0.02 * longest], dtype=np.intp)
 
 
 def _ordered_triples(listed: ListedTargets) -> IntArray:
@@ -151,28 +213,34 @@ def _ordered_triples(listed: ListedTargets) -> IntArray:
     else:
         rng = np.random.default_rng(0)
         triples = np.asarray(np.argsort(rng.random((2 * _MOST_LISTED, n)), axis=1)[:, :3], dtype=np.intp)
-    sides = listed.points_m[triples]
-    one, two = sides[:, 1] - sides[:, 0], sides[:, 2] - sides[:, 0]
-    area = np.linalg.norm(np.cross(one, two), axis=1)
-    longest = np.maximum((one**2).sum(axis=1), (two**2).sum(axis=1))
-    triples = np.asarray(triples[area > 0.02 * longest], dtype=np.intp)
+    triples = _spread(listed, triples)
     if not len(triples):
         raise EstimationError("assignment: all listed targets are on one line; that leaves the pose open")
     return triples
 
 
-def _dot_triples(ideal: FloatArray) -> Iterator[IntArray]:
-    """Yield triples of dots, a fixed random choice without those nearly on a line."""
+def _dot_triples(ideal: FloatArray, read: IntArray) -> Iterator[IntArray]:
+    """Yield triples of dots, a fixed random choice without those nearly on a line.
+
+    read (k,): Dots whose code was read; as many of them as may be are in each triple.
+    """
     rng = np.random.default_rng(1)
     usable = np.nonzero(np.isfinite(ideal).all(axis=1))[0]
     if usable.size < 3:
         return
-    chosen = np.array([rng.choice(usable, 3, replace=False) for _ in range(4 * _TRIPLES)])
+    told, rest = np.intersect1d(usable, read), np.setdiff1d(usable, read)
+    drawn = []
+    for number in range(4 * _TRIPLES):
+        # Codes of one rim lie on a line: every second triple has another dot in it.
+        own = rng.choice(told, min(told.size, 3 - number % 2), replace=False)
+        if rest.size >= 3 - own.size:
+            drawn.append(np.concatenate([own, rng.choice(rest, 3 - own.size, replace=False)]))
+    chosen = np.array(drawn, dtype=np.intp).reshape(-1, 3)
     sides = ideal[chosen]
     one, two = sides[:, 1] - sides[:, 0], sides[:, 2] - sides[:, 0]
     area = np.abs(one[:, 0] * two[:, 1] - one[:, 1] * two[:, 0])
     # Not the widest: false dots lie all over the photo, targets in a part of it.
-    yield from chosen[area > 0.1 * np.median(area)][:_TRIPLES]
+    yield from chosen[area > 0.1 * np.median(area)][:_TRIPLES] if len(chosen) else chosen
 
 
 def _three_point_poses(scene: _Scene, dots: IntArray, triples: IntArray) -> tuple[FloatArray, FloatArray]:
@@ -286,6 +354,11 @@ def _assign(scene: _Scene, pose: RigidTransform, gate: float) -> _Pairs:
     off = scene.pixels[None] - np.where(inside[:, None], pixels, 1e9)[:, None]
     covariance = np.where(inside[:, None, None], covariance, np.eye(2))
     squares = np.einsum("nmi,nij,nmj->nm", off, np.linalg.inv(covariance), off)
+    # Codes name their dots, and no other dot has their names.
+    told = np.flatnonzero(scene.read >= 0)
+    own = squares[scene.read[told], told]
+    squares[:, told] = squares[scene.read[told]] = np.inf
+    squares[scene.read[told], told] = own
     nearest = np.argmin(squares, axis=1)
     mutual = np.argmin(squares, axis=0)[nearest] == np.arange(len(pixels))
     good = mutual & inside & (squares[np.arange(len(pixels)), nearest] < gate)

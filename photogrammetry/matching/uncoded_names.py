@@ -9,6 +9,7 @@ from heliogauge.adjust.chi_square import chi_square_limit
 from heliogauge.errors import EstimationError, InputError
 from heliogauge.geometry.alignment import align_points
 from heliogauge.geometry.rigid import RigidTransform
+from heliogauge.short_repr import ShortRepr
 from heliogauge.validate import FloatArray, IntArray, float_array
 from photogrammetry.start_values.network import LeftOut
 
@@ -21,7 +22,7 @@ _BASES = 60
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ListedTargets:
+class ListedTargets(ShortRepr):
     """Targets with approximate coordinates in a frame of their own.
 
     names length n: Their names.

@@ -13,6 +13,7 @@ from photogrammetry.bundle.constraints import Distance
 from photogrammetry.bundle.statistics import examine_image_points
 from photogrammetry.networks.length_error import LengthRole, LengthStatement, Verdict, measured_length
 from photogrammetry.networks.solve_network import Solved
+from photogrammetry.start_values.network import LeftOut
 
 Numbers = dict[str, float | int | None]
 
@@ -237,12 +238,10 @@ def _rms(values: Sequence[float]) -> float | None:
 def check_network(solved: Solved) -> Iterator[Doubt]:
     """Yield what makes a network doubtful."""
     bundle = solved.bundle
-    for one in solved.network.photos_left_out:
-        yield Doubt("photo_not_in_network", f"photo {one.name} is left out: {one.reason}")
+    yield from _photos_left_out(solved.network.photos_left_out)
     for one in solved.weak:
         yield Doubt("not_determined_left_out", f"{one.name}: {one.reason}; the network goes on without")
-    for one in solved.unused:
-        yield Doubt("known_value_not_used", f"{one.name}: {one.reason}")
+    yield from _unused_values(solved.unused)
     scaled = any(isinstance(one, Distance) for one in bundle.problem.constraints)
     if bundle.system.movements.count == 7 and not scaled:
         yield Doubt(
@@ -270,6 +269,29 @@ def check_network(solved: Solved) -> Iterator[Doubt]:
         listed = ", ".join(weak[:8]) + (f" and {len(weak) - 8} more" if len(weak) > 8 else "")
         text = f"{len(weak)} targets are seen in two photos only, where errors hardly show: {listed}"
         yield Doubt("targets_in_two_photos", text, {"targets_count": len(weak)})
+
+
+def _photos_left_out(photos: Sequence[LeftOut]) -> Iterator[Doubt]:
+    """Yield photos that are not in the network: one by its name, several together by their reasons."""
+    if len(photos) == 1:
+        yield Doubt("photo_not_in_network", f"photo {photos[0].name} is left out: {photos[0].reason}")
+    elif photos:
+        listed = ", ".join(f"{one.name} ({one.reason})" for one in photos[:_LISTED])
+        more = ", ..." if len(photos) > _LISTED else ""
+        text = f"{len(photos)} photos are left out: {listed}{more}"
+        yield Doubt("photos_not_in_network", text, {"photos_count": len(photos)})
+
+
+def _unused_values(unused: Sequence[LeftOut]) -> Iterator[Doubt]:
+    """Yield known values of targets that are not in the network, all for one reason together."""
+    names_of: dict[str, list[str]] = {}
+    for one in unused:
+        names_of.setdefault(one.reason, []).append(one.name)
+    if len(unused) == 1:
+        yield Doubt("known_value_not_used", f"{unused[0].name}: {unused[0].reason}")
+    elif unused:
+        listed = "; ".join(f"{reason.removeprefix('not used: ')} ({', '.join(n)})" for reason, n in names_of.items())
+        yield Doubt("known_values_not_used", f"{len(unused)} known values are not used: {listed}")
 
 
 def _unturned(bundle: BundleResult) -> Iterator[Doubt]:
@@ -355,7 +377,16 @@ def _contradictions(bundle: BundleResult) -> Iterator[Doubt]:
         if worst > _DOUBTFUL:
             found.append((worst, name))
     distances = {one.name: one for one in bundle.problem.constraints if isinstance(one, Distance)}
-    for worst, name in sorted(found, reverse=True)[:8]:
+    worst_first = sorted(found, reverse=True)
+    axes = Counter(name.partition(" of ")[2] for _, name in worst_first)
+    told: set[str] = set()
+    for worst, name in worst_first[:8]:
+        target = name.partition(" of ")[2]
+        if target and target in told:
+            continue  # Another coordinate of one target that is elsewhere.
+        told.add(target)
+        if target and axes[target] > 1:
+            name = f"the listed place of {target} ({name.partition(' of ')[0]} most of all)"
         known = distances.get(name)
         size = "" if known is None else f" ({1e3 * worst * known.sigma_m:.2f} mm)"
         yield Doubt(

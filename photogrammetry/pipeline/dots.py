@@ -12,7 +12,6 @@ from heliogauge.images.photos import read_image
 from heliogauge.results.folder import read_table_csv
 from heliogauge.running.progress import Progress
 from heliogauge.validate import BoolArray, FloatArray
-from photogrammetry.detection.detections import Detections
 from photogrammetry.keys.load import PhotogrammetryMeasurement
 from photogrammetry.keys.targets import TargetsSection
 from photogrammetry.matching.assignment import Sense, assign_targets
@@ -106,7 +105,7 @@ def _join(one: OnePhoto, followed: TrackedPhoto) -> OnePhoto:
     free = _away(one.dots.pixels_px, tracked.pixels_px[good], tracked.radius_px[good])
     return replace(
         one,
-        detections=_together(one.detections, tracked.chosen(good)),
+        detections=one.detections.joined(tracked.chosen(good)),
         ellipses_px2=np.concatenate([one.ellipses_px2, followed.ellipses_px2[good]]),
         refused=(*one.refused, *followed.lost),
         dots=one.dots.chosen(free),
@@ -118,17 +117,6 @@ def _away(pixels_px: FloatArray, taken_px: FloatArray, radius_px: FloatArray) ->
     """Mark places that are outside of all taken targets."""
     far = np.linalg.norm(pixels_px[:, None] - taken_px[None], axis=2)
     return np.asarray((far > radius_px).all(axis=1))
-
-
-def _together(one: Detections, other: Detections) -> Detections:
-    return Detections(
-        one.photo,
-        one.names + other.names,
-        np.concatenate([one.pixels_px, other.pixels_px]),
-        np.concatenate([one.covariance_px2, other.covariance_px2]),
-        np.concatenate([one.radius_px, other.radius_px]),
-        np.concatenate([one.flags, other.flags]),
-    )
 
 
 # --- a list of rough places alone -----------------------------------------------------------------------------------
@@ -166,9 +154,7 @@ def _name_by_list(
 def _name_dots(one: OnePhoto, camera: Camera, listed: ListedTargets, sense: Sense) -> OnePhoto:
     place = assign_targets(camera, one.dots.pixels_px, one.dots.covariance_px2, listed, sense=sense).target_of_dot
     own = np.nonzero(place >= 0)[0]
-    chosen = one.dots.chosen(own)
-    names = tuple(listed.names[place[k]] for k in own)
-    named = Detections(chosen.photo, names, chosen.pixels_px, chosen.covariance_px2, chosen.radius_px, chosen.flags)
+    named = one.dots.chosen(own).renamed([listed.names[place[k]] for k in own])
     return replace(
         one,
         detections=named,

@@ -226,15 +226,34 @@ def measure_photo(image: Image, name: str, section: TargetsSection, search: Targ
 
     Shapes: image (height, width).
     """
-    found = _measure_markers(image, name, section) if section.has_markers else None
+    squares = section.dictionary if section.has_markers else section.square_dictionary
+    found = None if squares is None else _measure_markers(image, name, section, squares)
+    if section.square_dictionary is not None and found is not None:
+        return _beside_markers(_measure_circles(image, name, search), found)
     if found is not None and not search.with_uncoded:
         return found
+    circles = _measure_circles(image, name, search)
+    if found is not None:
+        return replace(found, dots=circles.dots, dot_ellipses_px2=circles.dot_ellipses_px2)
+    return circles
+
+
+def _beside_markers(circles: OnePhoto, markers: OnePhoto) -> OnePhoto:
+    """Put circular targets and square markers of a photo together."""
+    return replace(
+        circles,
+        detections=circles.detections.joined(markers.detections),
+        ellipses_px2=np.concatenate([circles.ellipses_px2, markers.ellipses_px2]),
+        refused=(*circles.refused, *markers.refused),
+    )
+
+
+def _measure_circles(image: Image, name: str, search: TargetSearch) -> OnePhoto:
+    """Find and measure ring codes and dots of one photo."""
     rings = measure_targets(image, name, search)
     shapes = np.array([center.ellipse.shape_px2 for center in rings.centers]).reshape(-1, 2, 2)
     count = len(rings.readings)
     dots = rings.detections.chosen(np.arange(count, len(rings.detections)))
-    if found is not None:
-        return replace(found, dots=dots, dot_ellipses_px2=shapes[count:])
     refused = [
         _left_out(f"target {code} in {name}", "is in the dictionary only as a mirror image", name, place)
         for code, place in zip(rings.mirrored, rings.mirrored_px, strict=True)
@@ -273,8 +292,8 @@ def _left_out(name: str, reason: str, photo: str, place_px: FloatArray) -> LeftO
     return LeftOut(name, reason, place=ImagePlace(photo, x, y))
 
 
-def _measure_markers(image: Image, photo: str, section: TargetsSection) -> OnePhoto:
-    markers = find_markers(image, photo, section.dictionary or "")
+def _measure_markers(image: Image, photo: str, section: TargetsSection, dictionary: str) -> OnePhoto:
+    markers = find_markers(image, photo, dictionary)
     refused = [
         _left_out(
             f"marker {bad.number} at ({bad.center_px[0]:.0f}, {bad.center_px[1]:.0f}) in {photo}",
@@ -399,14 +418,20 @@ def collect_photos(found: Sequence[OnePhoto]) -> MeasuredPhotos:
     sizes = {one.detections.photo: one.size_px for one in found}
     thumbnails = {one.detections.photo: one.thumbnail for one in found if one.thumbnail}
     points = ImagePoints.from_names(photos, names, np.concatenate([part.pixels_px for part in parts]), covariance)
+    # Corners of square markers and centres of dots are measured in other ways: each has a sigma of its own.
+    ellipses = np.concatenate(shapes)
+    is_corner = ~np.isfinite(ellipses).all(axis=(1, 2))
+    is_mixed = 0 < np.count_nonzero(is_corner) < is_corner.size
+    kinds: IntArray | None = np.asarray(is_corner, dtype=np.intp) if is_mixed else None
     return MeasuredPhotos(
         points,
-        np.concatenate(shapes),
+        ellipses,
         sizes,
         tuple(refused),
         doubts,
         True,
         _collect_dots(found),
+        kinds,
         thumbnails=thumbnails,
     )
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from heliogauge.doubts import Doubt
 from heliogauge.errors import InputError
+from heliogauge.files.regular import MOST_IMAGE_BYTES
 from heliogauge.flags import SampleFlag
 from heliogauge.images.photos import read_image
 from heliogauge.images.thumbnails import make_thumbnail
@@ -129,7 +130,7 @@ def read_single_photos(
     paths = _photo_paths(files)
     search = build_search(section, Path())
     with progress.stage("hash inputs"):
-        hashes = hash_files(paths)
+        hashes = hash_files(paths, most_bytes=MOST_IMAGE_BYTES)
 
     def one(file: Path, asked: TargetSearch) -> tuple[OnePhoto, bytes]:
         image = read_image(file)

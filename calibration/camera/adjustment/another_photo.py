@@ -1,7 +1,9 @@
 """What an adjustment says about the image points of a photo outside it, and what such a photo would add to it."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -11,6 +13,9 @@ from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.validate import FloatArray
 from photogrammetry import ImagePoints
 from photogrammetry.bundle import BundleState
+
+#: Photos that are predicted together: what is the same for all is formed once.
+_AT_ONCE = 32
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,8 +56,7 @@ class AnotherPhoto:
 
         Its pose is unknown: only what no pose explains counts. Sizes of random effects are held.
         """
-        seen = np.linalg.solve(self._root, self._free.T @ self.with_intrinsics.T)
-        return np.asarray(seen.T @ seen)
+        return np.asarray(_gains(self.covariance_px2[None], self.with_intrinsics[None], self.d_pose[None])[0])
 
     def drawn_px(self, rng: np.random.Generator) -> FloatArray:
         """Draw points as they may be measured, with the pose that fits them, shape (n, 2) [px]."""
@@ -67,36 +71,72 @@ def predict_photo(mixed: MixedAdjustment, points: BoardPoints, pose: RigidTransf
     points: The photo's points; those the others do not see are left out. Their covariances count, not their places.
     pose: Its ``cam_from_board``.
     """
+    return AnotherPhoto(*(part[0] for part in _predicted(mixed, points, [pose])))
+
+
+def gains_of_photos(mixed: MixedAdjustment, points: BoardPoints, poses: Sequence[RigidTransform]) -> FloatArray:
+    """Return `AnotherPhoto.gain` of photos of the same points from several poses, shape (p, c, c)."""
+    parts = [poses[start : start + _AT_ONCE] for start in range(0, len(poses), _AT_ONCE)]
+    return np.concatenate([_gains(*_predicted(mixed, points, part)[1:]) for part in parts])
+
+
+def _gains(covariance_px2: FloatArray, with_intrinsics: FloatArray, d_pose: FloatArray) -> FloatArray:
+    """Return by how much the intrinsics' covariance shrinks by what no pose explains, of each photo, shape (p, c, c).
+
+    With the points' covariance S, that with the intrinsics W and the derivatives D by the pose:
+    ``W S^-1 W' - W S^-1 D (D' S^-1 D)^-1 D' S^-1 W'``.
+    """
+    solved = np.linalg.solve(covariance_px2, np.concatenate([with_intrinsics.swapaxes(1, 2), d_pose], axis=2))
+    size = with_intrinsics.shape[1]
+    by_pose = d_pose.swapaxes(1, 2) @ solved
+    explained = by_pose[:, :, :size].swapaxes(1, 2) @ np.linalg.solve(by_pose[:, :, size:], by_pose[:, :, :size])
+    gain = with_intrinsics @ solved[:, :, :size] - explained
+    return np.asarray(0.5 * (gain + gain.swapaxes(1, 2)))
+
+
+class _Predicted(NamedTuple):
+    """What `AnotherPhoto` holds, of several photos of the same points: the first axis is theirs."""
+
+    predicted_px: FloatArray
+    covariance_px2: FloatArray
+    with_intrinsics: FloatArray
+    d_pose: FloatArray
+
+
+def _predicted(mixed: MixedAdjustment, points: BoardPoints, poses: Sequence[RigidTransform]) -> _Predicted:
+    """Predict the image points of photos."""
     network, linear = mixed.network, mixed.linear
     _, own, place = np.intersect1d(points.index, network.seen, return_indices=True)
-    names = network.board.names
+    names, n, n_photos = network.board.names, own.size, len(poses)
     table = ImagePoints(
-        (points.photo,),
+        tuple(f"{points.photo} {k}" for k in range(n_photos)),
         tuple(names[i] for i in points.index[own]),
-        np.zeros(own.size, dtype=np.intp),
-        np.arange(own.size),
-        points.pixels_px[own],
-        points.covariance_px2[own],
+        np.repeat(np.arange(n_photos), n),
+        np.tile(np.arange(n), n_photos),
+        np.tile(points.pixels_px[own], (n_photos, 1)),
+        np.tile(points.covariance_px2[own], (n_photos, 1, 1)),
     )
-    alone = BundleState.from_poses([mixed.state.cameras[0]], [pose], mixed.state.points_m[place])
+    alone = BundleState.from_poses([mixed.state.cameras[0]], poses, mixed.state.points_m[place])
     photo = photo_columns(network, table, alone, network.board.points_m[network.seen], place, linear.unit_m)
-    count, size = 2 * own.size, photo.d_intrinsics.shape[2]
-    covariance = np.zeros((own.size, 2, own.size, 2))
-    every = np.arange(own.size)
-    covariance[every, :, every, :] = photo.noise_px2 * float(np.median(mixed.sizes.components.noise)) ** 2
-    joint = mixed.joint_points.reshape(len(network.seen), 3, len(network.seen), 3)
-    joint = joint[place][:, :, place]
-    moved = np.einsum("nia,nakb->nikb", photo.d_point, joint, optimize=True)
-    covariance += np.einsum("nikb,kjb->nikj", moved, photo.d_point, optimize=True)
-    flat = covariance.reshape(count, count)
+    count, size = 2 * n, photo.d_intrinsics.shape[2]
+    every, d_point = np.arange(n), photo.d_point.reshape(n_photos, n, 2, 3)
+    coordinates = (3 * place[:, None] + np.arange(3)).ravel()
+    joint = mixed.joint_points[np.ix_(coordinates, coordinates)].reshape(n, 3, 3 * n)
+    moved = (d_point @ joint).reshape(n_photos, count, n, 3)
+    blocks = np.einsum("pikc,pkbc->pikb", moved, d_point, optimize=True).reshape(n_photos, n, 2, n, 2)
+    median = float(np.median(mixed.sizes.components.noise))
+    blocks[:, every, :, every] += photo.noise_px2.reshape(n_photos, n, 2, 2).swapaxes(0, 1) * median**2
+    covariance = np.asarray(blocks.reshape(n_photos, count, count), dtype=np.float64)
     for name, columns in photo.effects:
-        part = columns.reshape(count, -1)
-        flat += mixed.sizes.components.effects[mixed.sizes.names.index(name)] ** 2 * part @ part.T
-    lens = photo.d_intrinsics.reshape(count, size)
-    with_points = mixed.points_with_unknowns[:, :size].reshape(-1, 3, size)[place]
-    by_points = np.einsum("nia,nac->cni", photo.d_point, with_points).reshape(size, count)
+        part = columns.reshape(n_photos, count, -1)
+        sigma = mixed.sizes.components.effects[mixed.sizes.names.index(name)]
+        covariance += sigma**2 * part @ part.swapaxes(1, 2)
+    lens = photo.d_intrinsics.reshape(n_photos, count, size)
+    of_points = mixed.points_with_unknowns[coordinates, :size].reshape(n, 3, size)
+    with_points = (d_point @ of_points).reshape(n_photos, count, size)
     own_covariance = mixed.posterior.covariance[:size, :size]
-    crossed = lens @ by_points
-    flat += crossed + crossed.T + lens @ own_covariance @ lens.T
-    with_intrinsics = own_covariance @ lens.T + by_points
-    return AnotherPhoto(photo.predicted_px, flat, with_intrinsics, photo.d_pose.reshape(count, 6))
+    crossed = lens @ with_points.swapaxes(1, 2)
+    covariance += crossed + crossed.swapaxes(1, 2) + lens @ own_covariance @ lens.swapaxes(1, 2)
+    with_intrinsics = (lens @ own_covariance + with_points).swapaxes(1, 2)
+    predicted = photo.predicted_px.reshape(n_photos, n, 2)
+    return _Predicted(predicted, covariance, with_intrinsics, photo.d_pose.reshape(n_photos, count, 6))

@@ -1,8 +1,9 @@
 """Variance components of a linear mixed model of photos of a board: which share of misfit comes from where."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -53,12 +54,6 @@ class Components:
     effects: FloatArray
     point: FloatArray
     noise: FloatArray
-
-    def with_effect(self, group: int, sigma: float) -> "Components":
-        """Return the same with another standard deviation of one group of effects."""
-        effects = self.effects.copy()
-        effects[group] = sigma
-        return replace(self, effects=effects)
 
 
 class MixedModel:
@@ -273,15 +268,12 @@ class Posterior:
         base = self.covariance[place]
         total, effects = base.copy(), self.components.effects.copy()
         for group, size in enumerate(usual):
-            moments, shares, likelihoods, sizes = [], [], [], []
-            for sigma, share in self._likely(group, float(size)):
-                other = self.model.solve(self.components.with_effect(group, sigma))
-                apart = (other.values - self.values)[columns]
-                moments.append(other.covariance[place] + np.outer(apart, apart))
-                shares.append(share)
-                likelihoods.append(other.log_likelihood)
-                sizes.append(sigma)
-            weights = np.array(shares) * np.exp(np.array(likelihoods) - max(likelihoods))
+            family = _OtherSizes.of(self, group, columns)
+            sizes, shares = self._likely(family, group, float(size))
+            others = [family.at(sigma) for sigma in sizes]
+            moments = [base - other.gained + np.outer(other.apart, other.apart) for other in others]
+            likelihoods = np.array([other.log_ratio for other in others])
+            weights = shares * np.exp(likelihoods - likelihoods.max())
             effects[group] = max(effects[group], float(np.sqrt(np.average(np.square(sizes), weights=weights))))
             excess = np.average(moments, axis=0, weights=weights) - base
             values, vectors = np.linalg.eigh(excess / np.sqrt(np.outer(np.diag(base), np.diag(base))))
@@ -290,17 +282,16 @@ class Posterior:
             total += scaled * np.sqrt(np.outer(np.diag(base), np.diag(base)))
         return np.asarray(total), effects
 
-    def _likely(self, group: int, usual: float) -> list[tuple[float, float]]:
+    def _likely(self, family: "_OtherSizes", group: int, usual: float) -> tuple[list[float], FloatArray]:
         """Return places and weights of an integral over a group's standard deviation, as far as it is likely."""
         least = 0.0 if self.model._least is None else float(self.model._least.effects[group])
         largest = max(2 * float(self.components.effects[group]), _UNSEEN_SHARE * usual)
         for _ in range(_MOST_DOUBLINGS):
-            other = self.model.solve(self.components.with_effect(group, largest))
-            if other.log_likelihood < self.log_likelihood - _UNLIKELY:
+            if family.at(largest).log_ratio < -_UNLIKELY:
                 break
             largest *= 2
         nodes, weights = np.polynomial.legendre.leggauss(_NODES)
-        return list(zip((least + (largest - least) * 0.5 * (nodes + 1)).tolist(), weights.tolist(), strict=True))
+        return (least + (largest - least) * 0.5 * (nodes + 1)).tolist(), weights
 
     def updated(self) -> Components:
         """Return the variances that these unknowns speak for."""
@@ -341,6 +332,56 @@ class Posterior:
         variance += (block[part.targets] * part.own).sum()
         variance -= 2 * (self._with_points[part.targets][:, :, part.columns] * part.crossed).sum()
         return max(float(square), 0.0), float(variance)
+
+
+class _OtherSize(NamedTuple):
+    """What another standard deviation of one group makes of some common unknowns.
+
+    gained (c, c): By how much their covariance shrinks.
+    apart (c,): Their values less those of today.
+    log_ratio: Restricted log-likelihood less that of today.
+    """
+
+    gained: FloatArray
+    apart: FloatArray
+    log_ratio: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _OtherSizes:
+    """How a posterior follows the standard deviation of one group of effects, all others held.
+
+    sigma: That of today.
+    variances (g,): Eigenvalues of the group's own posterior covariance.
+    values (g,): The group's effects along its eigenvectors.
+    along (c, g): Covariance of the unknowns asked for with these.
+
+    Another standard deviation adds one number d to the diagonal of the group's normal equations. The inverse changes by
+    ``-B diag(d / (1 + d v)) B^T`` (Woodbury) with the eigenvalues v, and its determinant by ``prod(1 + d v)``: the
+    eigenvalues are formed once, and each further size costs as many operations as there are effects.
+    """
+
+    sigma: float
+    variances: FloatArray
+    values: FloatArray
+    along: FloatArray
+
+    @classmethod
+    def of(cls, posterior: Posterior, group: int, columns: IntArray) -> "_OtherSizes":
+        own = np.flatnonzero(posterior.model._group == group)
+        variances, vectors = np.linalg.eigh(posterior.covariance[np.ix_(own, own)])
+        along = posterior.covariance[np.ix_(columns, own)] @ vectors
+        return cls(float(posterior.components.effects[group]), variances, posterior.values[own] @ vectors, along)
+
+    def at(self, sigma: float) -> _OtherSize:
+        """Return the change for another standard deviation."""
+        more = 1 / sigma**2 - 1 / self.sigma**2
+        # No effect is known worse than its prior; round-off could say so.
+        grown = np.maximum(1 + more * self.variances, min(1.0, (self.sigma / sigma) ** 2))
+        shares = more / grown
+        logs = float(np.log(grown).sum()) + 2 * grown.size * float(np.log(sigma / self.sigma))
+        logs += float(shares @ self.values**2)
+        return _OtherSize((self.along * shares) @ self.along.T, -(self.along * shares) @ self.values, -0.5 * logs)
 
 
 def _factor(square: float, variance: float, sigma: float, count: int) -> float:

@@ -6,7 +6,7 @@ from functools import cached_property
 
 import numpy as np
 
-from calibration.camera.adjustment.another_photo import predict_photo
+from calibration.camera.adjustment.another_photo import gains_of_photos, predict_photo
 from calibration.camera.adjustment.mixed_adjustment import MixedAdjustment, Sizes, adjust_mixed
 from calibration.camera.adjustment.variance_components import Components
 from calibration.camera.corners.detection import BoardPoints
@@ -24,6 +24,8 @@ from photogrammetry.bundle import state as states
 
 #: Views are compared by so many of the board's points; their noise is smaller by as much as they are fewer.
 _COMPARED_POINTS = 60
+#: Views that are examined together.
+_EXAMINED_AT_ONCE = 32
 #: The points of photos that are not yet taken are drawn as the adjustment predicts them, so many times, always alike:
 #: what they will say of the effects' sizes is a matter of chance, and the sigma of one draw is off by a third.
 _DRAWS, _SEED = 4, 13
@@ -169,11 +171,14 @@ def choose_photos(
         now = chosen[-1].expected if chosen else today
         template = _board_points(now.cautious, "view")
         examined = np.zeros(len(views), dtype=np.bool_)
-        for view in np.argsort(-gains, kind="stable").tolist():
-            if examined.any() and gains[examined].max() >= gains[view]:
+        order = np.argsort(-gains, kind="stable")
+        for start in range(0, order.size, _EXAMINED_AT_ONCE):
+            some = order[start : start + _EXAMINED_AT_ONCE]
+            if examined.any() and gains[examined].max() >= gains[some[0]]:
                 break
-            gains[view] = float((weight * predict_photo(now.cautious, template, views[view]).gain).sum())
-            examined[view] = True
+            found = gains_of_photos(now.cautious, template, [views[view] for view in some.tolist()])
+            gains[some] = (weight * found).sum(axis=(1, 2))
+            examined[some] = True
         best = int(np.argmax(np.where(examined, gains, -np.inf)))
         name = f"next_{len(chosen) + 1:02d}"
         chosen.append(NextPhoto(name, views[best], now.with_photo(views[best], name, rngs)))

@@ -10,6 +10,8 @@ import pytest
 from typer.testing import CliRunner
 
 from data_synth.targets import PRINT_KINDS, image_truth, render_photo, target_scene, wall_scenes
+from heliogauge.errors import InputError
+from heliogauge.files.regular import MOST_IMAGE_BYTES
 from heliogauge.images.photos import write_image
 from photogrammetry.cli import app
 from photogrammetry.keys.targets import TargetsSection
@@ -85,3 +87,11 @@ def test_photos_of_one_sheet_share_where_its_rings_lie(tmp_path):
     # Found when written: 5 of 8 alone, 8 together; none wrong.
     assert together == [(codes[5 * seed].name,) for seed in range(8)]
     assert sum(len(one) for one in alone) < 8
+
+
+def test_a_file_too_large_for_a_photo_is_refused_unread(tmp_path):
+    file = tmp_path / "photo.jpg"
+    with file.open("wb") as hole:
+        hole.truncate(100 * MOST_IMAGE_BYTES)
+    with pytest.raises(InputError, match=r"photo\.jpg: 204800\.0 MiB; a file of at most 2048 MiB is read"):
+        read_single_photos([file], TargetsSection(dictionary="aicon-12"))

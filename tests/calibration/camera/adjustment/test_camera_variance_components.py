@@ -67,6 +67,42 @@ def test_unknowns_are_those_of_generalised_least_squares() -> None:
     np.testing.assert_allclose(posterior.covariance[:2, :2], covariance, rtol=1e-8)
 
 
+def test_other_sizes_of_a_group_are_those_of_solving_again() -> None:
+    """Covariance with unknown sizes by the same integral, each size solved for by itself; a group has nothing."""
+    rows, _ = small_model()
+    groups = np.array([-1, -1, 0, 0, 1, 1, 1, 1, 0, 0, 1, 1, 1, 1])
+    model = MixedModel(rows, groups, np.zeros((40, 3)), points_estimated=True)
+    today = replace(SIZES, effects=np.array([2.0, 1e-3]))
+    posterior, columns = model.solve(today), np.arange(2)
+    usual = np.array([1.0, 10.0])
+    covariance, effects = posterior.with_unknown_sizes(columns, usual)
+    total, squares = posterior.covariance[:2, :2].copy(), []
+    nodes, shares = np.polynomial.legendre.leggauss(6)
+    for group, (sigma, first) in enumerate(
+        zip(today.effects, np.maximum(2 * today.effects, 0.05 * usual), strict=True)
+    ):
+        several = [
+            model.solve(replace(today, effects=np.where(np.arange(2) == group, size, today.effects)))
+            for size in first * 2.0 ** np.arange(8)
+        ]
+        unlikely = [one.log_likelihood < posterior.log_likelihood - 4 for one in several]
+        sizes = first * 2.0 ** [*unlikely, True].index(True) * 0.5 * (nodes + 1)
+        others = [
+            model.solve(replace(today, effects=np.where(np.arange(2) == group, size, today.effects))) for size in sizes
+        ]
+        logs = np.array([one.log_likelihood for one in others])
+        weights = shares * np.exp(logs - logs.max()) / np.sum(shares * np.exp(logs - logs.max()))
+        moved = [one.values[:2] - posterior.values[:2] for one in others]
+        moments = np.array([one.covariance[:2, :2] + np.outer(by, by) for one, by in zip(others, moved, strict=True)])
+        excess = np.tensordot(weights, moments, axes=1) - posterior.covariance[:2, :2]
+        scale = np.sqrt(np.diag(posterior.covariance)[:2])
+        values, vectors = np.linalg.eigh(excess / np.outer(scale, scale))
+        total += (vectors * np.maximum(values, 0)) @ vectors.T * np.outer(scale, scale)
+        squares.append(max(float(sigma) ** 2, float(weights @ sizes**2)))
+    np.testing.assert_allclose(covariance, total, rtol=1e-7)
+    np.testing.assert_allclose(effects, np.sqrt(squares), rtol=1e-7)
+
+
 def test_sizes_are_a_maximum_of_the_restricted_likelihood() -> None:
     rows, model = small_model()
     found = SIZES

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calibration.camera.adjustment.another_photo import predict_photo
+from calibration.camera.adjustment.another_photo import gains_of_photos, predict_photo
 from calibration.camera.adjustment.mixed_adjustment import adjust_mixed
 from calibration.camera.boards import Chessboard
 from calibration.camera.corners.detection import BoardPoints
@@ -96,6 +96,20 @@ def test_what_a_photo_adds_is_what_the_normal_equations_say(today: Expectation) 
     np.testing.assert_allclose(np.sqrt(np.diag(more.posterior.covariance)[:n]), np.sqrt(expected), rtol=0.02)
     # And it adds something: to focal length or principal point a tenth of the variance at least.
     assert (np.diag(predicted.gain) / np.diag(mixed.posterior.covariance)[:n])[[0, 2, 3]].max() > 0.1
+
+
+def test_what_several_photos_add_is_what_no_pose_explains(today: Expectation) -> None:
+    """From the points' covariance in the complement of the poses' derivatives, one photo after the other."""
+    mixed, poses = today.draws[0], [weak_pose(k).moved([0.0, 0.1 * k, 0.3, 0.0, 0.01, 0.05]) for k in range(3)]
+    usual = np.tile(np.median(mixed.table.covariance_px2, axis=0), (20, 1, 1))
+    points = BoardPoints("more", np.arange(3, 43, 2), np.zeros((20, 2)), usual)
+    found = gains_of_photos(mixed, points, poses)
+    for gain, pose in zip(found, poses, strict=True):
+        one = predict_photo(mixed, points, pose)
+        free = np.linalg.qr(one.d_pose, mode="complete")[0][:, 6:]
+        seen = one.with_intrinsics @ free
+        expected = seen @ np.linalg.solve(free.T @ one.covariance_px2 @ free, seen.T)
+        np.testing.assert_allclose(gain, expected, atol=1e-9 * np.abs(expected).max())
 
 
 @pytest.mark.slow
