@@ -169,6 +169,11 @@ class BeamImagesSection(Section):
     markers: Annotated[tuple[Text, ...], Field(min_length=4, max_length=4)] | None = Field(
         None, description="Pictures of the marks at the corners, in that order."
     )
+    anchors_px: Annotated[tuple[Vector2, ...], Field(min_length=4, max_length=4)] | None = Field(
+        None,
+        description="The target's corner in each picture of markers, in that order; default: the outer corner of the "
+        "mark. A mark that two targets share (T-shaped) has none: there they are needed [px].",
+    )
     aruco_ids: Annotated[tuple[Index, ...], Field(min_length=4, max_length=4)] | None = Field(
         None, description="ArUco markers at the corners, in that order."
     )
@@ -186,6 +191,8 @@ class BeamImagesSection(Section):
         if len(given) != 1:
             said = " and ".join(given) or "nothing"
             raise ValueError(f"one of {', '.join(keys)} must state where the target is in the photos, not {said}")
+        if self.anchors_px is not None and self.markers is None:
+            raise ValueError("anchors_px are the target's corners in the pictures of markers, which are missing")
         return self
 
 

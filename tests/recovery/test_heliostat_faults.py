@@ -50,9 +50,9 @@ def test_each_fault_is_named_and_no_healthy_heliostat(tmp_path):
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 2, 3, 4, 5])
 def test_each_fault_in_other_fields(tmp_path, seed):
-    """Other draws: a tenth of a heliostat's spots can be a few that were hardly wrong; all else is named."""
+    """Other draws: a tenth of a heliostat's spots can be a few that were hardly wrong, and is no other kind then."""
     said, faults = named(tmp_path, seed, 30)
     for name, own in faults.items():
         wanted = {NAMES[fault] for fault in own}
         found = set(said[name].split(", ")) - {""}
-        assert found == wanted or wanted == {"outliers"}, name
+        assert found == wanted or (wanted == {"outliers"} and not found), name

@@ -1,4 +1,4 @@
-"""How large each finding can physically be, and what a number must be worth to accuse a heliostat."""
+"""How large each finding can physically be."""
 
 from collections.abc import Mapping, Sequence
 
@@ -20,28 +20,16 @@ BOUNDS: Mapping[str, tuple[float, str]] = {
     "target_place": (10.0, "beyond the size of a target it is another one"),
     "target_scale": (0.25, "tapes and corners in photos err by percents; a quarter is another target"),
 }
-#: Spots mirrored about the middle of the target look like a scale of -1: 200 % short of what it should be.
-MIRRORED = (1.5, 2.5)
 _WAVES = ("sag", "worm_gear")
-# Beyond so many of its own sigmas a coefficient is there at all.
-_SIGMAS = 3.0
 
 
 def is_physical(kind: str, coefficients: FloatArray, sigmas: FloatArray) -> bool:
-    """Return whether a term is at least three of its own sigmas large, and not two sigmas larger than it can be.
+    """Return whether a term is not two of its own sigmas larger than it can be.
 
     Shapes: coefficients (q,), sigmas (q,).
     kind: A key of `BOUNDS`; other kinds have no bound.
     """
-    if not (np.abs(coefficients) > _SIGMAS * sigmas).any():
-        return False
     return kind not in BOUNDS or bool(_within(kind, coefficients, sigmas).all())
-
-
-def is_mirrored(coefficients: FloatArray, sigmas: FloatArray) -> bool:
-    """Return whether scales of spots (2,) are those of mirrored ones, each determined to a fifth."""
-    turned = (coefficients > MIRRORED[0]) & (coefficients < MIRRORED[1]) & (sigmas < 0.2)
-    return bool(turned.any())
 
 
 def prior_of(kind: str, count: int) -> FloatArray | None:
@@ -65,8 +53,4 @@ def _within(kind: str, coefficients: FloatArray, sigmas: FloatArray) -> BoolArra
     if kind in _WAVES:
         # Sine and cosine of one amplitude.
         return np.asarray([np.linalg.norm(coefficients) - 2 * sigmas.max() <= BOUNDS[kind][0]])
-    within = np.abs(coefficients) - 2 * sigmas <= BOUNDS[kind][0]
-    if kind == "target_scale":
-        # Whichever direction is not mirrored has its usual scale.
-        within |= (coefficients > MIRRORED[0]) & (coefficients < MIRRORED[1])
-    return np.asarray(within)
+    return np.asarray(np.abs(coefficients) - 2 * sigmas <= BOUNDS[kind][0])

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from calibration.heliostat.diagnosis.linear_model import FEWEST_ROWS
+from calibration.heliostat.diagnosis.linear_model import FEWEST_ROWS, Windows
 from calibration.heliostat.diagnosis.terms import Term, Terms
 from calibration.heliostat.kinematic_model.design import HeliostatDesign
 from heliogauge.validate import FloatArray, TimeArray
@@ -46,9 +46,17 @@ def in_time(terms: Terms) -> list[Term]:
     alone = [k for k in range(len(names)) if size[k] > 0 and not alike[k, :k].any()]
     by, names = by[:, alone], tuple(names[k] for k in alone)
     own = times[terms.owner]
-    later = (own[None] >= dates[:, None]).astype(np.float64)
+    order = np.argsort(own, kind="stable")
+    sorted_days = own[order]
+    later = np.searchsorted(sorted_days, dates)
     units = tuple(f"{name}_rad" for name in names)
-    jump = Term("change_point", "a jump on one date", by[None] * later[:, :, None], units, _days(dates))
+    jump = Term(
+        "change_point",
+        "a jump on one date",
+        Windows(by, order, later, np.full_like(later, own.size)),
+        units,
+        _days(dates),
+    )
     first = times[terms.rows].min()
     years = (own - first) / _YEAR
     wander = (by * (years - years.mean())[:, None])[None]
@@ -56,13 +64,12 @@ def in_time(terms: Terms) -> list[Term]:
     found = [jump, Term("drift", "a drift in time", wander, per_year, np.zeros(1))]
     spans = episode_spans(times[terms.rows])
     if len(spans):
-        during = ((own[None] >= spans[:, :1]) & (own[None] < spans[:, 1:])).astype(np.float64)
+        first_in, after = np.searchsorted(sorted_days, spans.T)
         axes = np.stack([terms.by_axis(0), terms.by_axis(1)], axis=1)
         at = np.arange(len(spans), dtype=np.float64)
         units = ("level_1_rad", "level_2_rad")
-        found.append(
-            Term("episode", "another level for some days", axes[None] * during[:, :, None], units, at, spans=spans)
-        )
+        during = Windows(axes, order, first_in, after)
+        found.append(Term("episode", "another level for some days", during, units, at, spans=spans))
     return found
 
 
@@ -75,16 +82,15 @@ def episode_spans(times: TimeArray) -> TimeArray:
     days = np.sort(times.astype("datetime64[D]"))
     dates, first = np.unique(days, return_index=True)
     edges = np.append(first, days.size)
-    spans = [
-        (dates[a], dates[b])
-        for a in np.flatnonzero(first >= FEWEST_ROWS).tolist()
-        for b in range(a + 1, len(dates))
-        if dates[b - 1] - dates[a] <= _LONGEST
-        and edges[b] - edges[a] >= FEWEST_ROWS
-        and days.size - edges[b] >= FEWEST_ROWS
-        and edges[b] - edges[a] <= days.size / 3
-    ]
-    found = np.array(spans, dtype="datetime64[D]").reshape(-1, 2)
+    starts = np.flatnonzero(first >= FEWEST_ROWS)
+    # The first day after a span: from the next one on, as long as the last day of the span is within a month.
+    latest = np.minimum(np.searchsorted(dates, dates[starts] + _LONGEST, side="right"), len(dates) - 1)
+    lengths = np.maximum(latest - starts, 0)
+    a = np.repeat(starts, lengths)
+    b = a + 1 + np.arange(a.size) - np.repeat(np.cumsum(lengths) - lengths, lengths)
+    inside = edges[b] - edges[a]
+    enough = (inside >= FEWEST_ROWS) & (days.size - edges[b] >= FEWEST_ROWS) & (inside <= days.size / 3)
+    found = np.stack([dates[a[enough]], dates[b[enough]]], axis=1)
     if len(found) > _MOST_SPANS:
         found = found[np.linspace(0, len(found) - 1, _MOST_SPANS).round().astype(np.intp)]
     return np.asarray(found)

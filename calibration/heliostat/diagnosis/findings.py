@@ -12,7 +12,7 @@ from heliogauge.doubts import Doubt
 from heliogauge.validate import FloatArray, TimeArray
 
 #: How a finding stands to the heliostat: it or its records as a whole are wrong ("fault"), single rows were wrong and
-#: are left out ("rows"), something may be wrong but explains less than half of what is unexplained ("hint"), the
+#: are left out ("rows"), something may be wrong but sound heliostats show as much ("hint"), the
 #: observations are too few to decide ("doubt"), or the same is wrong for several heliostats ("field").
 Severity: TypeAlias = Literal["fault", "rows", "hint", "doubt", "field"]
 
@@ -213,6 +213,11 @@ class Diagnosis:
         """Return a diagnosis from what `content` returned; the fit with a remedy is not part of it."""
         findings = tuple(Finding.from_content(one) for one in content["findings"])
         return cls(findings, tuple(Check.from_content(one) for one in content["checks"]), content["significance"])
+
+
+def coefficients_of(finding: Finding) -> int:
+    """Return how many coefficients a term in the residuals has: each has a sigma."""
+    return sum(name.startswith("sigma_") for name in finding.evidence)
 
 
 _ORDER = {"fault": 0, "field": 1, "rows": 2, "doubt": 3, "hint": 4}

@@ -6,10 +6,19 @@ from typing import NamedTuple
 
 import numpy as np
 
-from calibration.heliostat.diagnosis.findings import Diagnosis, Finding, ordered
-from calibration.heliostat.diagnosis.hypotheses import REJECTED, hypothesis_finding, is_far
-from calibration.heliostat.diagnosis.numbers import Loosened, loosened_finding, number_findings
-from calibration.heliostat.diagnosis.residual_terms import AS_STATED, Looked, residual_findings
+from calibration.heliostat.diagnosis.findings import Diagnosis, Finding, coefficients_of, ordered
+from calibration.heliostat.diagnosis.hypotheses import (
+    FAR_RAD,
+    REJECTED,
+    hypothesis_finding,
+    is_far,
+    mirrored_finding,
+    site_finding,
+)
+from calibration.heliostat.diagnosis.misfit import ODDS_OF_A_FAULT, criterion, effective_components
+from calibration.heliostat.diagnosis.numbers import DEPARTED, Loosened, loosened_finding, number_findings
+from calibration.heliostat.diagnosis.residual_terms import Looked, residual_findings
+from calibration.heliostat.diagnosis.rivals import STRONG
 from calibration.heliostat.diagnosis.rows import Records, explained_rows, outlier_finding, record_findings
 from calibration.heliostat.fitting.fit_result import HeliostatFit
 from calibration.heliostat.kinematic_model.design import PlaneTarget
@@ -29,11 +38,10 @@ REMEDIED = (
     *("actuator_numbers", "position", "sun_convention", "site", "time_offset", "units"),
     *("swapped_axes", "inverted_axis", "half_turn", "mirrored_spots", "target_names_exchanged"),
 )
+# What numbers of an actuator that are not its own look like while they are held.
+_LIKE_ACTUATORS = {"sag", "scale", "time_offset", "refraction", "target_scale", "worm_gear"}
 #: A heliostat with fewer spare components than this cannot be distinguished from a faulty one.
 _FEWEST_SPARE = 8
-# A term that leaves no more than a hypothesis does is the simpler answer; where no hypothesis helps, it must bring the
-# median down by as much as one would have to.
-_AS_GOOD, _SUNK = 1.0, 4.0
 # A rejected row is no outlier any more where a fault's term brings it back within this [sigma].
 _UNDONE = 4.0
 
@@ -59,8 +67,8 @@ def diagnose(
     be; records that are wrong as a whole, where the fit is far off; rows that are right when read otherwise; terms in
     the residuals of the rest; what is left of the outliers. The chance is shared between numbers and residuals, and
     there by Bonferroni's bound between all terms, dates and periods. A term whose significance is beyond doubt but
-    that explains less than 60 % of what is unexplained is a hint, no fault: real heliostats follow no rigid model to
-    better than a milliradian of the beam. Unless, with the term, the rows scatter no more than their stated sigmas.
+    that smooth errors of sound heliostats may pass for is a hint, no fault: real heliostats follow no rigid model to
+    better than a milliradian of the beam.
     """
     if not 0 < significance < 1:
         raise InputError(f"significance: a probability between 0 and 1 is needed, not {significance:g}")
@@ -108,12 +116,26 @@ def _diagnosed(
         return Diagnosis(ordered([*findings, *numbers]), (), significance)
     explained_findings, explained = explained_rows(fit, known)
     looked = residual_findings(fit, known, site, significance / 2, explained)
+    usable = fit.residuals.computable & ~explained
+    mirrored = (
+        mirrored_finding(fit, known, usable, ODDS_OF_A_FAULT * significance / 2, looked.findings) if known else None
+    )
+    of_time = next((one for one in looked.findings if (one.kind, one.severity) == ("time_offset", "fault")), None)
+    elsewhere = None if mirrored is not None or of_time is None or site is None else site_finding(fit, site, of_time)
+    whole = mirrored or elsewhere
+    if whole is not None:
+        # What records that are wrong as a whole did to rows and numbers is no finding of its own.
+        return Diagnosis(ordered([*findings, whole[0]]), looked.checks, significance, whole[1])
     found = list(looked.findings)
-    followed = _of_numbers(fit, looked, significance)
-    if followed is not None:
+    followed, likelier_by = _of_numbers(fit, looked, significance)
+    if followed is not None and likelier_by > STRONG:
         # Wrong numbers look like sag, scale or targets out of place.
         found = [followed.finding]
         numbers = [one for one in numbers if one.kind != followed.finding.kind]
+    elif followed is not None:
+        if likelier_by > -STRONG:
+            found = [_open(one, followed.finding) for one in found]
+        followed = None
     left = fit.rejected & ~explained & fit.residuals.computable & ~(looked.lengths < _UNDONE)
     outliers = outlier_finding(fit, left, images, () if records is None else records.ids)
     findings += [*numbers, *explained_findings, *found, *([outliers] if outliers is not None else [])]
@@ -123,25 +145,48 @@ def _diagnosed(
     return Diagnosis(ordered(findings), looked.checks, significance, None if followed is None else followed.fit)
 
 
-def _of_numbers(fit: HeliostatFit, looked: Looked, significance: float) -> Loosened | None:
-    """Follow numbers of which the residuals contradict what was known."""
+def _of_numbers(fit: HeliostatFit, looked: Looked, significance: float) -> tuple[Loosened | None, float]:
+    """Follow numbers of which the residuals contradict what was known, or that a term may imitate.
+
+    Returns: The numbers that explain most; None without any.
+    Returns: By how much they are likelier than the terms that are faults: difference of the information criteria.
+    """
     found = []
+    faults = {one.kind for one in looked.findings if one.severity == "fault"}
     for kind in ("position", "actuator_numbers"):
         doubted = [check for check in looked.checks if check.kind == kind]
-        if any(check.chance * len(looked.checks) < significance for check in doubted):
+        imitated = kind == "actuator_numbers" and bool(faults & _LIKE_ACTUATORS)
+        if imitated or any(check.chance * len(looked.checks) < significance for check in doubted):
             loosened = loosened_finding(fit, kind)
-            if loosened is not None and not _much_better(looked, loosened.finding):
+            if loosened is not None:
                 found.append(loosened)
-    return max(found, key=lambda one: one.finding.evidence["explained_share"], default=None)
+    best = max(found, key=lambda one: one.finding.evidence["explained_share"], default=None)
+    return best, 0.0 if best is None else _likelier_by(fit, looked, best.finding)
 
 
-def _much_better(looked: Looked, finding: Finding) -> bool:
-    """Return whether a term explains all, or leaves less than half of what many other numbers leave."""
-    faults = [one.evidence for one in looked.findings if one.severity == "fault"]
-    if any(one["left_over_stated"] < AS_STATED for one in faults):
-        return True
-    shares = [one["explained_share"] for one in faults]
-    return bool(shares) and 1 - max(shares) < 0.5 * (1 - finding.evidence["explained_share"])
+def _likelier_by(fit: HeliostatFit, looked: Looked, finding: Finding) -> float:
+    """Return by how much numbers explain the residuals better than the terms that are faults, which have fewer."""
+    count = effective_components(_spare(fit))
+    theirs = criterion(1 - finding.evidence["explained_share"], finding.evidence["determined_count"], count)
+    own = (
+        criterion(1 - one.evidence["explained_share"], coefficients_of(one), count)
+        for one in looked.findings
+        if one.severity == "fault" and one.kind != finding.kind
+    )
+    return float(min(own, default=np.inf) - theirs)
+
+
+def _open(finding: Finding, numbers: Finding) -> Finding:
+    """Return a fault as a doubt where numbers of the heliostat explain the same."""
+    if finding.severity != "fault":
+        return finding
+    share = 100 * numbers.evidence["explained_share"]
+    text = f"{finding.text} {DEPARTED[numbers.kind]} would explain {share:.0f} %: it is open which of both it is."
+    return replace(finding, severity="doubt", text=text)
+
+
+def _spare(fit: HeliostatFit) -> float:
+    return float(max(int(fit.observations.n_components.sum()) - fit.n_free, 1))
 
 
 def _of_far(
@@ -159,9 +204,16 @@ def _of_far(
         terms = [
             one for one in residual_findings(fit, targets, site, significance / 2, none).findings if _is_grave(one)
         ]
-        after = found.evidence.get("median_after_mrad", found.evidence["median_before_mrad"] / _SUNK)
         before = found.evidence["median_before_mrad"]
-        if terms and before * np.sqrt(1 - max(one.evidence["explained_share"] for one in terms)) < _AS_GOOD * after:
+        # Where no hypothesis helps, a term must bring the heliostat as near as one would have to.
+        after = found.evidence.get("median_after_mrad", 1e3 * FAR_RAD)
+        count, is_open = effective_components(_spare(fit)), found.kind == "unexplained"
+        theirs = criterion((after / before) ** 2, found.evidence.get("freed_count", 0.0), count)
+        own = (
+            criterion(1 - one.evidence["explained_share"], 0 if is_open else coefficients_of(one), count)
+            for one in terms
+        )
+        if min(own, default=np.inf) < theirs:
             # One term of a drive or of time explains as much as a hypothesis about everything.
             return _Far(terms)
     if found.kind == "actuator_numbers" and beyond is not None:

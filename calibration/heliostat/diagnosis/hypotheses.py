@@ -7,9 +7,10 @@ from itertools import combinations
 
 import numpy as np
 
-from calibration.heliostat.diagnosis.findings import Finding
+from calibration.heliostat.diagnosis.findings import Finding, coefficients_of
 from calibration.heliostat.diagnosis.linear_model import linear_fit
-from calibration.heliostat.diagnosis.terms import Terms, turned_sky, with_suns
+from calibration.heliostat.diagnosis.misfit import criterion, effective_components
+from calibration.heliostat.diagnosis.terms import SPOTS, Terms, turned_sky, with_suns
 from calibration.heliostat.fitting.fit_result import FitOptions, HeliostatFit
 from calibration.heliostat.fitting.robust_fit import fit as fit_heliostat
 from calibration.heliostat.kinematic_model.design import (
@@ -24,7 +25,7 @@ from calibration.heliostat.observations.beam_observations import BeamSpots, SunI
 from calibration.heliostat.observations.observations import Group, Observations, Pointings
 from heliogauge.errors import EstimationError, InputError
 from heliogauge.geometry.sun import Site, sun_directions
-from heliogauge.validate import FloatArray
+from heliogauge.validate import BoolArray, FloatArray
 
 #: Median angle between beams and fit beyond which no heliostat with its numbers is explained [rad of the beam].
 FAR_RAD = 0.010
@@ -34,6 +35,8 @@ REJECTED = 0.3
 _BETTER = 4.0
 # Many free numbers must be so much better than a changed sign, and their triangles than where the actuators start.
 _WORTH, _MORE_WORTH = 2.0, 1.3
+# A row's share in what is unexplained is cut here [sigma].
+_CUT = 5.0
 # Rows that decide between hypotheses; the winner is fitted to all.
 _ROWS = 40
 # Computed and recorded suns agree to this where the suns are those of the times.
@@ -92,6 +95,8 @@ def hypothesis_finding(
         return _time_finding(fit, hypothesis, site, before)
     after = np.inf if corrected is None else _median(corrected)
     evidence = {"median_before_mrad": 1e3 * before, "median_after_mrad": 1e3 * after, **hypothesis.evidence}
+    freed = int(hypothesis.design.parameters.free.sum()) - int(fit.nominal.parameters.free.sum())
+    evidence |= {"freed_count": float(freed)} if freed else {}
     chance = _chance(fit, after / before, len(tried) + 1)
     fall = f"from {1e3 * before:.1f} to {1e3 * after:.2f} mrad of the beam"
     text = f"{hypothesis.text}: without that the median residual falls {fall}."
@@ -361,19 +366,107 @@ def _spots(fit: HeliostatFit, targets: Mapping[str, PlaneTarget]) -> Iterator[Hy
     used = [name for name in dict.fromkeys(name for group in beams for name in group.target) if name in targets]
     if not used:
         return
-    yield Hypothesis(
-        "mirrored_spots",
-        "x on the targets runs to the left as seen from the field",
-        fit.nominal,
-        partial(_with_spots, targets=targets, names={}, sign=-1.0),
-    )
+    yield from mirrored(fit, targets)
     for one, other in combinations(used, 2):
         yield Hypothesis(
             "target_names_exchanged",
             f"The targets {one} and {other} are taken for each other",
             fit.nominal,
-            partial(_with_spots, targets=targets, names={one: other, other: one}, sign=1.0),
+            partial(_with_spots, targets=targets, names={one: other, other: one}, signs=(1.0, 1.0)),
         )
+
+
+def mirrored(fit: HeliostatFit, targets: Mapping[str, PlaneTarget]) -> Iterator[Hypothesis]:
+    """Yield the spots with one coordinate on the targets of the other sign."""
+    texts = {
+        (-1.0, 1.0): "x on the targets runs to the left as seen from the field",
+        (1.0, -1.0): "y on the targets runs downwards",
+    }
+    for signs, text in texts.items():
+        change = partial(_with_spots, targets=targets, names={}, signs=signs)
+        yield Hypothesis("mirrored_spots", text, fit.nominal, change)
+
+
+def mirrored_finding(
+    fit: HeliostatFit,
+    targets: Mapping[str, PlaneTarget],
+    rows: BoolArray,
+    level: float,
+    terms_found: Sequence[Finding],
+) -> tuple[Finding, HeliostatFit] | None:
+    """Ask whether the spots fit better with one coordinate on the targets of the other sign.
+
+    Shapes: rows (n,).
+    rows: Those that are looked at.
+    level: Chance from which on it is no fault.
+    terms_found: What else the residuals show, significant or not: it may be the better explanation.
+    Returns: The fault and the fit without it, or None.
+
+    Both readings have the same numbers: their likelihood ratio is that of what they leave, with two independent
+    components for each day, because rows of a day share their errors. Its chance is at most its inverse (Markov).
+    """
+    if not any(set(group.target) & set(targets) for group in fit.observations.groups if isinstance(group, BeamSpots)):
+        return None
+    model, terms = linear_fit(fit, rows), Terms(fit, rows)
+    days = fit.observations.time[rows].astype("datetime64[D]")
+    independent = 2 * (np.unique(days[~np.isnat(days)]).size + int(np.isnat(days).sum()))
+    for one in mirrored(fit, targets):
+        other = model.shifted(terms.moved(one.change(fit.observations), 1.0))
+        ratio = float(other.squares(model.scale).sum() / max(model.squares(model.scale).sum(), 1e-300))
+        chance = min(1.0, 2 * ratio ** (0.5 * independent))
+        others = (
+            criterion(1 - found.evidence["explained_share"], coefficients_of(found), independent)
+            for found in terms_found
+            # A scale of -1 is what mirrored spots look like.
+            if found.kind != "target_scale"
+        )
+        if chance > level or criterion(ratio, 0.0, independent) > min(others, default=np.inf):
+            continue
+        corrected = _fitted(one, fit.observations)
+        if corrected is None or _is_stretched(corrected, targets):
+            continue
+        evidence = {
+            "explained_share": 1 - ratio,
+            "median_before_mrad": 1e3 * _median(fit),
+            "median_after_mrad": 1e3 * _median(corrected),
+        }
+        text = f"{one.text}: without that {100 * (1 - ratio):.0f} % less is left of the squares."
+        return Finding("mirrored_spots", "fault", text, evidence, chance, subject=SPOTS), corrected
+    return None
+
+
+def site_finding(fit: HeliostatFit, site: Site, of_time: Finding) -> tuple[Finding, HeliostatFit] | None:
+    """Ask whether the site explains what looks like a wrong clock: a longitude of the wrong sign is an hour or so.
+
+    of_time: The clock's finding.
+    Returns: The fault and the fit without it, or None where the clock, a number of its own, explains it better.
+    """
+    before, count = _median(fit), effective_components(float(fit.observations.n_components.sum()) - fit.n_free)
+    theirs = criterion(1 - of_time.evidence["explained_share"], 1.0, count)
+    tried = [(_fitted(one, fit.observations), one) for one in _sites(fit, site)]
+    fits = [(_median(found), found, one) for found, one in tried if found is not None and not _looks_away(found)]
+    if not fits:
+        return None
+    after, corrected, hypothesis = min(fits, key=lambda one: one[0])
+    squares = [np.minimum(one.residuals.lengths / fit.factor, _CUT) ** 2 for one in (fit, corrected)]
+    if criterion(float(squares[1].sum() / max(squares[0].sum(), 1e-300)), 0.0, count) > theirs:
+        return None
+    evidence = {"median_before_mrad": 1e3 * before, "median_after_mrad": 1e3 * after}
+    fall = f"from {1e3 * before:.1f} to {1e3 * after:.2f} mrad of the beam"
+    text = f"{hypothesis.text}: without that the median residual falls {fall}."
+    chance = _chance(fit, after / before, len(tried))
+    return Finding("site", "fault", text, evidence, chance, subject=hypothesis.text), corrected
+
+
+def _is_stretched(fit: HeliostatFit, targets: Mapping[str, PlaneTarget]) -> bool:
+    """Return whether spots are nearer to a scale of -1, or of 3, than to their own: then they are not what is wrong."""
+    model = linear_fit(fit)
+    found = (
+        model.estimate(term.columns[0])
+        for term in Terms(fit, fit.residuals.computable).targets(targets)
+        if term.kind == "target_scale"
+    )
+    return any(bool((np.abs(one.values) > 1).any()) for one in found)
 
 
 def _free_actuators(fit: HeliostatFit) -> Iterator[Hypothesis]:
@@ -398,7 +491,10 @@ def _with_readings(observations: Observations, change: Callable[[FloatArray], Fl
 
 
 def _with_spots(
-    observations: Observations, targets: Mapping[str, PlaneTarget], names: Mapping[str, str], sign: float
+    observations: Observations,
+    targets: Mapping[str, PlaneTarget],
+    names: Mapping[str, str],
+    signs: tuple[float, float],
 ) -> Observations:
     groups: list[Group] = []
     for group in observations.groups:
@@ -406,7 +502,7 @@ def _with_spots(
             spots = group.spot_m.copy()
             for name in set(group.target) & set(targets):
                 mine = np.array([one == name for one in group.target], dtype=np.bool_)
-                xy = targets[name].coordinates(spots[mine]) * [sign, 1.0]
+                xy = targets[name].coordinates(spots[mine]) * signs
                 spots[mine] = targets[names.get(name, name)].points(xy)
             group = replace(group, spot_m=spots)
         groups.append(group)

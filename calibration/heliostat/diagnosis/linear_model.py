@@ -1,13 +1,13 @@
 """A fit made linear about its end, robust and with all rows, to ask what a further term would explain."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
 
 from calibration.heliostat.fitting.fit_result import HeliostatFit
 from heliogauge.adjust.robust_loss import Huber
-from heliogauge.validate import BoolArray, FloatArray
+from heliogauge.validate import BoolArray, FloatArray, IntArray
 
 #: A row agrees with the others when it lies within this of the fit [sigma of the beam].
 EXPLAINED_SIGMAS = 4.0
@@ -37,10 +37,11 @@ class LinearFit:
 
     residual: FloatArray
     base: FloatArray
-    owner: np.ndarray[tuple[int, ...], np.dtype[np.intp]]
+    owner: IntArray
     count: int
     scale: float = 1.0
     stated: float = 0.0
+    _kept: "list[_Asked]" = field(init=False, default_factory=list)
 
     @property
     def observed(self) -> BoolArray:
@@ -58,7 +59,7 @@ class LinearFit:
         filled[self.observed] = columns
         return filled
 
-    def scores(self, columns: FloatArray) -> tuple[FloatArray, np.ndarray[tuple[int, ...], np.dtype[np.intp]]]:
+    def scores(self, columns: "FloatArray | Windows") -> tuple[FloatArray, IntArray]:
         """Ask whether the residuals contain one of several terms.
 
         columns (looks, m_rows, q): Derivatives by the coefficients of each.
@@ -70,22 +71,22 @@ class LinearFit:
         in 1 / v, and exactly for q = 2. Rows that scatter less than was stated of them are judged by what was stated:
         errors that they share do not scatter, and are no fault.
         """
-        wide = np.zeros((len(columns), self.owner.size, columns.shape[2]))
-        wide[:, self.observed] = columns
-        size = np.linalg.norm(wide, axis=1)
-        wide /= np.where(size > 0, size, 1.0)[:, None]
-        # Priors keep their sigma where the rows turned out to scatter by another factor.
-        basis = _span(self.base * np.where(self.observed, 1.0, self.scale)[:, None])
-        wide -= basis @ (basis.T @ wide)
-        pull = self._pull()
+        basis, pull, pull_in_base, whole = self._asked
+        looks, _, q = columns.shape
         spare = int(self.observed.sum()) - basis.shape[1]
-        whole = float(pull @ pull)
-        values, vectors = np.linalg.eigh(wide.transpose(0, 2, 1) @ wide)
-        along = ((pull @ wide)[:, None] @ vectors)[:, 0]
+        if spare - q < 3 or whole == 0:
+            return np.zeros(looks), np.zeros(looks, dtype=np.intp)
+        own = self.observed
+        square, shares = _products(columns, np.column_stack([basis[own], pull[own]]))
+        size = np.sqrt(np.einsum("lii->li", square))
+        over = 1 / np.where(size > 0, size, 1.0)
+        imitated, along = shares[:, :-1] * over[:, None], shares[:, -1] * over
+        # What the base takes of each column is a part of unit columns: the difference keeps 1e-15, 4e-4 counts.
+        left = square * over[:, :, None] * over[:, None] - imitated.transpose(0, 2, 1) @ imitated
+        values, vectors = np.linalg.eigh(left)
+        along = ((along - pull_in_base @ imitated)[:, None] @ vectors)[:, 0]
         seen = values > _IMITATED**2
         freedom = seen.sum(axis=1)
-        if spare - columns.shape[2] < 3 or whole == 0:
-            return np.zeros(len(columns)), np.zeros(len(columns), dtype=np.intp)
         explained = np.where(seen, along**2 / np.where(seen, values, 1.0), 0.0).sum(axis=1)
         share = np.minimum(explained / whole, 1 - 1e-12)
         statistics = -(spare - freedom / 2 - 1) * np.log1p(-share)
@@ -115,9 +116,25 @@ class LinearFit:
         after = np.minimum(settled.lengths()[rows] / self.scale, _CUT)
         spare = max(int(self.observed.sum()) - self.base.shape[1], 1)
         least = max(spare - columns.shape[1], 1)
-        ratio = float(after @ after) / least / max(float(before @ before) / spare, 1e-300)
+        left, whole = max(float(after @ after), 1e-300), float(before @ before)
+        ratio = left / least / max(whole / spare, 1e-300)
         sigma = np.sqrt(np.maximum(np.diag(covariance)[own], 0)) * max(settled.scale, self.stated)
-        return Extension(settled, step[own], sigma, 1 - ratio, 1 - ratio * (1 + 2 * np.sqrt(2 / least)))
+        # Rows that scatter less than was stated of them are judged by what was stated.
+        gain = (whole - left) / (left * max(1.0, self.stated / settled.scale) ** 2)
+        return Extension(settled, step[own], sigma, 1 - ratio, gain, least * float(rows.mean()))
+
+    def shifted(self, by: FloatArray) -> "LinearFit":
+        """Return the fit to other observations.
+
+        by (m_rows,): What they add to the residuals of the rows.
+        """
+        other = self.residual.copy()
+        other[self.observed] += by
+        return _settle(replace(self, residual=other)).model
+
+    def squares(self, scale: float) -> FloatArray:
+        """Return the (cut) square of what is left of each row, shape (count,), in units of a scatter."""
+        return np.asarray(np.minimum(self.lengths() / scale, _CUT) ** 2)
 
     def estimate(self, columns: FloatArray) -> "Estimate":
         """Estimate a term in one step, whether it is there or not.
@@ -126,13 +143,13 @@ class LinearFit:
         Returns: Coefficients with sigma; of no use where the base imitates the term: then the sigma is large.
         """
         wide = self.padded(columns)
-        basis = _span(self.base * np.where(self.observed, 1.0, self.scale)[:, None])
+        basis, pull, _, _ = self._asked
         wide -= basis @ (basis.T @ wide)
         # What the base imitates wholly stays finite: a millionth of the information.
         normal = wide.T @ wide
         normal += np.diag(1e-6 * np.einsum("ij,ij->j", columns, columns) + 1e-300)
         inverse = np.linalg.inv(normal)
-        values = -inverse @ (wide.T @ self._pull()) * self.scale
+        values = -inverse @ (wide.T @ pull) * self.scale
         return Estimate(np.asarray(values), np.sqrt(np.diag(inverse)) * max(self.scale, self.stated))
 
     def freedom(self, columns: FloatArray, sigmas: FloatArray) -> float:
@@ -142,17 +159,73 @@ class LinearFit:
         sigmas (q,): What is known of these beforehand.
         """
         wide = self.padded(columns * sigmas) / self.scale
-        basis = _span(self.base * np.where(self.observed, 1.0, self.scale)[:, None])
+        basis = self._asked.basis
         wide -= basis @ (basis.T @ wide)
         values = np.linalg.svd(wide, compute_uv=False) ** 2
         return float(np.sum(values / (1 + values)))
 
-    def _pull(self) -> FloatArray:
-        weight = np.ones(self.owner.size)
-        own = self.observed
-        lengths = self.lengths() / self.scale
-        weight[own] = _HUBER.weight(lengths)[self.owner[own]]
-        return np.asarray(weight * self.residual / np.where(own, self.scale, 1.0))
+    @property
+    def _asked(self) -> "_Asked":
+        """What every question to the residuals needs; a fit is asked some dozen."""
+        if not self._kept:
+            weight, own = np.ones(self.owner.size), self.observed
+            weight[own] = _HUBER.weight(self.lengths() / self.scale)[self.owner[own]]
+            pull = weight * self.residual / np.where(own, self.scale, 1.0)
+            # Priors keep their sigma where the rows turned out to scatter by another factor.
+            basis = _span(self.base * np.where(own, 1.0, self.scale)[:, None])
+            self._kept.append(_Asked(basis, pull, pull @ basis, float(pull @ pull)))
+        return self._kept[0]
+
+
+class _Asked(NamedTuple):
+    """Orthonormal basis (m, k) of what is adjusted anyhow, bounded residuals (m,), these in it (k,), their square."""
+
+    basis: FloatArray
+    pull: FloatArray
+    pull_in_base: FloatArray
+    whole: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Windows:
+    """Columns of many looks that differ only in the rows where they are not zero: those between two times.
+
+    base (m_rows, q): The columns, everywhere.
+    order (m_rows,): Components in the order of time.
+    first, last (looks,): Of that order, from where to before where each look is not zero.
+    """
+
+    base: FloatArray
+    order: IntArray
+    first: IntArray
+    last: IntArray
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """Looks, components of rows, columns of each."""
+        return len(self.first), *self.base.shape
+
+    def __getitem__(self, look: int) -> FloatArray:
+        """Return the columns of one look, shape (m_rows, q)."""
+        found = np.zeros(self.base.shape)
+        inside = self.order[self.first[look] : self.last[look]]
+        found[inside] = self.base[inside]
+        return found
+
+    def sums(self, products: FloatArray) -> FloatArray:
+        """Return the sums over each look's components of something that they have, (m_rows, r): (looks, r)."""
+        up_to = np.concatenate([np.zeros((1, products.shape[1])), np.cumsum(products[self.order], axis=0)])
+        return np.asarray(up_to[self.last] - up_to[self.first])
+
+
+def _products(columns: FloatArray | Windows, others: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the products of each look's columns with each other, (looks, q, q), and with others (m_rows, r)."""
+    if not isinstance(columns, Windows):
+        return columns.transpose(0, 2, 1) @ columns, others.T @ columns
+    base, (looks, rows, q), r = columns.base, columns.shape, others.shape[1]
+    both = np.concatenate([base, others], axis=1)
+    sums = columns.sums((both[:, :, None] * base[:, None]).reshape(rows, (q + r) * q)).reshape(looks, q + r, q)
+    return sums[:, :q], sums[:, q:]
 
 
 class Estimate(NamedTuple):
@@ -169,14 +242,23 @@ class Extension:
     model: What is left, the term being part of the base.
     coefficients, sigmas (q,): Of the term.
     explained: Share of the (cut) variance that it explains beyond its degrees of freedom.
-    surely: The least share that it explains with 95 %: two sigmas of what so few rows leave.
+    gain: What it explains over what it leaves, as (cut) sums of squares.
+    spare: Components that are left to judge it by.
     """
 
     model: LinearFit
     coefficients: FloatArray
     sigmas: FloatArray
     explained: float
-    surely: float
+    gain: float
+    spare: float
+
+    @property
+    def misfit(self) -> float:
+        """Largest share of what is left that can be other than scatter as stated: smooth errors, perhaps."""
+        # With 95 %: the square of a median of so many components has twice the variance of their mean square.
+        most = self.model.scale**2 * (1 + 2 * np.sqrt(4 / max(self.spare, 1.0)))
+        return float(max(0.0, 1 - self.model.stated**2 / most))
 
 
 def linear_fit(fit: HeliostatFit, rows: BoolArray | None = None) -> LinearFit:

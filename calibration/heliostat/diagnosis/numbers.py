@@ -11,6 +11,7 @@ from calibration.heliostat.diagnosis.findings import Finding, Severity, dates_of
 from calibration.heliostat.diagnosis.terms import actuator_names
 from calibration.heliostat.fitting.fit_result import FitOptions, HeliostatFit
 from calibration.heliostat.fitting.observability import plausible_scales
+from calibration.heliostat.fitting.priors import prior_sigma
 from calibration.heliostat.fitting.robust_fit import fit as refit
 from calibration.heliostat.kinematic_model.design import POSITION
 from heliogauge.errors import EstimationError
@@ -84,10 +85,14 @@ def loosened_finding(fit: HeliostatFit, kind: str) -> Loosened | None:
     """
     parameters = fit.nominal.parameters
     members = actuator_names(fit.design) if kind == "actuator_numbers" else POSITION
-    names = [name for name in members if name in parameters.names and 0 < parameters.sigma(name) < np.inf]
+    # What the fit held is known as well as is usual.
+    usual = {name: prior_sigma(fit.nominal, name) for name in members if name in parameters.names}
+    priors = {name: sigma for name, sigma in usual.items() if 0 < sigma < np.inf}
+    names = list(priors)
     if not names:
         return None
-    wide = parameters.with_sigmas({name: LOOSE * parameters.sigma(name) for name in names})
+    parameters = parameters.with_sigmas(priors)
+    wide = parameters.with_sigmas({name: LOOSE * sigma for name, sigma in priors.items()})
     try:
         other = refit(fit.nominal.with_parameters(wide), fit.observations, FitOptions(restarts=0))
     except EstimationError:
@@ -102,11 +107,12 @@ def loosened_finding(fit: HeliostatFit, kind: str) -> Loosened | None:
     if surely < NUMBERS_EXPLAIN[kind] or not (np.abs(shifts) > FAR_SIGMAS * prior).any():
         return None
     order = np.argsort(-np.abs(shifts / prior))
-    compared = replace(other, nominal=fit.nominal)
+    compared = replace(other, nominal=fit.nominal.with_parameters(parameters))
     # The bound of Markov on the likelihood ratio.
     chance = np.array([np.exp(0.5 * spare * np.log(max(1 - share, 1e-300)))])
     found = _finding(compared, kind, "fault", [names[i] for i in order], chance)
-    evidence = {**found.evidence, "explained_share": share}
+    determined = float(np.sum(1 - (other.sigma[parameters.indices(names)] / (LOOSE * prior)) ** 2))
+    evidence = {**found.evidence, "explained_share": share, "determined_count": determined}
     text = f"{found.text[:-1]}; this explains {100 * share:.0f} % of what is unexplained."
     return Loosened(replace(found, evidence=evidence, text=text), other)
 

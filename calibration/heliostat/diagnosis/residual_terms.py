@@ -5,10 +5,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calibration.heliostat.diagnosis.bounds import MIRRORED, beyond_text, is_mirrored, is_physical, prior_of
+from calibration.heliostat.diagnosis.bounds import beyond_text, is_physical, prior_of
 from calibration.heliostat.diagnosis.drift import date_range, in_time, jumped
 from calibration.heliostat.diagnosis.findings import Check, Finding, Severity, dates_of
 from calibration.heliostat.diagnosis.linear_model import Extension, LinearFit, linear_fit
+from calibration.heliostat.diagnosis.misfit import ODDS_OF_A_FAULT, chance_in_sound
 from calibration.heliostat.diagnosis.numbers import DEPARTED, FAR_SIGMAS
 from calibration.heliostat.diagnosis.rivals import Rival, rival_of
 from calibration.heliostat.diagnosis.terms import Term, Terms, approaches
@@ -16,24 +17,12 @@ from calibration.heliostat.fitting.fit_result import HeliostatFit
 from calibration.heliostat.kinematic_model.design import PlaneTarget
 from heliogauge.adjust.chi_square import chi_square_cdf
 from heliogauge.geometry.sun import Site
-from heliogauge.validate import BoolArray, FloatArray, TimeArray
+from heliogauge.validate import BoolArray, FloatArray, IntArray, TimeArray
 
-#: A term is a fault when it explains at least this share of what the model leaves unexplained. Real heliostats keep
-#: about 1 mrad of the beam that no rigid model has; any smooth term explains some of it, with great significance.
-EXPLAINS = 0.6
-#: For jumps and drifts, which have a date or several angles to choose: of six healthy real heliostats a drift explains
-#: up to 51 % of what a rigid model leaves; a jump of 4 mrad explains over 90 %.
-EXPLAINS_IN_TIME = 0.7
 #: Terms that other heliostats can confirm.
 CONFIRMED = ("target_place", "target_scale", "time_offset")
 #: Terms of time.
 IN_TIME = ("change_point", "drift", "episode")
-#: A term is a fault, too, when with it the rows scatter by no more than this times their stated sigmas, and it is much
-#: likelier than chance: then there is no misfit that it could be mistaken for.
-AS_STATED = 1.15
-#: Nothing else makes a scale of -1: beams steered to the middle are moved little by it, and it explains less of all.
-_MIRRORED_EXPLAINS = 0.4
-_MUCH_LIKELIER, _SOMETHING = 20.0, 0.3
 # Corners in photos err by 0.5 % together, in clean photos more than all else; 1 % is 0.1 mrad at 100 m, 1 m off centre.
 _SCALE_FAULT = 0.01
 # Priors are loosened so far to see whether they are what is wrong.
@@ -44,11 +33,19 @@ _MOST_FAULTS = 3
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Look:
-    """The best look for a term."""
+    """The best look for a term.
+
+    looks: Among how many it was chosen.
+    freedom: Coefficients that the observations determine.
+    chance: Of as much by scatter alone, all looks counted.
+    clear: As the Bayesian information criterion weighs it against other terms.
+    """
 
     term: Term
     index: int
     statistics: FloatArray
+    looks: int
+    freedom: int
     chance: float
     clear: float
 
@@ -73,8 +70,8 @@ class Looked:
 
     findings: At most three faults, and one hint.
     checks: All looks of the first round.
-    lengths (n,): Length of each row's residual once the faults are explained [sigma]; NaN for rows that were not
-        looked at.
+    lengths (n,): Length of each row's residual once faults and hint are explained [sigma]; NaN for rows that were
+        not looked at.
     """
 
     findings: tuple[Finding, ...]
@@ -99,22 +96,26 @@ def residual_findings(
         looks = [(group, look) for group in groups for look in _looks(group.model, group.terms)]
         if turn == 0:
             checks = [_check(group.model, look) for group, look in looks]
-        clear = [pair for pair in looks if pair[1].chance * count < significance]
+        # As many as are found already may be false discoveries of as many more (Benjamini and Hochberg).
+        level = significance * (1 + sum(one.severity == "fault" for one in findings)) / count
+        clear = [pair for pair in looks if pair[1].chance < level]
         if not clear:
             break
         # The clearest may be part of something larger: the first that explains most of it is taken.
         clear.sort(key=lambda pair: -pair[1].clear)
         clear = [(group, _closer(group.model, look)) for group, look in clear]
-        tried = (_tried(fit, group, look) for group, look in clear)
+        tried = (_tried(fit, group, look, level) for group, look in clear)
         found = next((one for one in tried if one.severity != "hint"), None)
         if found is None and findings:
             break
-        found = found or _tried(fit, *clear[0])
-        chance = min(found.look.chance * count, 1.0)
+        found = found or _tried(fit, *clear[0], level)
+        chance = min(max(found.look.chance, found.chance) * count, 1.0)
         findings.append(_finding(fit, found, chance))
         if turn == 0:
             checks = [_explained(check, found.look, found.extension) for check in checks]
         if found.severity == "hint":
+            # No fault, and yet what makes rows far off.
+            groups = [replace(found.group, model=found.extension.model)]
             break
         if found.severity == "doubt":
             # What is open may be something else: the others are looked at without it.
@@ -129,6 +130,7 @@ def residual_findings(
 class _Tried:
     """A term that was adjusted, and what it is worth.
 
+    chance: That a sound heliostat's smooth errors pass for as much.
     rival: What explains the same without time; None for terms that are not of time.
     """
 
@@ -136,19 +138,58 @@ class _Tried:
     look: _Look
     extension: Extension
     severity: Severity
+    chance: float
     rival: Rival | None = None
 
 
-def _tried(fit: HeliostatFit, group: _Group, look: _Look) -> _Tried:
-    """Adjust a term and judge it: a fault, open, or a hint."""
+@dataclass(frozen=True, slots=True)
+class TermGain:
+    """What the best look for a term gains.
+
+    kind: Of the term.
+    gain, freedom, spare, looks, misfit: As `chance_in_sound` takes them.
+    """
+
+    kind: str
+    gain: float
+    freedom: int
+    spare: float
+    looks: int
+    misfit: float
+
+
+def term_gains(fit: HeliostatFit, targets: Mapping[str, PlaneTarget], site: Site | None) -> tuple[TermGain, ...]:
+    """Return what each term gains that the observations determine: of sound heliostats what smooth errors give it."""
+    return tuple(
+        TermGain(look.term.kind, found.gain, look.freedom, found.spare, look.looks, found.misfit)
+        for group in _candidates(fit, targets, site, fit.residuals.computable)
+        for look in _looks(group.model, group.terms)
+        if look.freedom
+        for found in [_extended(fit, group, _closer(group.model, look))]
+    )
+
+
+def _tried(fit: HeliostatFit, group: _Group, look: _Look, level: float) -> _Tried:
+    """Adjust a term and judge it: a fault, open, or a hint.
+
+    level: Share of sound heliostats among the accused that may be.
+    """
     extension = _extended(fit, group, look)
-    if not _is_fault(fit, group, look, extension):
-        return _Tried(group, look, extension, "hint")
+    chance = chance_in_sound(
+        look.term.kind,
+        extension.gain,
+        look.freedom,
+        spare=extension.spare,
+        looks=look.looks,
+        misfit=extension.misfit,
+    )
+    if chance > level * ODDS_OF_A_FAULT or not _can_be(fit, look, extension):
+        return _Tried(group, look, extension, "hint", chance)
     if look.term.kind not in IN_TIME:
-        return _Tried(group, look, extension, "fault")
-    rival = rival_of(group.model, group.maker, extension, len(look.statistics))
+        return _Tried(group, look, extension, "fault", chance)
+    rival = rival_of(group.model, group.maker, extension, look.looks)
     severity: Severity = "fault" if rival.is_decided else "doubt" if rival.is_open else "hint"
-    return _Tried(group, look, extension, severity, rival)
+    return _Tried(group, look, extension, severity, chance, rival)
 
 
 def _extended(fit: HeliostatFit, group: _Group, look: _Look) -> Extension:
@@ -162,21 +203,16 @@ def _extended(fit: HeliostatFit, group: _Group, look: _Look) -> Extension:
     return group.model.extended(columns, prior_of(look.term.kind, columns.shape[1]), judged=judged)
 
 
-def _is_fault(fit: HeliostatFit, group: _Group, look: _Look, extension: Extension) -> bool:
-    if not is_physical(look.term.kind, extension.coefficients, extension.sigmas):
+def _can_be(fit: HeliostatFit, look: _Look, extension: Extension) -> bool:
+    """Return whether a term is as large as a fault of its kind is, and no larger than it can be."""
+    kind, coefficients = look.term.kind, extension.coefficients
+    if not is_physical(kind, coefficients, extension.sigmas):
         return False
-    if look.term.kind == "target_scale" and is_mirrored(extension.coefficients, extension.sigmas):
-        return extension.explained > _MIRRORED_EXPLAINS
-    before = group.model.scale * float(np.median(fit.factor))
-    complete = before > AS_STATED > left_over(fit, extension) and look.clear > _MUCH_LIKELIER
-    complete = complete and extension.explained > _SOMETHING
-    if not complete and extension.surely < (EXPLAINS_IN_TIME if look.term.kind in IN_TIME else EXPLAINS):
-        return False
-    if look.term.kind == "target_scale":
-        return bool(np.abs(extension.coefficients).max() >= _SCALE_FAULT)
-    if look.term.kind not in ("actuator_numbers", "position"):
+    if kind == "target_scale":
+        return bool(np.abs(coefficients).max() >= _SCALE_FAULT)
+    if kind not in ("actuator_numbers", "position"):
         return True
-    return bool((np.abs(_shifts(fit, look.term, extension.coefficients)) > FAR_SIGMAS).any())
+    return bool((np.abs(_shifts(fit, look.term, coefficients)) > FAR_SIGMAS).any())
 
 
 def left_over(fit: HeliostatFit, extension: Extension) -> float:
@@ -219,20 +255,30 @@ def _looks(model: LinearFit, terms: Sequence[Term]) -> list[_Look]:
     found = []
     for term in terms:
         statistics, freedom = model.scores(term.columns)
-        chances = np.array(
-            [
-                1 - chi_square_cdf(float(one), int(free)) if free else 1.0
-                for one, free in zip(statistics, freedom, strict=True)
-            ]
-        )
-        # Where chances are zero to rounding the statistic decides.
-        index = int(np.lexsort((statistics, -chances))[-1])
-        chance = min(float(chances[index]) * len(statistics), 1.0)
+        index, own = _likeliest(statistics, freedom)
+        chance = min(own * len(statistics), 1.0)
         # As the Bayesian information criterion weighs terms of different size against each other.
         rows = max(model.count, 2)
         clear = float(statistics[index]) - int(freedom[index]) * np.log(2 * rows) - 2 * np.log(len(statistics))
-        found.append(_Look(term, index, statistics, chance, clear))
+        free = int(freedom[index])
+        found.append(_Look(term, index, statistics, len(statistics), free, chance, clear))
     return found
+
+
+def _likeliest(statistics: FloatArray, freedom: IntArray) -> tuple[int, float]:
+    """Return the look that is the least likely by chance, and that chance.
+
+    Of looks with the same degrees of freedom it is the one with the largest statistic: only that one's chance is
+    calculated. Where chances are zero to rounding the statistic decides.
+    """
+    found = []
+    for free in np.unique(freedom).tolist():
+        places = np.flatnonzero(freedom == free)[::-1]
+        best = int(places[np.argmax(statistics[places])])
+        chance = 1 - chi_square_cdf(float(statistics[best]), free) if free else 1.0
+        found.append((chance, -float(statistics[best]), best))
+    chance, _, index = min(found)
+    return index, chance
 
 
 def _closer(model: LinearFit, look: _Look) -> _Look:
@@ -303,9 +349,7 @@ def _finding(fit: HeliostatFit, tried: _Tried, chance: float) -> Finding:
         share += f"; {tried.rival.text}"
     beyond = beyond_text(term.kind, term.names, values, sigmas)
     share += f"; {beyond}" if beyond else ""
-    mirrored = term.kind == "target_scale" and float(values.max()) > MIRRORED[0]
-    kind = "mirrored_spots" if mirrored else term.kind
-    return Finding(kind, severity, f"{said}{share}.", evidence, chance, rows, dates, subject=term.name)
+    return Finding(term.kind, severity, f"{said}{share}.", evidence, chance, rows, dates, subject=term.name)
 
 
 def _during(times: TimeArray) -> str:
@@ -351,9 +395,6 @@ def _sentence(term: Term, look: _Look, values: FloatArray, sigmas: FloatArray, e
         right, up = values.tolist()
         return f"{where} stands {right:+.3f} m to the right and {up:+.3f} m up (+- {sigma:.3f} m) of its stated place"
     width, height = values.tolist()
-    turned = [name for name, share in (("left and right", width), ("up and down", height)) if share > MIRRORED[0]]
-    if turned:
-        return f"Spots on the targets are mirrored {' and '.join(turned)}"
     return (
         f"Spots on the targets have to be stretched by {100 * width:+.1f} % and {100 * height:+.1f} % "
         f"(+- {100 * sigma:.2g} %)"

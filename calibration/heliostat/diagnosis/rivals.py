@@ -12,6 +12,8 @@ from heliogauge.validate import FloatArray
 #: Difference of the Bayesian information criterion from which on the evidence is "very strong" (Kass and Raftery,
 #: Bayes factors, J. Am. Stat. Assoc. 90, 1995, section 3.2).
 DECIDED = 10.0
+#: From here on it is "strong": it decides between a term and other numbers, neither of which is chosen among dates.
+STRONG = 6.0
 # A rival may move every number three times as far as is usual.
 _WIDE = 3.0
 # A row's share in what is unexplained is cut here [sigma].
@@ -61,7 +63,7 @@ def rival_of(model: LinearFit, terms: Terms, found: Extension, looks: int) -> Ri
     found: The term of time.
     looks: Dates among which it was chosen.
     """
-    columns, sigmas = _numbers(terms)
+    columns, sigmas = further_numbers(terms)
     other = model.extended(columns, sigmas)
     count = 2 * max(model.count, 1)
     freedom = model.freedom(columns, sigmas)
@@ -81,7 +83,7 @@ def _misfit(model: LinearFit, extension: Extension, count: int) -> float:
     return float(count * np.log(max(float(left @ left), 1e-300) / count))
 
 
-def _numbers(terms: Terms) -> tuple[FloatArray, FloatArray]:
+def further_numbers(terms: Terms) -> tuple[FloatArray, FloatArray]:
     """Return derivatives by all numbers of the heliostat and by the bending of both axes, and how far they may go."""
     design = terms.fit.design
     names = [name for name in design.used_names if name in PRIORS]

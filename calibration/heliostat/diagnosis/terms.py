@@ -5,6 +5,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from calibration.heliostat.diagnosis.linear_model import Windows
 from calibration.heliostat.diagnosis.rows import SAME_SPOT_M, coordinates_on_targets
 from calibration.heliostat.fitting.fit_result import HeliostatFit
 from calibration.heliostat.kinematic_model.actuators import drive_angle
@@ -20,10 +21,13 @@ from calibration.heliostat.observations.observations import Group, Observations
 from calibration.heliostat.observations.residuals import evaluate, predicted_spots
 from heliogauge.geometry.rigid import rotation_from_vector
 from heliogauge.geometry.sun import Site
-from heliogauge.validate import BoolArray, FloatArray, TimeArray
+from heliogauge.short_repr import ShortRepr
+from heliogauge.validate import BoolArray, FloatArray, IntArray, TimeArray
 
 #: The sky turns once a day [rad/s].
 SKY_RAD_PER_S = 2 * np.pi / 86400
+#: What the scale of spots, and their mirroring, is about.
+SPOTS = "spots on the targets"
 # Steps of the differences: 2 s of the sky, 1 mm of a spot.
 _TURN_RAD, _STEP_M = 1e-4, 1e-3
 # Spots may lie this far beyond the edge, as a share of the target.
@@ -51,7 +55,7 @@ class Term:
 
     kind: str
     name: str
-    columns: FloatArray
+    columns: FloatArray | Windows
     names: tuple[str, ...]
     at: FloatArray
     columns_at: Callable[[FloatArray], FloatArray] | None = None
@@ -64,29 +68,31 @@ def _single(kind: str, name: str, columns: FloatArray, *names: str) -> Term:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Terms:
+class Terms(ShortRepr):
     """Makes the terms of a fit.
 
     rows (n,): Rows that are looked at; all must be computable.
+    chosen: Components of the rows.
+    owner (m,), factor (m,): Row of each component, and the factor on its stated sigma.
     """
 
     fit: HeliostatFit
     rows: BoolArray
+    chosen: BoolArray = field(init=False)
+    owner: IntArray = field(init=False)
+    factor: FloatArray = field(init=False)
 
-    @property
-    def chosen(self) -> BoolArray:
-        """Components of the rows."""
-        return np.asarray(self.rows[self.fit.residuals.owner])
-
-    @property
-    def owner(self) -> np.ndarray[tuple[int, ...], np.dtype[np.intp]]:
-        """Row of each component."""
-        return self.fit.residuals.owner[self.chosen]
+    def __post_init__(self) -> None:
+        chosen = self.rows[self.fit.residuals.owner]
+        owner = self.fit.residuals.owner[chosen]
+        object.__setattr__(self, "chosen", chosen)
+        object.__setattr__(self, "owner", owner)
+        object.__setattr__(self, "factor", self.fit.factor[owner])
 
     def by(self, name: str) -> FloatArray:
         """Return the derivative of the components by a parameter, shape (m,)."""
         column = self.fit.residuals.jacobian[:, self.fit.design.parameters.index(name)]
-        return np.asarray(column[self.chosen] / self.fit.factor[self.owner])
+        return np.asarray(column[self.chosen] / self.factor)
 
     def by_axis(self, axis: int) -> FloatArray:
         """Return the derivative by the angle of a drive, shape (m,)."""
@@ -107,7 +113,7 @@ class Terms:
         # With the nominal design, as the fit did it: its numbers choose axes and weights.
         other = evaluate(self.fit.nominal, self.fit.values, observations, columns=[0])
         difference = other.whitened - self.fit.residuals.whitened
-        return np.asarray(difference[self.chosen] / self.fit.factor[self.owner] / step)
+        return np.asarray(difference[self.chosen] / self.factor / step)
 
     # --- drives -------------------------------------------------------------------------------------------------------
 
@@ -216,7 +222,7 @@ class Terms:
         votes = self._on_their_targets(targets, spots) & self._on_their_targets(targets, self._seen(targets))
         spots = np.where(votes[:, None], spots, 0.0)
         scaled = np.stack([right * spots[self.owner, 0], up * spots[self.owner, 1]], axis=1)
-        term = _single("target_scale", "spots on the targets", scaled, "width_share", "height_share")
+        term = _single("target_scale", SPOTS, scaled, "width_share", "height_share")
         terms.append(replace(term, voting=votes[self.rows]))
         return terms
 

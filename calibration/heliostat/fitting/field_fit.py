@@ -1,7 +1,7 @@
 """The fit of a heliostat within what its field knows: correlated noise, all parameters, one posterior."""
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -11,18 +11,19 @@ from calibration.heliostat.fitting.drift_noise import (
     Drift,
     LinearRows,
     NoiseShape,
+    Occasions,
     SolvedRows,
     drive_zeros,
-    row_days,
+    occasions_of,
 )
 from calibration.heliostat.fitting.field_model import likely_noise
 from calibration.heliostat.fitting.field_prior import FieldPrior, Settled, settle
 from calibration.heliostat.fitting.fit_result import HeliostatFit
 from calibration.heliostat.fitting.observability import plausible_scales, unobserved
-from calibration.heliostat.fitting.priors import PRIORS
+from calibration.heliostat.fitting.priors import PRIORS, prior_sigma, with_all_terms
 from calibration.heliostat.kinematic_model.design import HeliostatDesign
 from calibration.heliostat.observations.residuals import ObservationModel, evaluate
-from heliogauge.validate import FloatArray, freeze
+from heliogauge.validate import BoolArray, FloatArray, IntArray, freeze
 
 # Steps of Gauss and Newton; from a robust fit two bring the rest below a hundredth of a sigma.
 _MOST_STEPS, _NEAR = 6, 0.01
@@ -45,8 +46,7 @@ def linear_rows(found: HeliostatFit, names: Sequence[str]) -> LinearRows:
     found: A robust fit; its weights count.
     names: Parameters of its design, free or held.
     """
-    rows, _ = _linearised(found, found.values, tuple(names))
-    return rows
+    return _Linearising.of(found, tuple(names)).at(found.values).rows
 
 
 class _Linearised(NamedTuple):
@@ -56,24 +56,47 @@ class _Linearised(NamedTuple):
     complete: bool
 
 
-def _linearised(found: HeliostatFit, values: FloatArray, names: tuple[str, ...]) -> _Linearised:
-    """Linearise: the zeros of both drives are differentiated by besides the parameters."""
-    parameters = found.nominal.parameters
-    columns = parameters.indices((*names, *drive_zeros(found.nominal)))
-    order = np.unique(columns)
-    model = ObservationModel(found.nominal, found.observations, order)
-    whitened, jacobian, computable = model.whitened(values)
-    jacobian = jacobian[:, np.searchsorted(order, columns)]
-    chosen = found.used[model.owners]
-    owner = model.owners[chosen]
-    own, k = jacobian[chosen], len(names)
-    offsets = (values - parameters.values)[columns[:k]]
-    residuals = whitened[chosen] - own[:, :k] @ offsets
-    weight = np.clip(found.weight[owner], _LEAST_WEIGHT, 1.0)
-    days = row_days(found.observations)[owner]
-    return _Linearised(
-        LinearRows(names, residuals, own[:, :k], own[:, k:], days, weight), bool(computable[found.used].all())
-    )
+@dataclass(frozen=True, slots=True, eq=False)
+class _Linearising:
+    """The observations that a robust fit used, ready to be made linear about any values.
+
+    names: Parameters.
+    model: Its observations, differentiated by these and by the zeros of both drives.
+    place (k + 2,): Where these are in the model's derivatives.
+    chosen: Components in use.
+    occasions, weight: Of these; where the mirror looked is that of the robust fit.
+    """
+
+    found: HeliostatFit
+    names: tuple[str, ...]
+    model: ObservationModel
+    columns: IntArray
+    place: IntArray
+    chosen: BoolArray
+    occasions: Occasions
+    weight: FloatArray
+
+    @classmethod
+    def of(cls, found: HeliostatFit, names: tuple[str, ...]) -> "_Linearising":
+        """Choose the rows and derivatives."""
+        columns = found.nominal.parameters.indices((*names, *drive_zeros(found.nominal)))
+        order = np.unique(columns)
+        model = ObservationModel(found.nominal, found.observations, order)
+        chosen = found.used[model.owners]
+        owner = model.owners[chosen]
+        weight = np.clip(found.weight[owner], _LEAST_WEIGHT, 1.0)
+        occasions = occasions_of(found.nominal, found.values, found.observations).select(owner)
+        return cls(found, names, model, columns, np.searchsorted(order, columns), chosen, occasions, weight)
+
+    def at(self, values: FloatArray) -> _Linearised:
+        """Linearise about values of all parameters, shape (p,)."""
+        k = len(self.names)
+        whitened, jacobian, computable = self.model.whitened(values)
+        own = jacobian[np.ix_(self.chosen, self.place)]
+        offsets = (values - self.found.nominal.parameters.values)[self.columns[:k]]
+        residuals = whitened[self.chosen] - own[:, :k] @ offsets
+        rows = LinearRows(self.names, residuals, own[:, :k], own[:, k:], self.occasions, self.weight)
+        return _Linearised(rows, bool(computable[self.found.used].all()))
 
 
 #: A row that a robust loss all but ignores still has a variance.
@@ -103,6 +126,25 @@ def fit_within(found: HeliostatFit, field: FieldPrior | None) -> WithinField:
     return WithinField(fit_with_field(found, field), True)
 
 
+def fit_beside(found: HeliostatFit, field: FieldPrior | None) -> HeliostatFit:
+    """Fit everything that may be wrong of a heliostat, beside a fit of some parameters alone.
+
+    found: A robust fit; the rows that it used count, as much as it left to them.
+    field: What the other heliostats say; None for the general priors.
+    Returns: What is known of the heliostat, whatever was held: by it the errors of the fit are judged.
+    """
+    every = replace(found, nominal=with_all_terms(found.nominal), design=with_all_terms(found.design))
+    if field is not None:
+        return fit_with_field(every, field)
+    names, parameters = field_names(every.nominal), every.nominal.parameters
+    known = {name: prior_sigma(every.nominal, name) for name in names}
+    usual = {name: PRIORS[name].of(parameters.value(name)) for name in names}
+    sigmas = {name: sigma if np.isfinite(sigma) else usual[name] for name, sigma in known.items()}
+    nominal = every.nominal.with_parameters(parameters.with_sigmas(sigmas))
+    solution = replace(found.solution, names=tuple(dict.fromkeys((*found.solution.names, *names))))
+    return fit_within(replace(every, nominal=nominal, solution=solution), None).fit
+
+
 def general_prior(found: HeliostatFit, noise: NoiseShape) -> FieldPrior:
     """Return the prior of a robust fit: its parameters about their nominal values within their own sigmas.
 
@@ -111,7 +153,7 @@ def general_prior(found: HeliostatFit, noise: NoiseShape) -> FieldPrior:
     parameters = found.nominal.parameters
     names = tuple(name for name in found.solution.names if name in PRIORS and np.isfinite(parameters.sigma(name)))
     sigmas = parameters.sigmas[parameters.indices(names)]
-    return FieldPrior(names, np.zeros(len(names)), sigmas, np.zeros((len(names), len(names))), noise, 0)
+    return FieldPrior(names, np.zeros(len(names)), sigmas, sigmas**2, np.zeros((len(names), len(names))), noise, 0)
 
 
 def fit_with_field(found: HeliostatFit, prior: FieldPrior) -> HeliostatFit:
@@ -121,16 +163,18 @@ def fit_with_field(found: HeliostatFit, prior: FieldPrior) -> HeliostatFit:
         field; what the observations brought besides (cameras) stays free.
     prior: What the others say.
     Returns: The most probable offsets under the prior and noise that moves the drives' zeros from day to day, with
-        the posterior covariance.
+        the covariance of their errors, the misfit's part included.
 
-    The noise's size follows from the evidence of its own observations (`settle`). Parameters of which a survey
-    said more than the field does keep the survey's sigma.
+    The noise's size follows from the evidence of its own observations (`settle`); the misfit is a part of it, by which
+    they are not weighed (`NoiseShape.followed`). Parameters of which a survey said more than the field does keep the
+    survey's sigma.
     """
     design = found.nominal
     known = _joined(found, prior)
     place = design.parameters.indices(known.names)
     values = found.values.copy()
-    rows, _ = _linearised(found, values, known.names)
+    linearising = _Linearising.of(found, known.names)
+    rows = linearising.at(values).rows
     solved = rows.solved(prior.noise)
     settled = settle(solved.equations, known)
     converged = False
@@ -138,17 +182,16 @@ def fit_with_field(found: HeliostatFit, prior: FieldPrior) -> HeliostatFit:
         step = _posterior(solved, known, settled)
         moved = values.copy()
         moved[place] = design.parameters.values[place] + step.offsets
-        again = _linearised(found, moved, known.names)
+        again = linearising.at(moved)
         if not again.complete:
             # Beyond the geometry of an actuator nothing can be predicted: half of the way.
             moved[place] = 0.5 * (moved[place] + values[place])
-            again = _linearised(found, moved, known.names)
+            again = linearising.at(moved)
             if not again.complete:
                 break
         change = np.abs(moved - values)[place] / np.sqrt(np.diag(step.covariance))
         values, rows = moved, again.rows
-        solved = rows.solved(prior.noise)
-        settled = settle(solved.equations, known)
+        solved = rows.solved(prior.noise.followed)
         if change.max() < _NEAR:
             converged = True
             break
@@ -159,7 +202,8 @@ def fit_with_field(found: HeliostatFit, prior: FieldPrior) -> HeliostatFit:
 def _joined(found: HeliostatFit, prior: FieldPrior) -> FieldPrior:
     """Join what a survey says of single parameters to the prior, and what the observations brought besides."""
     parameters, k = found.nominal.parameters, len(prior.names)
-    mean, scatter, shared = prior.mean.copy(), prior.scatter.copy(), prior.mean_covariance.copy()
+    mean, scatter, wide = prior.mean.copy(), prior.scatter.copy(), prior.variance.copy()
+    shared = prior.mean_covariance.copy()
     for index, name in enumerate(prior.names):
         surveyed = _surveyed_sigma(found.nominal, name) if prior.heliostats else None
         if surveyed is not None:
@@ -167,20 +211,23 @@ def _joined(found: HeliostatFit, prior: FieldPrior) -> FieldPrior:
             variance = scatter[index] ** 2 + shared[index, index]
             mean[index] *= surveyed**2 / (variance + surveyed**2)
             scatter[index] = surveyed * np.sqrt(variance / (variance + surveyed**2))
+            wide[index] = 1 / (1 / (wide[index] + shared[index, index]) + surveyed**-2)
             shared[index], shared[:, index] = 0.0, 0.0
     others = tuple(name for name in found.solution.names if name not in prior.names)
     if not others:
-        return replace(prior, mean=mean, scatter=scatter, mean_covariance=shared)
+        return replace(prior, mean=mean, scatter=scatter, variance=wide, mean_covariance=shared)
     place = parameters.indices(others)
     scales = plausible_scales(parameters.values[place], others, [parameters.units[i] for i in place])
     own = parameters.sigmas[place]
+    sigmas = np.where(np.isfinite(own), own, scales)
     whole = np.zeros((k + len(others), k + len(others)))
     whole[:k, :k] = shared
     return replace(
         prior,
         names=(*prior.names, *others),
         mean=np.concatenate([mean, np.zeros(len(others))]),
-        scatter=np.concatenate([scatter, np.where(np.isfinite(own), own, scales)]),
+        scatter=np.concatenate([scatter, sigmas]),
+        variance=np.concatenate([wide, sigmas**2]),
         mean_covariance=whole,
     )
 
@@ -207,12 +254,15 @@ def _posterior(solved: SolvedRows, known: FieldPrior, settled: Settled) -> _Post
     observed = over * solved.equations.matrix * size[:, None] * size
     after = np.linalg.inv(observed + inverse)
     pull = over * solved.equations.rhs * size + inverse @ (known.mean / size)
-    # The estimate takes the prior for normal; what it may be wrong by has the tails of Student's t.
+    link = over * solved.link * size
+    # The estimate takes the prior for normal and the misfit for kinematics; what it may be wrong by has the tails of
+    # Student's t, and the misfit's pull.
     spread = inverse @ (settled.spread / size[:, None] / size) @ inverse
-    wrong = after @ (observed + spread) @ after * size[:, None] * size
+    misfit = np.einsum("aik,ij,ajl->kl", link, noise.misfit.covariance(*2 * (solved.occasions,)), link, optimize=True)
+    wrong = after @ (observed + spread + misfit) @ after * size[:, None] * size
     gain = after * size[:, None] * size
     return _Posterior(
-        size * (after @ pull), 0.5 * (wrong + wrong.T), Drift(noise, solved.days, over * (solved.link @ gain))
+        size * (after @ pull), 0.5 * (wrong + wrong.T), Drift(noise, solved.occasions, over * (solved.link @ gain))
     )
 
 
@@ -234,7 +284,7 @@ def _result(
     covariance[np.ix_(place, place)] = final.covariance
     residuals = evaluate(nominal, values, found.observations)
     noise, size = final.drift.noise, len(found.observations)
-    own = np.repeat(np.arange(size), found.observations.n_components)
+    own = residuals.owner
     owner = own[found.used[own]]
     variance = noise.white**2 / rows.weight + noise.drive_variance_rad2 * np.sum(rows.drives**2, axis=1)
     share = np.einsum("ij,jk,ik->i", rows.jacobian, final.covariance, rows.jacobian) / variance

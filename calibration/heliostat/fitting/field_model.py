@@ -1,7 +1,7 @@
 """What the heliostats of a field have in common: mean and scatter of every parameter, and the noise, by evidence."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -44,7 +44,8 @@ class FieldModel(ShortRepr):
     """Heliostats of one kind: their parameters are normal about a common mean.
 
     names length p: Parameters.
-    mean (p,), scatter (p,): Mean offset from the nominal values, and standard deviation about it.
+    mean (p,), scatter (p,): Mean offset from the nominal values, and most probable standard deviation about it.
+    variance (p,): Posterior mean of the squared standard deviation.
     mean_covariance (p, p): Of the mean.
     noise: How observations scatter.
     units: From which heliostats.
@@ -57,6 +58,7 @@ class FieldModel(ShortRepr):
     names: tuple[str, ...]
     mean: FloatArray
     scatter: FloatArray
+    variance: FloatArray
     mean_covariance: FloatArray
     noise: NoiseShape
     units: tuple[str, ...]
@@ -73,7 +75,9 @@ class FieldModel(ShortRepr):
         """Return what the other heliostats say of one."""
         if name in self.without:
             return self.without[name]
-        return FieldPrior(self.names, self.mean, self.scatter, self.mean_covariance, self.noise, len(self.units))
+        return FieldPrior(
+            self.names, self.mean, self.scatter, self.variance, self.mean_covariance, self.noise, len(self.units)
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -144,19 +148,22 @@ def learn_model(units: Sequence[FieldUnit], scales: FloatArray, noise: NoiseShap
 
     scales (p,): Prior sigmas: of the mean, and of a half-normal prior of each scatter (Gelman 2006).
     noise: The noise, if it is known.
-    Returns: The most probable scatter by marginal likelihood; given it, the mean is exact.
+    Returns: The most probable scatter by marginal likelihood, the mean of its square, and the mean, exact given the
+        scatter.
     """
     names = units[0].rows.names
     if noise is None:
         noise = _field_noise(units, scales)
-    equations = [unit.rows.equations(noise) for unit in units]
+    equations = [unit.rows.equations(noise.followed) for unit in units]
     found = _estimate(equations, scales)
     count = len(units) - 1
     without = {
         unit.name: _without(equations, scales, found, index).prior(names, noise, count)
         for index, unit in enumerate(units)
     }
-    general = FieldPrior(names, np.zeros(scales.size), scales, np.zeros((scales.size, scales.size)), noise, 0)
+    general = FieldPrior(
+        names, np.zeros(scales.size), scales, scales**2, np.zeros((scales.size, scales.size)), noise, 0
+    )
     gains = [
         settle(one, without[unit.name]).log_evidence - settle(one, general).log_evidence
         for unit, one in zip(units, equations, strict=True)
@@ -165,6 +172,7 @@ def learn_model(units: Sequence[FieldUnit], scales: FloatArray, noise: NoiseShap
         names,
         found.mean,
         found.scatter,
+        found.variance,
         found.mean_covariance,
         noise,
         tuple(unit.name for unit in units),
@@ -175,17 +183,22 @@ def learn_model(units: Sequence[FieldUnit], scales: FloatArray, noise: NoiseShap
 
 
 class _Estimate(NamedTuple):
-    """Mean (p,), scatter (p,), covariance of the mean (p, p); weights (k, p) and size of noise (k,) of each one."""
+    """What heliostats have in common.
+
+    Mean (p,), scatter (p,), mean of its square (p,), covariance of the mean (p, p); weights (k, p) and size of noise
+    (k,) of each one.
+    """
 
     mean: FloatArray
     scatter: FloatArray
+    variance: FloatArray
     mean_covariance: FloatArray
     weights: FloatArray
     noises: FloatArray
 
     def prior(self, names: tuple[str, ...], noise: NoiseShape, heliostats: int) -> FieldPrior:
         """Return what it says of one more heliostat."""
-        return FieldPrior(names, self.mean, self.scatter, self.mean_covariance, noise, heliostats)
+        return FieldPrior(names, self.mean, self.scatter, self.variance, self.mean_covariance, noise, heliostats)
 
 
 def _without(equations: Sequence[NormalEquations], scales: FloatArray, every: _Estimate, index: int) -> _Estimate:
@@ -236,7 +249,7 @@ def _estimate(equations: Sequence[NormalEquations], scales: FloatArray, start: F
     logs = np.clip(np.log(prior_scatter / scales), *_LOG_SCATTER)
     mean, mean_covariance, weights, noises = np.zeros(p), np.diag(scales**2), np.ones((k, p)), np.ones(k)
     if not k:
-        return _Estimate(mean, scales, mean_covariance, weights, noises)
+        return _Estimate(mean, scales, scales**2, mean_covariance, weights, noises)
     matrices = np.array([one.matrix for one in equations]) * scales[:, None] * scales
     rhs = np.array([one.rhs for one in equations]) * scales
     state: dict[str, FloatArray] = {}
@@ -269,14 +282,40 @@ def _estimate(equations: Sequence[NormalEquations], scales: FloatArray, start: F
         cost(logs)
         weights = student_weights(state["distance"])
         mean, mean_covariance = state["mean"] * scales, state["covariance"] * scales[:, None] * scales
-    return _Estimate(mean, np.exp(logs) * scales, mean_covariance, weights, noises)
+    expected = _expected_variance(cost, logs) * scales**2
+    return _Estimate(mean, np.exp(logs) * scales, expected, mean_covariance, weights, noises)
+
+
+def _expected_variance(cost: Callable[[FloatArray], tuple[float, FloatArray]], logs: FloatArray) -> FloatArray:
+    """Return the posterior mean of each squared scatter, the others being what they are, over the scale's.
+
+    cost: -2 log of the posterior density by the logs of the scatters, and its gradient.
+    logs (p,): Where it is most probable.
+    """
+    from scipy.interpolate import CubicHermiteSpline
+
+    found = np.zeros(logs.size)
+    fine = np.linspace(_ASKED[0], _ASKED[-1], 20 * _ASKED.size)
+    for index in range(logs.size):
+        asked = np.tile(logs, (_ASKED.size, 1))
+        asked[:, index] = _ASKED
+        values, gradients = zip(*(cost(one) for one in asked), strict=True)
+        twice = CubicHermiteSpline(_ASKED, values, [gradient[index] for gradient in gradients])(fine)
+        # The density is that of the scatter; steps are of its log.
+        chance = np.exp(fine - 0.5 * (twice - twice.min()))
+        found[index] = float(chance @ np.exp(2 * fine) / chance.sum())
+    return found
+
+
+#: Logs of the scatter over its scale for its posterior mean; beyond, the half-normal prior leaves nothing.
+_ASKED = np.linspace(-4.5, 1.25, 9)
 
 
 def _field_noise(units: Sequence[FieldUnit], scales: FloatArray) -> NoiseShape:
     """Return the most probable noise of the heliostats with the most rows, given what these have in common."""
     longest: IntArray = np.argsort([-unit.rows.residuals.size for unit in units], kind="stable")[:_NOISE_UNITS]
     some = [units[index].rows for index in longest]
-    first = _estimate([rows.equations(USUAL_NOISE) for rows in some], scales)
+    first = _estimate([rows.equations(USUAL_NOISE.followed) for rows in some], scales)
     prior = first.prior(some[0].names, USUAL_NOISE, len(some))
     return likely_noise(some, prior.mean, prior.covariance)
 
@@ -290,10 +329,14 @@ def likely_noise(some: Sequence[LinearRows], mean: FloatArray, covariance: Float
     from scipy.optimize import minimize
 
     def shape(logs: FloatArray) -> NoiseShape:
-        white, day, wander, memory = np.exp(logs).tolist()
+        white, day, wander, misfit = np.exp(logs).tolist()
         usual = USUAL_NOISE
-        return NoiseShape(
-            usual.white * white, usual.day_rad * day, usual.wander_rad * wander, usual.memory_days * memory
+        return replace(
+            usual,
+            white=usual.white * white,
+            day_rad=usual.day_rad * day,
+            wander_rad=usual.wander_rad * wander,
+            misfit_rad=usual.misfit_rad * misfit,
         )
 
     def cost(logs: FloatArray) -> float:

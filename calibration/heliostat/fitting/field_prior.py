@@ -22,7 +22,10 @@ class FieldPrior(ShortRepr):
 
     names length p: Parameters.
     mean (p,): Expected offsets from the nominal values.
-    scatter (p,): By how much heliostats differ from it, scale of Student's t; standard deviations of general priors.
+    scatter (p,): By how much heliostats most probably differ from it, scale of Student's t; standard deviations of
+        general priors.
+    variance (p,): Mean of its square: few heliostats leave open how large it is, and the most probable one may be
+        nothing at all.
     mean_covariance (p, p): What is not known of the mean.
     noise: How observations scatter.
     heliostats: How many others that rests on; 0 for general priors.
@@ -31,6 +34,7 @@ class FieldPrior(ShortRepr):
     names: tuple[str, ...]
     mean: FloatArray
     scatter: FloatArray
+    variance: FloatArray
     mean_covariance: FloatArray
     noise: NoiseShape
     heliostats: int
@@ -45,7 +49,8 @@ class Settled(NamedTuple):
     """What is known of a heliostat, in the light of its own observations.
 
     covariance (p, p): Of its offsets about the expected ones, for the estimate: wider where it is unlike the others.
-    spread (p, p): Their covariance with the tails of Student's t, for what the estimate may be wrong by.
+    spread (p, p): Their covariance with the mean squared scatter and the tails of Student's t, for what the estimate
+        may be wrong by.
     noise: Size of its noise.
     log_evidence: Log of the probability of the observations.
     """
@@ -64,7 +69,7 @@ def student_weights(distances: FloatArray) -> FloatArray:
 def settle(found: NormalEquations, prior: FieldPrior) -> Settled:
     """Correct what is known of a heliostat where its own observations contradict it.
 
-    found: Its observations under the prior's noise.
+    found: Its observations under the prior's noise, misfit included.
     Returns: Each parameter is distributed as Student's t about the field's mean, a normal distribution of variance
         ``scatter^2 / w``. EM finds the weight for the estimate, 1 where the observations say nothing; the mean of
         1 / w is larger than its inverse by (f + 1) / (f - 1). General priors are normal and stay as they are.
@@ -93,7 +98,7 @@ def settle(found: NormalEquations, prior: FieldPrior) -> Settled:
         if np.abs(weights / before - 1).max() < 0.02:
             break
     tails = (_FREEDOM + 1) / (_FREEDOM - 1) if prior.heliostats else 1.0
-    wide = np.diag(tails * scatter**2 / weights) + shared
+    wide = np.diag(tails * prior.variance / size**2 / weights) + shared
     # The density of the weights, Gamma(f / 2, f / 2), in their logarithms and over that at 1.
     penalty = 0.5 * _FREEDOM * float(np.sum(weights - 1 - np.log(weights)))
     units = size[:, None] * size

@@ -1,6 +1,7 @@
 """One descent of a heliostat's free numbers at given sigmas and rows, and what follows for both."""
 
 from collections.abc import Mapping
+from copy import copy
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -10,7 +11,7 @@ from calibration.heliostat.fitting.fit_result import FitOptions
 from calibration.heliostat.fitting.observability import plausible_scales
 from calibration.heliostat.kinematic_model.design import HeliostatDesign
 from calibration.heliostat.observations.observations import Observations
-from calibration.heliostat.observations.residuals import ObservationModel, Residuals
+from calibration.heliostat.observations.residuals import ObservationModel, Residuals, Whitened
 from heliogauge.adjust.chi_square import chi_square_limit, chi_square_quantile
 from heliogauge.adjust.least_squares import VECTOR, Huber, Options, Prior, Problem, Solution, Squares, Tukey, solve
 from heliogauge.adjust.robust_loss import Loss, LossMoments, block_lengths, normal_moments
@@ -32,6 +33,27 @@ _LEAST_FACTOR = 1e-6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class LinearObservations:
+    """Observations that are linear in the free parameters, about some values: as good as the others, and much faster.
+
+    columns (k,): Positions of the free parameters.
+    values (p,): About which numbers.
+    found: Residuals and derivatives there.
+    owners (m,): Row of each component.
+    """
+
+    columns: IntArray
+    values: FloatArray
+    found: Whitened
+    owners: IntArray
+
+    def whitened(self, values: FloatArray) -> Whitened:
+        """Return the residuals at some numbers."""
+        residuals, jacobian, computable = self.found
+        return Whitened(residuals + jacobian @ (values - self.values)[self.columns], jacobian, computable)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class FitModel:
     """The heliostat, its observations, and how to fit.
 
@@ -49,7 +71,7 @@ class FitModel:
     columns: IntArray = field(init=False)
     kinds: npt.NDArray[np.str_] = field(init=False)
     components: IntArray = field(init=False)
-    seen: ObservationModel = field(init=False)
+    seen: ObservationModel | LinearObservations = field(init=False)
 
     def __post_init__(self) -> None:
         columns = np.flatnonzero(self.design.parameters.free)
@@ -93,9 +115,22 @@ class FitModel:
         values[self.columns] = free
         return values
 
-    def evaluate(self, free: FloatArray) -> Residuals:
+    def whitened(self, free: FloatArray) -> Whitened:
         """Return the residuals of all rows with derivatives by the free parameters."""
+        return self.seen.whitened(self.full(free))
+
+    def evaluate(self, free: FloatArray) -> Residuals:
+        """Return the residuals of all rows, also in radians."""
+        if isinstance(self.seen, LinearObservations):
+            raise TypeError("linear observations have no angles")
         return self.seen.evaluate(self.full(free))
+
+    def linear_about(self, free: FloatArray) -> "FitModel":
+        """Return the same model with its observations linear about some values of the free parameters."""
+        values, found = self.full(free), copy(self)
+        linear = LinearObservations(self.columns, values, self.seen.whitened(values), self.owners)
+        object.__setattr__(found, "seen", linear)
+        return found
 
     def row_factors(self, factors: Mapping[str, float]) -> FloatArray:
         """Return the factor on the stated sigma of each row."""
@@ -163,15 +198,16 @@ class Descended:
 
     def accepted(self, factors: Mapping[str, float]) -> BoolArray:
         """Return the rows whose residual is no larger than chance allows, in use or not, at given factors."""
-        residuals = self.model.evaluate(self.values)
+        residuals, jacobian, computable = self.model.whitened(self.values)
         if self.model.options.loss == "squares":
-            return residuals.computable
+            return computable
         scale = self.model.row_factors(factors)
-        limit = self.limits() * np.sqrt(self._own_variance(residuals, scale))
+        limit = self.limits() * np.sqrt(self._own_variance(jacobian, scale))
+        lengths = np.sqrt(np.bincount(self.model.owners, residuals**2, minlength=scale.size))
         # A row that is where its stated sigma has it contradicts nothing, however well others of the kind fit.
         stated = {n: np.sqrt(chi_square_quantile(_AS_STATED, n)) for n in set(self.model.components.tolist())}
         near = np.array([stated[n] for n in self.model.components.tolist()])
-        return np.asarray(residuals.computable & (residuals.lengths <= np.maximum(limit * scale, near)))
+        return np.asarray(computable & (lengths <= np.maximum(limit * scale, near)))
 
     def with_own_covariance(self) -> "Descended":
         """Return the same end with the covariance for normal errors of the sigmas in force.
@@ -184,7 +220,7 @@ class Descended:
         model, block = self.model, self.model.block(self.used)
         chosen = self.used[model.owners]
         scale = model.row_factors(self.factors)[model.owners[chosen]]
-        _, jacobian, _ = model.seen.whitened(model.full(self.values))
+        jacobian = model.whitened(self.values).jacobian
         jacobian = jacobian[chosen] / scale[:, None]
         loss = model.loss(block)
         plain = isinstance(loss, Squares) or not chosen.any()
@@ -217,9 +253,9 @@ class Descended:
             limit[own] = np.sqrt(square) * (_SLACK if refuted else 1.0)
         return limit
 
-    def _own_variance(self, residuals: Residuals, scale: FloatArray) -> FloatArray:
+    def _own_variance(self, jacobian: FloatArray, scale: FloatArray) -> FloatArray:
         """Mean variance of a row's residual over sigma^2: below 1 for rows in use, above for the others."""
-        jacobian = residuals.jacobian / scale[self.model.owners, None]
+        jacobian = jacobian / scale[self.model.owners, None]
         spread = np.einsum("ij,ij->i", jacobian @ np.nan_to_num(self.solution.covariance), jacobian)
         mean = np.bincount(self.model.owners, spread, minlength=self.used.size) / self.model.components
         return np.where(self.used, np.maximum(1 - mean, _LEAST_LEFT), 1 + mean)
@@ -252,7 +288,7 @@ def descend(
     per_component = 1.0 / model.row_factors(factors)[model.owners[chosen]]
 
     def residuals_at(free: FloatArray) -> tuple[FloatArray, FloatArray]:
-        residuals, jacobian, computable = model.seen.whitened(model.full(free))
+        residuals, jacobian, computable = model.whitened(free)
         residuals, jacobian = residuals[chosen] * per_component, jacobian[chosen] * per_component[:, None]
         # Leaving the geometry of an actuator must not pay: such a step is refused.
         return residuals if computable[used].all() else np.full_like(residuals, np.nan), jacobian

@@ -74,6 +74,8 @@ class HeliostatFit:
     basins: Starts tried.
     doubts: What a user must know before believing the numbers.
     drift: What it knows of noise that moves the drives' zeros; None where every row was taken for itself.
+    beside: What is known of everything that may be wrong of the heliostat, where only some of it was free: by that the
+        fit's predictions are judged. None where it judges itself.
     """
 
     design: HeliostatDesign
@@ -92,6 +94,7 @@ class HeliostatFit:
     basins: int
     doubts: tuple[Doubt, ...]
     drift: Drift | None = None
+    beside: "HeliostatFit | None" = None
 
     @property
     def names(self) -> tuple[str, ...]:

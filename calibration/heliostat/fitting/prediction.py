@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from calibration.heliostat.fitting.drift_noise import Drift, drive_zeros, row_days
-from calibration.heliostat.fitting.fit_model import REFUTED_FROM, FitModel, descend
-from calibration.heliostat.fitting.fit_result import FitOptions, HeliostatFit
-from calibration.heliostat.fitting.observability import plausible_scales
+from calibration.heliostat.fitting.drift_noise import Drift, Occasions, drive_zeros, occasions_of
+from calibration.heliostat.fitting.field_fit import fit_beside
+from calibration.heliostat.fitting.fit_model import REFUTED_FROM
+from calibration.heliostat.fitting.fit_result import HeliostatFit
 from calibration.heliostat.fitting.priors import PRIORS
 from calibration.heliostat.kinematic_model.aiming import aim
 from calibration.heliostat.kinematic_model.design import HeliostatDesign
@@ -26,9 +26,6 @@ FAR_RAD = float(np.radians(10.0))
 #: Leverage from which a position rests on the model rather than on observations near it.
 HIGH_LEVERAGE = 1.0
 _BLOCKS = 4
-# A refuted model does not know how it goes on, and blocks among what was seen do not ask: beyond, errors of six real
-# heliostats were 1.4 times (median of the azimuth splits) what parameters within their priors explain.
-_BEYOND = 1.5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,7 +43,6 @@ class Prediction:
     distance_rad (n,): Angle to the nearest sun (without suns: mirror normal) that was used [rad].
     extrapolated (n,): Whether the position lies beyond those used.
     reason length n: Why; empty where it does not.
-    inflation: Factor on the parameters' sigmas that blocks left aside asked for, at least 1.
     """
 
     readings: FloatArray
@@ -59,7 +55,6 @@ class Prediction:
     distance_rad: FloatArray
     extrapolated: BoolArray
     reason: tuple[str, ...]
-    inflation: float
 
     @property
     def sigma_beam_rad(self) -> FloatArray:
@@ -72,56 +67,85 @@ class Prediction:
         return 0.5 * self.sigma_beam_rad
 
 
-def predict_rows(found: HeliostatFit, observations: Observations, options: FitOptions | None = None) -> Prediction:
+def predict_rows(found: HeliostatFit, observations: Observations) -> Prediction:
     """Predict observations that the fit has not seen.
 
     observations: Rows with readings; their measurements are not used.
-    options: How the fit was made, for the fits with blocks left aside.
     Returns: One entry per row; the beam's sigma is the line of sight's or the normal's for other kinds.
     InputError: A row needs a camera or target that the fit does not have.
+
+    A fit of some parameters alone is judged by what is known of all (``HeliostatFit.beside``; found here where the
+    residuals refute the fit): their covariance, and how far the fit is from them.
     """
+    judge = _judge(found)
+    if judge is not None:
+        return _predict_rows_beside(found, judge, observations)
     if found.drift is not None:
         return _predict_rows_with_drift(found, found.drift, observations)
-    wide = _Wide.of(found)
-    rows = evaluate(found.design, found.values, observations, columns=wide.columns)
+    columns = _columns(found)
+    rows = evaluate(found.design, found.values, observations, columns=columns)
     sigma = rows.sigma_beam_rad
     jacobian = _two_components(rows.jacobian, rows.owner, len(observations)) * sigma[:, None, None]
     normals = mirror_poses(
         found.design, found.values, observations.readings, observations.approach, outside="nan"
     ).normals(found.design)
-    factor = np.array([found.sigma_factors.get(kind, 1.0) for kind in observations.kind])
-    misfit = np.sqrt(np.maximum(factor**2 - 1, 0.0)) * sigma
     positions = observations.sun if _by_sun(found) else normals
-    spread = wide.spread(jacobian, blocked_inflation(found, options))
-    return _prediction(found, *spread, misfit, positions, observations.readings, rows.computable, sigma)
+    parameters = jacobian @ found.solution.covariance @ jacobian.transpose(0, 2, 1)
+    factor = np.array([found.sigma_factors.get(kind, 1.0) for kind in observations.kind])
+    misfit = np.maximum(factor**2 - 1, 0.0) * sigma**2
+    whole = parameters + misfit[:, None, None] * np.eye(2)
+    return _assembled(found, whole, parameters, positions, observations.readings, rows.computable, sigma)
+
+
+def _judge(found: HeliostatFit) -> HeliostatFit | None:
+    """Return what is known of all that may be wrong; None where the fit has it all, or nothing refutes it."""
+    if found.beside is not None or found.drift is not None:
+        return found.beside
+    known = any(name in PRIORS for name in found.design.parameters.names)
+    return fit_beside(found, None) if known and _refuted(found) and found.used.any() else None
+
+
+def _predict_rows_beside(found: HeliostatFit, judge: HeliostatFit, observations: Observations) -> Prediction:
+    prediction = predict_rows(judge, observations)
+    return _farther(prediction, _between(found, judge, observations), prediction.readings, prediction.usable)
+
+
+def _between(found: HeliostatFit, judge: HeliostatFit, observations: Observations) -> FloatArray:
+    """Return how far the predictions of two fits lie apart, (n, 2) [rad]."""
+    apart = []
+    for one in (found, judge):
+        rows = evaluate(one.design, one.values, observations)
+        both = _two_components(rows.whitened[:, None], rows.owner, len(observations))[:, :, 0]
+        apart.append(both * rows.sigma_beam_rad[:, None])
+    return np.asarray(apart[0] - apart[1])
+
+
+def _farther(prediction: Prediction, apart: FloatArray, readings: FloatArray, usable: BoolArray) -> Prediction:
+    """Return a prediction that is known to lie apart, (n, 2) [rad], from the one that is given."""
+    return replace(
+        prediction,
+        readings=readings,
+        usable=usable,
+        covariance_rad2=prediction.covariance_rad2 + apart[:, :, None] * apart[:, None],
+        sigma_misfit_rad=np.hypot(prediction.sigma_misfit_rad, np.linalg.norm(apart, axis=1)),
+    )
 
 
 def _predict_rows_with_drift(found: HeliostatFit, drift: Drift, observations: Observations) -> Prediction:
     """Predict rows whose drives' zeros have to do with those of the rows that were fitted."""
     seen = _AlongDrives.of(found, observations)
-    covariance, parameters = seen.covariance(found, drift, row_days(observations))
-    normals = mirror_poses(
-        found.design, found.values, observations.readings, observations.approach, outside="nan"
-    ).normals(found.design)
-    positions = observations.sun if _by_sun(found) else normals
+    occasions = occasions_of(found.design, found.values, observations)
+    covariance, parameters = seen.covariance(found, drift, occasions)
+    positions = observations.sun if _by_sun(found) else occasions.normals
     noise = min(drift.noise.white, 1.0) * seen.sigma_rad
     return _assembled(found, covariance, parameters, positions, observations.readings, seen.computable, noise)
 
 
-def predict_aim(
-    found: HeliostatFit,
-    sun: npt.ArrayLike,
-    aim_points_m: npt.ArrayLike,
-    *,
-    inflation: float | None = None,
-    options: FitOptions | None = None,
-) -> Prediction:
+def predict_aim(found: HeliostatFit, sun: npt.ArrayLike, aim_points_m: npt.ArrayLike) -> Prediction:
     """Predict how well the heliostat hits aim points at any suns: a map over the sky, a day, a year.
 
     Shapes: sun (n, 3).
     aim_points_m (3,) or (n, 3): Where the beam shall go [m].
-    inflation: Of `blocked_inflation`; found here if not given.
-    options: How the fit was made.
     Returns: One entry per sun; ``usable`` is False where the drives cannot point.
     InputError: Shapes that do not fit.
     """
@@ -130,22 +154,32 @@ def predict_aim(
     aimed = aim(found.design, found.values, suns, points)
     usable = np.asarray(aimed.converged & aimed.within_limits)
     readings = np.where(usable[:, None], aimed.readings, np.nan)
-    places = suns if _by_sun(found) else np.where(usable[:, None], aimed.normals, np.nan)
+    normals = np.where(usable[:, None], aimed.normals, np.nan)
+    judge = _judge(found)
+    if judge is not None and judge.drift is not None:
+        known = _predict_aim_with_drift(judge, judge.drift, suns, points, readings, usable, normals)
+        apart = np.full((len(suns), 2), np.nan)
+        if usable.any():
+            apart[usable] = _between(found, judge, _spots(readings[usable], suns[usable], points[usable]))
+        return _farther(known, apart, readings, usable)
     if found.drift is not None:
-        return _predict_aim_with_drift(found, found.drift, suns, points, readings, usable, places)
-    wide = _Wide.of(found)
-    jacobian = np.full((len(suns), 2, wide.columns.size), np.nan)
+        return _predict_aim_with_drift(found, found.drift, suns, points, readings, usable, normals)
+    columns = _columns(found)
+    parameters = np.full((len(suns), 2, 2), np.nan)
     if usable.any():
-        # As if the spot were seen at the aim point with a sigma of 1 m: whitened times 1 / distance is the angle.
-        seen = BeamSpots.at_points(
-            Pointings(readings[usable]), suns[usable], points[usable], 1.0, ("",) * int(usable.sum())
+        rows = evaluate(
+            found.design, found.values, _spots(readings[usable], suns[usable], points[usable]), columns=columns
         )
-        rows = evaluate(found.design, found.values, Observations((seen,)), columns=wide.columns)
-        own = _two_components(rows.jacobian, rows.owner, len(seen))
-        jacobian[usable] = own * rows.sigma_beam_rad[:, None, None]
-    misfit = np.full(len(suns), _typical_misfit(found))
-    spread = wide.spread(jacobian, blocked_inflation(found, options) if inflation is None else inflation)
-    return _prediction(found, *spread, misfit, places, readings, usable, np.zeros(len(suns)))
+        own = _two_components(rows.jacobian, rows.owner, int(usable.sum())) * rows.sigma_beam_rad[:, None, None]
+        parameters[usable] = own @ found.solution.covariance @ own.transpose(0, 2, 1)
+    places = suns if _by_sun(found) else normals
+    whole = parameters + _typical_misfit(found) ** 2 * np.eye(2)
+    return _assembled(found, whole, parameters, places, readings, usable, np.zeros(len(suns)))
+
+
+def _spots(readings: FloatArray, suns: FloatArray, points: FloatArray) -> Observations:
+    """Return beams as if seen at the aim points with a sigma of 1 m: whitened times 1 / distance is the angle."""
+    return Observations((BeamSpots.at_points(Pointings(readings), suns, points, 1.0, ("",) * len(suns)),))
 
 
 def _predict_aim_with_drift(
@@ -155,16 +189,17 @@ def _predict_aim_with_drift(
     points: FloatArray,
     readings: FloatArray,
     usable: BoolArray,
-    places: FloatArray,
+    normals: FloatArray,
 ) -> Prediction:
     """Predict aims on days of which nothing is known but how far the drives' zeros wander."""
     covariance, parameters = np.full((len(suns), 2, 2), np.nan), np.full((len(suns), 2, 2), np.nan)
     if usable.any():
-        names = ("",) * int(usable.sum())
-        spots = BeamSpots.at_points(Pointings(readings[usable]), suns[usable], points[usable], 1.0, names)
+        spots, count = _spots(readings[usable], suns[usable], points[usable]), int(usable.sum())
         # Nothing is measured there: what exceeds the stated sigma is the misfit of the rows that were used.
-        seen = replace(_AlongDrives.of(found, Observations((spots,))), sigma_rad=np.full(len(names), _white_rad(found)))
-        covariance[usable], parameters[usable] = seen.covariance(found, drift, None)
+        seen = replace(_AlongDrives.of(found, spots), sigma_rad=np.full(count, _white_rad(found)))
+        unknown = Occasions(np.full(count, np.nan), normals[usable])
+        covariance[usable], parameters[usable] = seen.covariance(found, drift, unknown)
+    places = suns if _by_sun(found) else normals
     return _assembled(found, covariance, parameters, places, readings, usable, np.zeros(len(suns)))
 
 
@@ -202,19 +237,18 @@ class _AlongDrives:
         moved = moved[:, :, np.searchsorted(order, both)]
         return cls(moved[:, :, : columns.size], moved[:, :, columns.size :], sigma, rows.computable)
 
-    def covariance(self, found: HeliostatFit, drift: Drift, days: FloatArray | None) -> tuple[FloatArray, FloatArray]:
+    def covariance(self, found: HeliostatFit, drift: Drift, occasions: Occasions) -> tuple[FloatArray, FloatArray]:
         """Covariance of what the fit predicts wrong, without the stated noise, and the parameters' own share of it.
 
-        days (n,): When [d]; None where nothing is known of it. On days like those of the fit its parameters have
-        followed the drives' zeros a part of the way.
+        occasions: When and where to, n of them. Near those of the fit its parameters have followed the drives' zeros
+        a part of the way.
         Returns (n, 2, 2), (n, 2, 2): [rad^2].
         """
         noise = drift.noise
         parameters = self.by_parameter @ found.solution.covariance @ self.by_parameter.transpose(0, 2, 1)
         total = parameters + noise.drive_variance_rad2 * (self.by_drive @ self.by_drive.transpose(0, 2, 1))
-        if days is not None:
-            followed = drift.shared(days, self.by_drive) @ self.by_parameter.transpose(0, 2, 1)
-            total = total - followed - followed.transpose(0, 2, 1)
+        followed = drift.shared(occasions, self.by_drive) @ self.by_parameter.transpose(0, 2, 1)
+        total = total - followed - followed.transpose(0, 2, 1)
         misfit = np.maximum(noise.white**2 - 1, 0.0) * self.sigma_rad**2
         return total + misfit[:, None, None] * np.eye(2), parameters
 
@@ -246,36 +280,7 @@ def _assembled(
         distance,
         np.array([bool(reason) for reason in reasons], dtype=np.bool_),
         reasons,
-        1.0,
     )
-
-
-def blocked_inflation(found: HeliostatFit, options: FitOptions | None = None) -> float:
-    """Return by how much errors at suns left aside exceed the parameters' covariance.
-
-    options: How it was made.
-    Returns: Factor on the parameters' sigmas, at least 1, at most 10; 1 with too few rows, or where the stated
-        sigmas were believed, for then the model describes the observations.
-
-    What a model does not describe repeats from sun to neighbouring sun, and its covariance takes every row for a new
-    draw. Blocks of neighbouring positions are left aside in turn; the factor makes the mean of their squared errors
-    what it should be.
-    """
-    if not _refuted(found) or found.n_free == 0 or found.used.sum() < 4 * _BLOCKS:
-        return 1.0
-    seen = found.observations
-    # Near the answer already: one descent for each block, at the sigmas and with the rows of the whole fit.
-    model = FitModel(found.nominal, seen, options or FitOptions(), frozenset(found.names))
-    excess, expected = 0.0, 0.0
-    for block in sky_blocks(seen, found.used):
-        part = descend(model, found.solution.parameters, found.sigma_factors, found.used & ~block, 0.01)
-        covariance = part.with_own_covariance().solution.covariance
-        whitened, jacobian, _ = model.seen.whitened(model.full(part.values))
-        rows = block[model.owners]
-        spread = np.einsum("ij,jk,ik->i", jacobian[rows], covariance, jacobian[rows])
-        excess += float(np.sum(whitened[rows] ** 2 - found.factor[model.owners[rows]] ** 2))
-        expected += float(np.sum(spread))
-    return float(np.clip(np.sqrt(max(excess, 0.0) / expected), 1.0, 10.0)) if expected > 0 else 1.0
 
 
 def sky_blocks(seen: Observations, among: BoolArray) -> tuple[BoolArray, ...]:
@@ -427,73 +432,6 @@ def _typical_misfit(found: HeliostatFit) -> float:
     square = np.maximum(factor**2 - 1, 0.0) * sigma**2
     known = square[np.isfinite(square)]
     return float(np.sqrt(known.mean())) if known.size else 0.0
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Wide:
-    """What may be wrong of a heliostat, free or held: columns of its parameters, their covariance after the fit."""
-
-    columns: IntArray
-    covariance: FloatArray
-
-    @classmethod
-    def of(cls, found: HeliostatFit) -> "_Wide":
-        """Linearise at the fit; if the residuals refute the model, what was held may be wrong within its prior too."""
-        own = found.design.parameters
-        if not _refuted(found):
-            return cls(_columns(found), found.solution.covariance)
-        sigmas = own.sigmas.copy()
-        for i, name in enumerate(own.names):
-            if sigmas[i] == 0 and name in PRIORS:
-                sigmas[i] = PRIORS[name].of(float(own.values[i]))
-        sigmas = np.where(np.isinf(sigmas), plausible_scales(own.values, own.names, own.units), sigmas)
-        columns = np.flatnonzero(sigmas > 0)
-        rows = found.used[found.residuals.owner]
-        scale = found.factor[found.residuals.owner[rows]]
-        scaled = found.residuals.jacobian[np.ix_(rows, columns)] / scale[:, None] * sigmas[columns]
-        normal = scaled.T @ scaled + np.eye(columns.size)
-        covariance = np.linalg.inv(normal) * sigmas[columns][:, None] * sigmas[columns]
-        return cls(columns, np.asarray(covariance))
-
-    def spread(self, jacobian: FloatArray, inflation: float) -> tuple[FloatArray, float]:
-        """Covariance of the beam, (n, 2, 2), with its inflation."""
-        return inflation**2 * (jacobian @ self.covariance @ jacobian.transpose(0, 2, 1)), inflation
-
-
-def _prediction(
-    found: HeliostatFit,
-    covariance: FloatArray,
-    inflation: float,
-    misfit: FloatArray,
-    positions: FloatArray,
-    readings: FloatArray,
-    usable: BoolArray,
-    noise: FloatArray,
-) -> Prediction:
-    """Assemble; sigmas come per axis and leave as the root of both axes' variances."""
-    sigma = (found.factor * found.residuals.sigma_beam_rad)[found.used]
-    one = 2 * float(np.mean(sigma**2)) if sigma.size else float("nan")
-    leverage = np.trace(covariance, axis1=1, axis2=2) / one
-    distance = _nearest(positions, _used_positions(found))
-    reasons = tuple(_why(*pair) for pair in zip(distance, leverage, strict=True))
-    extrapolated = np.array([bool(reason) for reason in reasons], dtype=np.bool_)
-    if _refuted(found):
-        covariance = covariance * np.where(extrapolated, _BEYOND**2, 1.0)[:, None, None]
-    parameters = np.sqrt(np.trace(covariance, axis1=1, axis2=2))
-    total = covariance + (misfit**2)[:, None, None] * np.eye(2)
-    return Prediction(
-        readings,
-        usable,
-        total,
-        parameters,
-        np.sqrt(2.0) * misfit,
-        np.sqrt(2.0) * noise,
-        leverage,
-        distance,
-        extrapolated,
-        reasons,
-        inflation,
-    )
 
 
 def _used_positions(found: HeliostatFit) -> FloatArray:

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -26,6 +27,9 @@ _WIDE_REACH = 10.0
 _SCALE_EFFICIENCY = 0.55
 # While rows and scale still move a tenth of a sigma is near enough; a thousandth at the end.
 _ON_THE_WAY, _AT_THE_END = 0.1, 1e-3
+# Observations are linear enough where the answer with them differs by less than so many sigmas; else they are made
+# linear anew, so often at most.
+_BENT, _MOST_LINEAR = 0.5, 3
 
 
 def fit(design: HeliostatDesign, observations: Observations, options: FitOptions | None = None) -> HeliostatFit:
@@ -57,6 +61,9 @@ def fit(design: HeliostatDesign, observations: Observations, options: FitOptions
 def _from(model: FitModel, start: FloatArray) -> Descended:
     """Fit from one start."""
     first = _first(model, start)
+    if np.isfinite(model.design.parameters.sigmas[model.columns]).all():
+        # Nothing but priors holds what is not observed.
+        return _settled(first)
     weak = _held_by_nothing(first)
     end = _settled(_again(first, replace(model, fallback=weak)))
     # At the scale of a start that may be degrees off nothing looks observed: decide anew at the settled one.
@@ -96,20 +103,49 @@ def _again(before: Descended, model: FitModel) -> Descended:
 
 
 def _settled(end: Descended) -> Descended:
-    """Iterate descent, scale and rejection until rows and scale stay."""
+    """Iterate descent, scale and rejection until rows and scale stay.
+
+    Near the answer all of that is done with the observations made linear, and tested with the observations themselves.
+    """
+    decided = None
+    if end.solution.converged and _far_rad(end) < _FAR_RAD:
+        for _ in range(_MOST_LINEAR):
+            near = _decided(replace(end, model=end.model.linear_about(end.values)), _AT_THE_END)
+            if not end.model.whitened(near.end.values).computable[near.end.used].all():
+                break
+            end = descend(end.model, near.end.values, near.end.factors, near.end.used, _AT_THE_END)
+            sigmas = np.sqrt(np.diag(near.end.solution.covariance))
+            if not (np.abs(end.values - near.end.values) > _BENT * sigmas).any():
+                decided = _Decided(_rounds(end, near.estimated, _AT_THE_END), near.estimated)
+                break
+    decided = decided or _decided(end, _ON_THE_WAY)
+    end = decided.end
+    return descend(end.model, end.values, end.factors, end.used, _AT_THE_END)
+
+
+class _Decided(NamedTuple):
+    """Where rows and scale stay, and of which kinds the sigma is estimated rather than believed."""
+
+    end: Descended
+    estimated: Mapping[str, bool]
+
+
+def _decided(end: Descended, tolerance: float) -> _Decided:
+    """Iterate with the sigma of all kinds estimated, then again with those believed that are not refuted."""
     options = end.model.options
     estimated = dict.fromkeys(end.factors, True)
-    end = _rounds(end, estimated)
+    end = _rounds(end, estimated, tolerance)
     if options.sigma != "estimated":
         believed = {kind for kind in end.factors if options.sigma == "stated" or not _refuted(end, kind)}
         if believed:
             factors = {kind: 1.0 if kind in believed else factor for kind, factor in end.factors.items()}
-            end = descend(end.model, end.values, factors, _acceptable(end, factors), _ON_THE_WAY)
-            end = _rounds(end, {kind: kind not in believed for kind in end.factors})
-    return descend(end.model, end.values, end.factors, end.used, _AT_THE_END)
+            end = descend(end.model, end.values, factors, _acceptable(end, factors), tolerance)
+            estimated = {kind: kind not in believed for kind in end.factors}
+            end = _rounds(end, estimated, tolerance)
+    return _Decided(end, estimated)
 
 
-def _rounds(end: Descended, estimated: Mapping[str, bool]) -> Descended:
+def _rounds(end: Descended, estimated: Mapping[str, bool], tolerance: float) -> Descended:
     for _ in range(_MOST_ROUNDS):
         scatter = end.scatter()
         known = {kind: estimated[kind] and np.isfinite(scatter[kind]) for kind in end.factors}
@@ -120,7 +156,7 @@ def _rounds(end: Descended, estimated: Mapping[str, bool]) -> Descended:
         still = all(abs(factors[kind] / end.factors[kind] - 1) < 5e-3 for kind in factors)
         if still and (used == end.used).all():
             break
-        end = descend(end.model, end.values, factors, used, _ON_THE_WAY)
+        end = descend(end.model, end.values, factors, used, tolerance)
     return end
 
 
@@ -170,7 +206,7 @@ def _unobserved(end: Descended) -> tuple[Combination, ...]:
     model = end.model
     chosen = end.used[model.owners]
     factor = model.row_factors(end.factors)[model.owners[chosen]]
-    jacobian = model.evaluate(end.values).jacobian[chosen] / factor[:, None]
+    jacobian = model.whitened(end.values).jacobian[chosen] / factor[:, None]
     return unobserved(jacobian, model.names, model.design.parameters.sigmas[model.columns], model.scales)
 
 

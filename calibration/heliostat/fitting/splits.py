@@ -171,15 +171,14 @@ def held_out(
     chosen = design if chooser is None else chooser(design, training, options).design
     found = fit(chosen, training, options)
     found = found if refine is None else refine(found)
-    prediction = predict_rows(found, observations.select(split.test), options)
+    prediction = predict_rows(found, observations.select(split.test))
     both = observations.select(split.train | split.test)
-    some = evaluate(found.design, found.values, both)
+    residuals = evaluate(found.design, found.values, both)
     place = np.flatnonzero(split.train | split.test)
     used = np.zeros(len(observations), dtype=np.bool_)
     used[np.flatnonzero(split.train)[found.used]] = True
-    tested = split.test[place] & some.computable
-    summaries = AngleSummary.of(some, used[place]), AngleSummary.of(some, tested)
-    residuals = evaluate(found.design, found.values, both)
+    tested = split.test[place] & residuals.computable
+    summaries = AngleSummary.of(residuals, used[place]), AngleSummary.of(residuals, tested)
     return HeldOut(split, found, *summaries, residuals, prediction, _beyond_training(prediction))
 
 

@@ -16,8 +16,8 @@ _LOGS = np.linspace(-1.6, 3.0, 93)
 class UnitNoise(NamedTuple):
     """What the observations of a heliostat say of its noise.
 
-    factor: Most probable factor on the usual noise.
-    log_evidence: Log of their probability at that factor, with its prior; the parameters are integrated out.
+    factor: Root mean square of the factor on the usual noise: of few rows the most probable one is too small.
+    log_evidence: Log of their probability; factor and parameters are integrated out.
     """
 
     factor: float
@@ -25,7 +25,7 @@ class UnitNoise(NamedTuple):
 
 
 def unit_noise(found: NormalEquations, mean: FloatArray, covariance: FloatArray) -> UnitNoise:
-    """Return the most probable size of a heliostat's noise.
+    """Return the size of a heliostat's noise.
 
     found: Its observations, under the usual noise.
     mean (p,), covariance (p, p): What is known of its parameters before.
@@ -43,5 +43,9 @@ def unit_noise(found: NormalEquations, mean: FloatArray, covariance: FloatArray)
     shrunk = 1 + values * over
     twice = square * over[:, 0] - np.sum(pulls * over**2 / shrunk, axis=1) + np.sum(np.log(shrunk), axis=1)
     twice = twice + 2 * found.count * _LOGS + (_LOGS / _LOG_SIGMA) ** 2
-    best = int(np.argmin(twice))
-    return UnitNoise(float(np.exp(_LOGS[best])), -0.5 * (float(twice[best]) + found.log_determinant))
+    least = float(twice.min())
+    chance = np.exp(-0.5 * (twice - least))
+    total = float(chance.sum())
+    factor = float(np.sqrt(chance @ np.exp(2 * _LOGS) / total))
+    density = np.log(total * (_LOGS[1] - _LOGS[0]) / (_LOG_SIGMA * np.sqrt(2 * np.pi)))
+    return UnitNoise(factor, float(density) - 0.5 * (least + found.log_determinant))

@@ -4,8 +4,8 @@ Frame of the field: x east, y north, z up [m]. Directions to the sun are apparen
 at one pair of readings.
 """
 
-from dataclasses import dataclass
-from typing import TypeAlias
+from dataclasses import dataclass, field
+from typing import Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -41,10 +41,12 @@ class Observations(ShortRepr):
     """Any mixture of observations of one heliostat.
 
     groups: Groups of one kind each; their rows follow one another.
+    kept: What was worked out of them for one design (`ObservationModel`), by its numbers.
     InputError: There is no group.
     """
 
     groups: tuple[Group, ...]
+    kept: dict[bytes, Any] = field(init=False, repr=False, default_factory=dict)
 
     def __post_init__(self) -> None:
         if not self.groups:

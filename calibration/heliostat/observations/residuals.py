@@ -17,6 +17,9 @@ from heliogauge.geometry.rays import intersect_plane, reflect
 from heliogauge.short_repr import ShortRepr
 from heliogauge.validate import BoolArray, FloatArray, IntArray, freeze
 
+# Of the heliostat as given, and as found.
+_MOST_KEPT = 2
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Residuals:
@@ -105,7 +108,7 @@ class ObservationModel(ShortRepr):
         object.__setattr__(self, "readings", seen.readings)
         object.__setattr__(self, "approach", seen.approach)
         object.__setattr__(self, "owners", np.repeat(np.arange(len(seen)), seen.n_components))
-        object.__setattr__(self, "prepared", tuple(prepare(self.design, group) for group in seen.groups))
+        object.__setattr__(self, "prepared", _prepared(self.design, seen))
 
     def whitened(self, values: FloatArray) -> "Whitened":
         """Return the residuals at some numbers."""
@@ -156,6 +159,17 @@ class ObservationModel(ShortRepr):
             lost = ~computable[self.owners]
             residuals[lost], derivatives[lost] = 0.0, 0.0
         return _Evaluated(Whitened(freeze(residuals), freeze(derivatives), computable), parts, own_normals)
+
+
+def _prepared(design: HeliostatDesign, seen: Observations) -> tuple[Prepared, ...]:
+    """Make observations ready, or take what was made ready for the same numbers: a heliostat is fitted some times."""
+    key = design.parameters.values.tobytes()
+    if key not in seen.kept:
+        if len(seen.kept) >= _MOST_KEPT:
+            seen.kept.clear()
+        seen.kept[key] = tuple(prepare(design, group) for group in seen.groups)
+    found: tuple[Prepared, ...] = seen.kept[key]
+    return found
 
 
 class _InRadians(NamedTuple):

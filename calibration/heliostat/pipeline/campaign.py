@@ -12,7 +12,6 @@ from calibration.heliostat.files.sources import Source, open_source
 from calibration.heliostat.fitting.field_model import MOST_LEARNED_FROM, learn_field
 from calibration.heliostat.keys import HeliostatMeasurement, Label, Split
 from calibration.heliostat.pipeline.free_parameters import AUTO
-from calibration.heliostat.pipeline.nominal_design import frees_parameters
 from calibration.heliostat.pipeline.one_heliostat import FirstLook, look_first
 from heliogauge.errors import InputError
 from heliogauge.running.progress import Progress
@@ -66,15 +65,14 @@ def choose(
 
 
 def with_field(campaign: Campaign, workers: Workers, progress: Progress) -> Campaign:
-    """Learn what the heliostats of a field have in common, where their free parameters are not given.
+    """Learn what the heliostats of a field have in common.
 
     workers: Who works.
-    Returns: With the field; as it was for one heliostat, for parameters that are stated, or for beams that are only
-        measured yet. Of a large field some hundred heliostats, evenly spread over it, are looked at first.
+    Returns: With the field; as it was for one heliostat, or for beams that are only measured yet. Of a large field some
+        hundred heliostats, evenly spread over it, are looked at first.
     """
     shared, names = campaign.shared, campaign.names
-    is_stated = shared.free != AUTO or frees_parameters(shared.model.kinematics)
-    if is_stated or shared.model.images or len(names) < FEWEST_OF_A_FIELD:
+    if shared.model.images or len(names) < FEWEST_OF_A_FIELD:
         return campaign
     count = min(len(names), MOST_LEARNED_FROM)
     chosen = tuple(names[index * len(names) // count] for index in range(count))

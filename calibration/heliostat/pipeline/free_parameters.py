@@ -6,12 +6,13 @@ from itertools import takewhile
 import numpy as np
 
 from calibration.heliostat.files.result import PRIORS_ALONE, Shared
-from calibration.heliostat.fitting.field_fit import field_names, fit_within
+from calibration.heliostat.fitting.field_fit import WithinField, field_names, fit_beside, fit_within
 from calibration.heliostat.fitting.field_prior import FieldPrior
 from calibration.heliostat.fitting.fit_result import FitOptions, HeliostatFit
 from calibration.heliostat.fitting.model_choice import ModelChoice, choose_model
 from calibration.heliostat.fitting.priors import with_all_terms, with_priors, with_terms_free
 from calibration.heliostat.fitting.robust_fit import fit
+from calibration.heliostat.keys import KinematicsSection
 from calibration.heliostat.kinematic_model.design import HeliostatDesign, LinearActuator
 from calibration.heliostat.observations.observations import Observations
 from calibration.heliostat.pipeline.nominal_design import asked_terms, frees_parameters
@@ -29,8 +30,10 @@ class FreeParameters:
     name: What the choice is called.
     choice: How it was made from trials; None where it was not.
     field: What the other heliostats say; None where that does not help.
-    is_stated: Whether measurement.toml or the command line names them: then nothing else is fitted.
+    is_stated: Whether measurement.toml or the command line names them: then nothing else is fitted, and what is known
+        of the rest only judges what the fit predicts.
     first: The robust fit of these parameters to all rows, where it was made to choose them.
+    judged: The heliostat with what is usually free, where one of the usual choices of parameters is stated; else None.
     """
 
     design: HeliostatDesign
@@ -39,10 +42,17 @@ class FreeParameters:
     field: FieldPrior | None = None
     is_stated: bool = False
     first: HeliostatFit | None = None
+    judged: HeliostatDesign | None = None
+
+    def within(self, found: HeliostatFit) -> WithinField:
+        """Return a robust fit with what is known of noise and field; beside it where the parameters are stated."""
+        if self.is_stated:
+            return WithinField(replace(found, beside=fit_beside(found, self.field)), False)
+        return fit_within(found, self.field)
 
     def refine(self, found: HeliostatFit) -> HeliostatFit:
-        """Return a robust fit with what is known of noise and field; as it was where the parameters are stated."""
-        return found if self.is_stated else fit_within(found, self.field).fit
+        """Return the fit of `within`."""
+        return self.within(found).fit
 
 
 def choose_free_parameters(
@@ -53,27 +63,34 @@ def choose_free_parameters(
     nominal: The heliostat as it is known before.
     """
     kinematics = shared.model.kinematics
+    usual = starting_design(nominal)
+    model = shared.field.model(field_names(usual), unit_groups(nominal)) if shared.field is not None else None
+    field = None if model is None else model.prior(nominal.name)
     if shared.free == AUTO and frees_parameters(kinematics):
         free = kinematics.free
         name = free if isinstance(free, str) else "as in measurement.toml"
-        return FreeParameters(nominal, name, is_stated=True)
+        judged = _with_asked(usual, kinematics) if isinstance(free, str) else None
+        return FreeParameters(nominal, name, field=field, is_stated=True, judged=judged)
     if shared.free != AUTO:
         chosen = nominal.with_free(shared.free)
         chosen = with_terms_free(chosen, asked_terms(chosen, kinematics))
-        return FreeParameters(chosen, shared.free, is_stated=True)
-    usual = starting_design(nominal)
+        judged = _with_asked(usual, kinematics)
+        return FreeParameters(chosen, shared.free, field=field, is_stated=True, judged=judged)
     first = fit(usual, observations, options)
     known = FreeParameters(usual, PRIORS_ALONE, first=first)
     if is_hopeless(first):
         # What is usual is no help to a heliostat that something is wrong with.
         return known
-    model = shared.field.model(field_names(known.design), unit_groups(nominal)) if shared.field is not None else None
-    if model is not None:
-        return replace(known, field=model.prior(nominal.name))
+    if field is not None:
+        return replace(known, field=field)
     if not shared.thorough:
         return known
     choice = choose_model(nominal, observations, options)
     return FreeParameters(choice.design, choice.best, choice)
+
+
+def _with_asked(design: HeliostatDesign, kinematics: KinematicsSection) -> HeliostatDesign:
+    return with_terms_free(design, asked_terms(design, kinematics))
 
 
 def starting_design(nominal: HeliostatDesign) -> HeliostatDesign:

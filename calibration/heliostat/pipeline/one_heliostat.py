@@ -1,12 +1,13 @@
 """One heliostat from its task to its result, stage by stage."""
 
 from dataclasses import dataclass
+from functools import partial
 from time import perf_counter
 
-from calibration.heliostat.diagnosis.full_diagnosis import Diagnosis, Records, diagnose
+from calibration.heliostat.diagnosis.full_diagnosis import REMEDIED, Diagnosis, Records, diagnose
 from calibration.heliostat.files.result import FIELD, REMEDY, HeliostatResult, Shared
 from calibration.heliostat.files.sources import HeliostatTask
-from calibration.heliostat.fitting.field_fit import WithinField, field_names, fit_within, linear_rows
+from calibration.heliostat.fitting.field_fit import WithinField, field_names, linear_rows
 from calibration.heliostat.fitting.field_model import FieldUnit
 from calibration.heliostat.fitting.fit_result import FitOptions
 from calibration.heliostat.fitting.priors import PRIORS
@@ -47,32 +48,35 @@ def calibrate_one(shared: Shared, task: HeliostatTask) -> HeliostatResult:
     options = _fit_options(seen)
     free = choose_free_parameters(nominal, observations, shared, options)
     # Faults are judged by how a heliostat was delivered: by the fit that knows nothing of the field.
-    judged = free.first if free.first is not None else fit(free.design, observations, options)
+    stated = free.first if free.first is not None else fit(free.design, observations, options)
     records = Records(rows.flags, rows.text("image"), rows.times, rows.ids)
-    diagnosis = diagnose(judged, targets=shared.plant.targets, site=shared.plant.site, records=records)
+    asked = partial(diagnose, targets=shared.plant.targets, site=shared.plant.site, records=records)
+    diagnosis = asked(stated)
+    if free.judged is not None and diagnosis.remedied is None and set(diagnosis.kinds) & set(REMEDIED):
+        # Stated parameters may bend as far as they can, and leave nothing that can be undone.
+        usual = asked(fit(free.judged, observations, options))
+        diagnosis = usual if usual.remedied is not None else diagnosis
     refuse_impossible(task.name, diagnosis)
     remedied = diagnosis.remedied
     if remedied is not None:
         # What is wrong as a whole is undone: the heliostat as it was stated comes second.
         observations = remedied.observations
         free = FreeParameters(remedied.nominal, f"{REMEDY}: {diagnosis.kinds[0]}", is_stated=True)
-        within = WithinField(fit(free.design, observations, options), False)
-        hopeless = is_hopeless(within.fit)
+        first = fit(free.design, observations, options)
     else:
-        hopeless = is_hopeless(judged)
-        within = WithinField(judged, False) if hopeless or free.is_stated else fit_within(judged, free.field)
+        first = stated
+    hopeless = is_hopeless(first)
+    within = WithinField(first, False) if hopeless else free.within(first)
     result = within.fit
     trials = try_out(nominal, free, observations, rows, shared, options, hopeless=hopeless)
-    main = trials.held.get(shared.split)
-    inflation = None if main is None else main.prediction.inflation
-    sky = map_sky(result, shared.plant, inflation)
+    sky = map_sky(result, shared.plant)
     found = gather_doubts(diagnosis.doubts, collect_doubts(task, seen, within, free.field, trials, shared))
     return HeliostatResult(
         name=task.name,
         nominal=nominal,
         seen=seen,
         fit=result,
-        as_stated=judged if remedied is not None else None,
+        as_stated=stated if remedied is not None else None,
         free=FIELD if within.by_field else free.name,
         choice=free.choice,
         split=shared.split,

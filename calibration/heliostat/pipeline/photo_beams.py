@@ -105,7 +105,7 @@ def _source(
     if section.corners_px is not None:
         return CornerPixels(np.array(section.corners_px), section.corners_sigma_px)
     if section.markers is not None:
-        return MarkerTemplates(tuple(folder / name for name in section.markers))
+        return MarkerTemplates(tuple(folder / name for name in section.markers), section.anchors_px or ())
     if section.aruco_ids is not None:
         return ArucoMarkers(section.aruco_ids, section.dictionary)
     if section.dark_marks is not None:

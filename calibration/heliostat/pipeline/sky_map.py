@@ -16,10 +16,9 @@ _ELEVATIONS_DEG = tuple(range(10, 90, 10))
 _LARGEST_DECLINATION_DEG = 23.7
 
 
-def map_sky(result: HeliostatFit, plant: Plant, inflation: float | None) -> SkyMap | None:
+def map_sky(result: HeliostatFit, plant: Plant) -> SkyMap | None:
     """Predict the uncertainty over the sky for the first target on which beams were seen.
 
-    inflation: What the residuals of the tried-out split show beyond the noise of the observations.
     Returns: The map; None for a plant without targets.
     """
     targets = plant.targets
@@ -33,7 +32,7 @@ def map_sky(result: HeliostatFit, plant: Plant, inflation: float | None) -> SkyM
     sigma, beyond = np.full(azimuth.shape, np.nan), np.zeros(azimuth.shape, dtype=np.bool_)
     if stands.any():
         suns = direction_from_angles(azimuth[stands], elevation[stands])
-        predicted = predict_aim(result, suns, targets[name].center_m, inflation=inflation)
+        predicted = predict_aim(result, suns, targets[name].center_m)
         sigma[stands] = predicted.sigma_beam_rad
         beyond[stands] = predicted.extrapolated & predicted.usable
     return SkyMap(name, _AZIMUTHS_DEG, _ELEVATIONS_DEG, np.asarray(freeze(sigma)), np.asarray(freeze(beyond)))

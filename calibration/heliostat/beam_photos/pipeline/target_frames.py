@@ -224,7 +224,9 @@ def _templates(source: MarkerTemplates) -> tuple[MarkTemplate, ...]:
         try:
             anchor = source.anchors_px[k] if source.anchors_px else mark_corner(values, corner)[0]
         except EstimationError as error:
-            raise InputError(f"{file}: {error}; give anchors_px") from error
+            raise InputError(
+                f"{file}: {error}; give anchors_px, the target's corner in each of the four pictures [column, row]"
+            ) from error
         templates.append(MarkTemplate(freeze(values), np.asarray(anchor, dtype=np.float64)))
     return tuple(templates)
 

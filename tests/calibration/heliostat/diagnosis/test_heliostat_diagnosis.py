@@ -296,16 +296,19 @@ def test_spots_all_at_one_place(rng, axis, severity):
     assert "x = 0.300 m" in finding.text
 
 
-def test_mirrored_spots_near_the_middle(healthy):
-    """Spots so near the middle that the fit is not far off are mirrored, not stretched by 200 %."""
+@pytest.mark.parametrize(("signs", "text"), [([-1.0, 1.0], "to the left"), ([1.0, -1.0], "downwards")])
+def test_mirrored_spots_near_the_middle(healthy, signs, text):
+    """Spots so near the middle that the fit is not far off are mirrored, not stretched by 200 %; it is undone."""
     _, observations = healthy
     names = np.array(observations.groups[0].target)
     spots = observations.groups[0].spot_m.copy()
     for name, target in TARGETS.items():
-        spots[names == name] = target.points(target.coordinates(spots[names == name]) * [-1.0, 1.0])
-    finding = judged(changed(observations, spot_m=spots)).faults[0]
-    assert finding.kind == "mirrored_spots"
-    assert "mirrored left and right" in finding.text
+        spots[names == name] = target.points(target.coordinates(spots[names == name]) * signs)
+    diagnosis = judged(changed(observations, spot_m=spots))
+    assert diagnosis.kinds == ("mirrored_spots",)
+    assert text in diagnosis.faults[0].text
+    undone = np.concatenate([group.spot_m for group in diagnosis.remedied.observations.groups])
+    np.testing.assert_allclose(undone, observations.groups[0].spot_m, atol=1e-12)
 
 
 @pytest.mark.parametrize(("share", "severity"), [(0.03, "fault"), (0.006, "hint")])

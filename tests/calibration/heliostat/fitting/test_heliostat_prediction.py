@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from calibration.heliostat.fitting.field_fit import fit_beside
 from calibration.heliostat.fitting.fit_result import FitOptions
 from calibration.heliostat.fitting.model_choice import Candidate, choose_model, usual_candidates
 from calibration.heliostat.fitting.prediction import (
-    blocked_inflation,
     predict_aim,
     predict_rows,
     sun_positions_of_year,
@@ -20,7 +20,8 @@ from calibration.heliostat.fitting.robust_fit import fit
 from calibration.heliostat.fitting.splits import SPLIT_NAMES, held_out, make_split
 from calibration.heliostat.kinematic_model.aiming import aim
 from calibration.heliostat.kinematic_model.presets import azimuth_elevation
-from calibration.heliostat.observations.observations import MirrorNormals, Observations, Pointings
+from calibration.heliostat.observations.observations import BeamSpots, MirrorNormals, Observations, Pointings
+from calibration.heliostat.observations.residuals import evaluate
 from heliogauge.errors import InputError
 from heliogauge.geometry.sun import Site
 from tests.calibration.heliostat.fitting.test_heliostat_fit import ANGLES, heliostat, truth_of
@@ -152,7 +153,6 @@ def test_misfit_of_a_model_that_is_refuted_enters_the_sigma():
     rng = np.random.default_rng(4)
     design, _, seen = observed(rng, noise_m=0.02)
     good = fit(design, seen)
-    assert blocked_inflation(good) == 1.0
     assert (predict_aim(good, seen.sun, TARGET.center_m).sigma_misfit_rad == 0).all()
     # The truth bends by 3 mrad with elevation, which the model does not have.
     group = seen.groups[0]
@@ -161,7 +161,26 @@ def test_misfit_of_a_model_that_is_refuted_enters_the_sigma():
     assert bad.sigma_estimated
     prediction = predict_aim(bad, seen.sun, TARGET.center_m)
     assert (prediction.sigma_misfit_rad > 2e-4).all()
-    assert prediction.inflation >= 1.0
+    own = predict_aim(replace(bad, sigma_factors={}), seen.sun, TARGET.center_m)
+    assert (prediction.sigma_beam_rad > own.sigma_beam_rad).all()
+
+
+def test_stated_parameters_are_judged_by_all_that_is_known():
+    design, _, on_target = observed(np.random.default_rng(6), noise_m=0.02)
+    group = on_target.groups[0]
+    seen = Observations((BeamSpots.at_points(group.pointings, group.sun, group.spot_m, 0.02, group.target),))
+    found = fit(design.with_free("2"), seen)
+    judge = fit_beside(found, None)
+    assert judge.n_free > found.n_free
+    whole = predict_rows(replace(found, beside=judge), seen)
+    apart = evaluate(found.design, found.values, seen).beam_rad - evaluate(judge.design, judge.values, seen).beam_rad
+    assert np.abs(apart).max() > 1e-4
+    known = predict_rows(judge, seen).covariance_rad2
+    np.testing.assert_allclose(whole.covariance_rad2, known + apart[:, :, None] * apart[:, None], rtol=1e-9, atol=1e-18)
+    # Aimed at, the beam of the judge is as far from the aim point as the fit's predictions are from the judge's.
+    aimed = predict_aim(replace(found, beside=judge), seen.sun, TARGET.center_m)
+    away = tracking_error(found.design, judge.design, seen.sun, TARGET.center_m)
+    assert (aimed.sigma_beam_rad >= np.linalg.norm(away, axis=1)).all()
 
 
 def test_tracking_error_is_the_small_angle_of_the_offset():

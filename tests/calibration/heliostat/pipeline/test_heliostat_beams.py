@@ -6,12 +6,15 @@ from typing import Any
 import numpy as np
 import pytest
 
+from calibration.heliostat.beam_photos.pipeline.target_frames import TargetFinder
+from calibration.heliostat.beam_photos.target.marks import CORNERS, mark_corner
+from calibration.heliostat.kinematic_model.design import PlaneTarget
 from calibration.heliostat.observations.plant import Plant
 from calibration.heliostat.observations.rows import parse_rows
 from calibration.heliostat.pipeline.photo_beams import beam_frames, with_measured_beams
 from heliogauge.errors import InputError
 from heliogauge.geometry.sun import Site
-from heliogauge.images.photos import write_image
+from heliogauge.images.photos import read_channel, write_image
 from heliogauge.measurement.load import parse_measurement
 from tests.calibration.heliostat_folders import CONTENT, TARGET
 
@@ -33,11 +36,11 @@ def draw(file: Path, center_m: tuple[float, float] = CENTER_M, peak_dn: float = 
     write_image(file, np.clip(np.rint(30 + peak_dn * beam + noise), 0, 255).astype(np.uint8))
 
 
-def measured(folder: Path, *cells: tuple[str, str, str], **images: Any) -> Any:
+def measured(folder: Path, *cells: tuple[str, str, str], plant: Plant = PLANT, **images: Any) -> Any:
     lines = [
         (2 + n, f"2026-06-21T1{n}:00:00Z,0.1,0.2,{target},{image},{x},") for n, (target, image, x) in enumerate(cells)
     ]
-    return with_measured_beams(parse_rows(HEADER, dict(lines)), folder, PLANT, model(**images or {"whole": "edge"}))[0]
+    return with_measured_beams(parse_rows(HEADER, dict(lines)), folder, plant, model(**images or {"whole": "edge"}))[0]
 
 
 def test_the_beam_becomes_the_rows_place(tmp_path: Path) -> None:
@@ -101,3 +104,64 @@ def test_frames_that_cannot_be_used(tmp_path: Path, images: list[Any], wanted: s
     found: Any = parse_measurement(CONTENT | {"images": images}, tmp_path / "measurement.toml")
     with pytest.raises(InputError, match=wanted):
         beam_frames(tmp_path, PLANT, found)
+
+
+# --- marks of a real tower --------------------------------------------------------------------------------------------
+
+#: Multi focus tower at Juelich, from mark to mark.
+TOWER = PlaneTarget.facing(TARGET.name, [0.0, 0.0, 40.0], np.pi, 5.42, 6.38)
+
+
+def pictures(shared_data: Path, *names: str) -> list[str]:
+    return [str(shared_data / "csp" / "juelich_beam_images" / "markers" / f"{name}.png") for name in names]
+
+
+def of_tower(shared_data: Path, **images: Any) -> Any:
+    """Measure the beam in the one raw frame, 3072 x 1728 pixels, through marks of its target."""
+    plant = Plant(PLANT.origin, PLANT.site, {TOWER.name: TOWER})
+    folder = shared_data / "csp" / "juelich_beam_images"
+    return measured(folder, (TOWER.name, "203718-raw.png", ""), plant=plant, **images)
+
+
+@pytest.mark.slow
+def test_anchors_say_which_point_of_a_mark_is_the_corner(shared_data: Path) -> None:
+    """The outer corners of the marks, given by hand, put the beam where they do by themselves; others elsewhere."""
+    names = ("mft_left_top", "mft_right_top", "mft_right_bottom", "mft_left_bottom")
+    files = pictures(shared_data, *names)
+    corners = [
+        mark_corner(read_channel(Path(one), "luminance"), corner)[0] for one, corner in zip(files, CORNERS, strict=True)
+    ]
+    alone, same, moved = (
+        of_tower(shared_data, markers=files, **given).vector("x_m", "y_m")[0]
+        for given in (
+            {},
+            {"anchors_px": [one.round(3).tolist() for one in corners]},
+            {"anchors_px": [(one + [40.0, 0.0]).round(3).tolist() for one in corners]},
+        )
+    )
+    np.testing.assert_allclose(same, alone, atol=1e-4)
+    # A target of 5.42 m lies on some 900 pixels; 40 pixels of the pictures of marks, to the right, are 0.2 m and more.
+    assert moved[0] < alone[0] - 0.1
+
+
+@pytest.mark.parametrize(
+    ("names", "is_refused"),
+    [
+        (("stj_left_top", "stj_right_top", "stj_right_middle", "stj_left_middle"), True),
+        (("stj_left_middle", "stj_right_middle", "stj_right_bottom", "stj_left_bottom"), True),
+        (("stj_left_top", "stj_right_top", "stj_right_bottom", "stj_left_bottom"), False),
+        (("mft_left_top", "mft_right_top", "mft_right_bottom", "mft_left_bottom"), False),
+    ],
+)
+def test_shared_marks_need_anchors_and_no_others(shared_data: Path, names: tuple[str, ...], is_refused: bool) -> None:
+    """Of the tower's targets those that share their middle marks are refused without anchors, and taken with them."""
+    plant = Plant(PLANT.origin, PLANT.site, {TOWER.name: TOWER})
+    files = pictures(shared_data, *names)
+    (frame,) = beam_frames(Path(), plant, model(markers=files)).values()
+    (anchored,) = beam_frames(Path(), plant, model(markers=files, anchors_px=[[75.0, 75.0]] * 4)).values()
+    TargetFinder(anchored)
+    if is_refused:
+        with pytest.raises(InputError, match=r"middle\.png: .*T-shaped.*give anchors_px"):
+            TargetFinder(frame)
+    else:
+        TargetFinder(frame)

@@ -62,6 +62,10 @@ def test_every_optional_key_of_the_template_is_a_real_key(tmp_path: Path) -> Non
         (lambda c: c["kinematics"].update(parameters={"a": {"sigma": -1.0}}), r"sigma = -1\.0: a value not below 0"),
         (lambda c: c.update(paint={}), r"\[paint\] names the data, and so does \[heliostats\]"),
         (lambda c: c.update(images=[{"target": "target"}]), r"one of whole, .* not nothing"),
+        (
+            lambda c: c.update(images=[{"target": "target", "whole": "edge", "anchors_px": [[1.0, 1.0]] * 4}]),
+            r"anchors_px are .* pictures of markers, which are missing",
+        ),
         (lambda c: c.update(evaluation={"split": "chronologic"}), r"split = 'chronologic': say"),
     ],
 )

@@ -243,7 +243,8 @@ def test_field_table_has_found_over_expected_and_dates_of_bad_rows(field):
     assert np.isfinite(ratio).all()
     # What was expected of held-out beams includes their measurement: less than found over the prediction alone.
     assert np.all(ratio < found / expected)
-    assert np.all((ratio > 0.3) & (ratio < 2.0))
+    # Two others leave open what a third is like, and drives without any drift are better than is known of drives.
+    assert np.all((ratio > 0.1) & (ratio < 2.0))
     assert f"{ratio[0]:.2f}" in text
 
 
