@@ -230,7 +230,10 @@ def observer(
     ] = None,
     scale: Scale = 1.0,
     dictionary: Annotated[
-        str, typer.Option(help="Targets: aicon-N, metashape-N, square markers (DICT_4X4_100), or circles.")
+        str,
+        typer.Option(
+            help="Targets: aicon-N, metashape-N, square markers (DICT_4X4_100), circles; several in turn: joined by +."
+        ),
     ] = "aicon-12",
     orientation_deg: Annotated[
         float | None,

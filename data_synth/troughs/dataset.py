@@ -180,9 +180,11 @@ def observer_content(scene: TroughScene, suffix: str) -> dict[str, Any]:
 
 
 def _targets_content(scene: TroughScene) -> dict[str, Any]:
-    if scene.dictionary.startswith("DICT_"):
+    if scene.dictionary.startswith("DICT_") and "+" not in scene.dictionary:
         return {"dictionary": scene.dictionary, "file": TARGETS_FILE}
-    kind = {"uncoded_file": UNCODED_FILE} if scene.dictionary == UNCODED else {"dictionary": scene.dictionary}
+    kinds = [one for one in scene.dictionary.split("+") if one != UNCODED]
+    said = {"square_dictionary" if one.startswith("DICT_") else "dictionary": one for one in kinds}
+    kind = said or {"uncoded_file": UNCODED_FILE}
     size = {"diameter_mm": round(1e3 * scene.target_diameter_m, 9), "polarity": "black-on-white"}
     return {**kind, **size, "file": TARGETS_FILE}
 
@@ -254,6 +256,11 @@ def _write_knowledge(working: Path, scene: TroughScene, suffix: str, seed: int) 
     for k, axis in enumerate("xyz"):
         column = zip(sigma_mm[:, k], known[:, k], strict=True)
         columns[f"sigma_{axis}_mm"] = [f"{value:g}" if is_known else "" for value, is_known in column]
+    columns |= {
+        "kind": [target.kind for target in scene.targets],
+        "code": [target.code if target.code != target.name else "" for target in scene.targets],
+        "diameter_mm": [f"{1e3 * target.diameter_m:g}" if target.diameter_m else "" for target in scene.targets],
+    }
     columns["on_collector"] = [int(target.on_collector) for target in scene.targets]
     write_table_csv(working / TARGETS_FILE, columns)
     if scene.dictionary == UNCODED:

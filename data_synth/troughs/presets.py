@@ -44,6 +44,9 @@ ROW_STEP_M = 7.0
 #: Stands for plain dots in the place of a dictionary.
 UNCODED = "circles"
 
+#: Stands before the number of a square marker that is one of several kinds.
+_SQUARE = "square-"
+
 #: What the list of targets is good for [m].
 TARGET_SIGMA_M = 1e-3
 #: What a tape along the rim is good for (Owkes 2012, sec. 7.3) [m].
@@ -57,7 +60,7 @@ class TroughChoice:
     seed: Draws errors, targets and wind.
     n_photos: Number of photos; default: from the preset.
     dictionary: Targets: ``aicon-N``, ``metashape-N``, a dictionary of square markers as ``DICT_4X4_100``, or
-        ``circles``.
+        ``circles``; several in turn, joined by ``+``, as ``aicon-12+circles+DICT_4X4_100``.
     orientation_deg: Turn of the collector from zenith, by the right hand about +y; default: from the preset [deg].
     n_ground_targets: Targets on the ground beside both rims, of unknown coordinates.
     is_shaped: Whether the mirror's surface itself deviates, as a real one's, instead of its normals alone.
@@ -192,8 +195,18 @@ def placed_targets(
         sigma = np.full(3, TARGET_SIGMA_M if on_collector else np.nan)
         # Corners of a square marker are listed one by one, with the error of the whole marker.
         for point, place in sheet_points(sheet).items():
-            targets.append(ListedTarget(point, place + stated - true, sigma, on_collector))
+            kind, code, diameter_m = _looks(name, point, figure)
+            targets.append(ListedTarget(point, place + stated - true, sigma, on_collector, kind, code, diameter_m))
     return tuple(sheets), tuple(targets)
+
+
+def _looks(sheet: str, point: str, figure: Print) -> tuple[str, str, float | None]:
+    """Return the kind of a target, what photos show it as, and the diameter of its dot."""
+    if isinstance(figure, RingPrint):
+        return "coded", figure.code.name, figure.diameter_m
+    if isinstance(figure, DotPrint):
+        return "plain", "", figure.diameter_m
+    return "square", sheet.removeprefix(_SQUARE) + point.removeprefix(sheet), None
 
 
 def target_prints(dictionary: str, diameter_m: float, n: int, first: int = 0) -> dict[str, Print]:
@@ -204,6 +217,14 @@ def target_prints(dictionary: str, diameter_m: float, n: int, first: int = 0) ->
     InputError: The dictionary has too few codes, or does not exist.
     """
     numbers = range(first, first + n)
+    if "+" in dictionary:
+        kinds = dictionary.split("+")
+        mixed: dict[str, Print] = {}
+        for number in numbers:
+            [(name, figure)] = target_prints(kinds[number % len(kinds)], diameter_m, 1, number).items()
+            # The list's name of a marker: its number is that of a ring code, too.
+            mixed[_SQUARE + name if kinds[number % len(kinds)].startswith("DICT_") else name] = figure
+        return mixed
     if dictionary == UNCODED:
         return {f"dot{number + 1}": DotPrint(diameter_m) for number in numbers}
     if dictionary.startswith("DICT_"):

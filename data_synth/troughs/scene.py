@@ -102,12 +102,18 @@ class ListedTarget:
     stated_m (3,): Its coordinates as known [m].
     sigma_m (3,): Their standard deviations; NaN: unknown [m].
     on_collector: Whether it turns with the collector.
+    kind: What it looks like: coded, plain or square.
+    code: What photos show it as.
+    diameter_m: Diameter of its dot; None for a corner of a square marker [m].
     """
 
     name: str
     stated_m: FloatArray
     sigma_m: FloatArray
     on_collector: bool = True
+    kind: str = "coded"
+    code: str = ""
+    diameter_m: float | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "stated_m", float_array("target stated_m", self.stated_m, (3,)))

@@ -107,10 +107,13 @@ class _Directions:
     one_sided_rad: FloatArray
 
 
-def solve_absorber(bearings: Bearings, photos: Photos, start: AbsorberPath, stations_m: FloatArray) -> AbsorberSolution:
+def solve_absorber(
+    bearings: Bearings, photos: Photos, start: AbsorberPath, stations_m: FloatArray, diameter_m: float
+) -> AbsorberSolution:
     """Adjust the tube's axis to all bearings, with the cameras' poses as uncertain as they are.
 
     stations_m (n,): Ascending stations along the trough [m].
+    diameter_m: How thick the tube is: where all photos show it thicker or thinner, something displaces its edges [m].
     EstimationError: Fewer than two photos see the tube, or all see it from one side.
     """
     count = np.unique(bearings.photo).size
@@ -125,7 +128,7 @@ def solve_absorber(bearings: Bearings, photos: Photos, start: AbsorberPath, stat
     path = AbsorberPath(stations_m, x, z, np.zeros((2 * stations_m.size, 2 * stations_m.size)))
     # The second round averages around the tube as found, so that its slope does not count as scatter.
     for _ in range(2):
-        directions = _averaged(bearings, photos, path)
+        directions = _averaged(bearings, photos, path, diameter_m)
         path, used, residuals, with_poses = _adjust(directions, photos, path)
     n_photos = np.bincount(directions.station[used], minlength=stations_m.size)
     fate = _fates(path, n_photos)
@@ -136,7 +139,7 @@ def solve_absorber(bearings: Bearings, photos: Photos, start: AbsorberPath, stat
     return AbsorberSolution(path, n_photos, fate, used, rms, diameter, with_poses, pixel, widening(bearings))
 
 
-def _averaged(bearings: Bearings, photos: Photos, path: AbsorberPath) -> _Directions:
+def _averaged(bearings: Bearings, photos: Photos, path: AbsorberPath, diameter_m: float) -> _Directions:
     """Average the bearings of each photo around each station, as deviations from a path."""
     x, z = path.at(bearings.y_m)
     deviation = bearings.angle_rad - bearing(x, z, photos.eyes_m[bearings.photo])
@@ -164,15 +167,21 @@ def _averaged(bearings: Bearings, photos: Photos, path: AbsorberPath) -> _Direct
     # A tube that looks wider than in the other photos has something dark beside one edge.
     wide = np.nanmedian(table(bearings.diameter_m), axis=1)
     away = photos.eyes_m[names // path.n] - np.stack([*path.at(place), place], axis=1)[:, [0, 2, 1]]
-    shared = np.hypot(shared, PULLED_SHARE * np.abs(wide - np.median(wide)) / np.hypot(away[:, 0], away[:, 2]))
-    one_sided = shared * _one_sided_share(np.nanmedian(table(bearings.angle_rad), axis=1), names // path.n)
+    distance = np.hypot(away[:, 0], away[:, 2])
+    shared = np.hypot(shared, PULLED_SHARE * np.abs(wide - np.median(wide)) / distance)
+    side, share = _one_sided_share(np.nanmedian(table(bearings.angle_rad), axis=1), names // path.n)
+    # What displaces the edges of all photos does so to both of them, but for a share that has the side's sign. How it
+    # changes with the angle is not known; as a height's does, so that photos from several angles do not tell it.
+    slant = np.abs(away[:, 0]) / distance
+    pulled = PULLED_SHARE * abs(float(np.median(wide)) - diameter_m) / distance
+    one_sided = side * np.hypot(share * shared, pulled * slant / np.sqrt(np.mean(slant**2)))
     own = single / np.sqrt(np.maximum(1.0, inside.sum(axis=1) / _ROWS_ALIKE))
     sigma = np.hypot(own, _UNEVEN_SHARE * np.sqrt(alike) * shared)
     return _Directions(names // path.n, names % path.n, place, mean, sigma, one_sided)
 
 
-def _one_sided_share(angle_rad: FloatArray, photo: IntArray) -> FloatArray:
-    """Return which part of each bearing's shared error all from its side have in common, with the sign of the side.
+def _one_sided_share(angle_rad: FloatArray, photo: IntArray) -> tuple[FloatArray, FloatArray]:
+    """Return the side of each bearing, and which part of its shared error all from that side have in common.
 
     What single photos have all along the tube counts as common, as much of it as the mean of one side's photos has.
     """
@@ -180,8 +189,8 @@ def _one_sided_share(angle_rad: FloatArray, photo: IntArray) -> FloatArray:
     share = np.zeros(side.size)
     for way in (-1.0, 1.0):
         here = side == way
-        share[here] = way * np.sqrt(_ONE_SIDED_SHARE**2 + 1 / max(np.unique(photo[here]).size, 1))
-    return share
+        share[here] = np.sqrt(_ONE_SIDED_SHARE**2 + 1 / max(np.unique(photo[here]).size, 1))
+    return side, share
 
 
 class _Adjusted(NamedTuple):

@@ -11,8 +11,9 @@ from observer.trough.collector import Collector
 _CLIPPED_SHARE = 0.1
 #: What a pass with photos near enough to each other measures of what can show the tube, and how near that is [m].
 _SPARSE_SHARE, _GOOD_STEP_M = 0.6, 0.2
-#: Image points that fit so much worse than they were measured are not bad photos any more.
-_MISFIT_FACTOR = 3.0
+#: Edges of targets foretell the scatter of centres to a factor of 1.3 (`photogrammetry.centers.edge_noise`); where it
+#: is so many times larger something moved. Slopes of troughs are wanted to a tenth of a milliradian [rad].
+_SCATTER_FACTOR, _WANTED_RAD = 3.0, 1e-4
 #: No camera that sees a collector is further away than this many times its largest dimension.
 _FARTHEST_TIMES = 100.0
 
@@ -78,18 +79,23 @@ def sparse_doubt(measured_share: float, eyes_m: FloatArray) -> Doubt | None:
     )
 
 
-def camera_doubt(image_sigma_factor: float) -> Doubt | None:
-    """Say whether camera and target list contradict each other.
+def scatter_doubt(image_sigma_factor: float, residual_rms_px: float, focal_px: float) -> Doubt | None:
+    """Say whether image points scatter more than the edges of their targets let expect, while no other camera fits.
 
-    image_sigma_factor: How much worse image points fit than they were measured.
+    image_sigma_factor: How many times their stated sigmas they scatter.
+    residual_rms_px: RMS length of their residuals [px].
+    Returns: Serious where lines of sight are off by so much that slopes are no tenth of a milliradian any more.
     """
-    if image_sigma_factor < _MISFIT_FACTOR:
+    if image_sigma_factor < _SCATTER_FACTOR:
         return None
+    # A mirror turns a ray by twice its own turn.
+    slope_rad = 0.5 * residual_rms_px / focal_px
     return Doubt(
-        "image_points_fit_badly",
-        f"the targets' image points fit {image_sigma_factor:.1f} times worse than they were measured: the camera (its "
-        "focal length, its distortion) or the list of targets is wrong; slopes and absorber are wrong with it. "
-        'Estimate it from the photos: under [camera] free = ["focal_px"], or calibrate the camera',
-        {"image_sigma_factor": image_sigma_factor},
-        Severity.SERIOUS,
+        "image_points_scatter",
+        f"the targets' image points scatter by {residual_rms_px:.2f} px, {image_sigma_factor:.1f} times what the edges "
+        "of the targets let expect, and the stated camera is not to blame; sigmas rest on the scatter, and slopes may "
+        f"be off by {1e3 * slope_rad:.2f} mrad together. Did targets or the trough move between photos, did zoom or "
+        "focus change, or did the camera fly fast with a rolling shutter?",
+        {"image_sigma_factor": image_sigma_factor, "image_residual_rms_px": residual_rms_px, "slope_rad": slope_rad},
+        Severity.SERIOUS if slope_rad > _WANTED_RAD else Severity.DOUBT,
     )

@@ -9,9 +9,8 @@ import numpy as np
 
 from heliogauge.doubts import gather_doubts
 from heliogauge.errors import EstimationError, showing
-from heliogauge.images.photos import read_luma
 from heliogauge.reporting.notation import number_text
-from heliogauge.results.folder import Summary, hash_files, write_points_csv, write_table_csv
+from heliogauge.results.folder import Summary, write_points_csv, write_table_csv
 from heliogauge.results.frame import InstrumentResult
 from heliogauge.running.progress import Progress, SilentProgress
 from observer.absorber.position import AbsorberSolution, solve_absorber
@@ -26,12 +25,12 @@ from observer.files import COLLECTOR, write_collector
 from observer.keys import ObserverMeasurement
 from observer.photo_edges.tube_bearings import Bearings, tube_bearings
 from observer.photo_edges.views import Shot
-from observer.pipeline.cameras import Cameras
+from observer.pipeline.cameras import Cameras, adjust_cameras
 from observer.pipeline.headline import absorber_numbers
-from observer.pipeline.inputs import build_collector, build_survey, read_targets, refuse_modules
-from observer.trough.absorber_path import AbsorberPath
+from observer.pipeline.inputs import read_inputs
+from observer.pipeline.photos import Finder, measure_targets
+from observer.pipeline.target_list import check_list
 from observer.trough.collector import Collector
-from observer.trough.expectation import Expectation
 from photogrammetry import pipeline as photogrammetry_pipeline
 
 #: Kind of the summary, which names its report.
@@ -107,44 +106,39 @@ def run(measurement: ObserverMeasurement, options: Options | None = None, progre
     InputError: Photos, targets or camera that cannot be used.
     EstimationError: The photos do not hang together, or do not show the absorber from two sides.
     """
-    refuse_modules(measurement)
     options, progress = options or Options(), progress or SilentProgress()
-    model = measurement.model
-    with progress.stage("hash inputs"):
-        hashes = hash_files(measurement.input_files, measurement.folder)
-    collector = build_collector(model.collector)
-    survey = build_survey(measurement, read_targets(measurement.folder / model.targets.file))
-    network = photogrammetry_pipeline.run(survey, photogrammetry_pipeline.Options(jobs=options.jobs), progress)
+    inputs = read_inputs(measurement, progress)
+    collector, finder, survey = inputs.collector, inputs.finder, inputs.survey
+    first = measure_targets(survey.photo_files, finder, jobs=options.jobs, progress=progress)
+    listed = check_list(survey, finder, inputs.targets_file, first)
+    cameras = adjust_cameras(listed, collector, options.jobs, progress)
+    network = cameras.network
     with progress.stage("absorber"), showing(partial(network.measured.pictures, "no edge of the tube")):
-        cameras = Cameras.of(network, survey.photo_files)
-        expected = Expectation(
-            collector, AbsorberPath.designed(collector), collector.rows_m(1e-3 * model.evaluation.row_step_mm)
-        )
         # Photos that are meant for it, where there are any, else all.
-        bearings = _bearings(
-            cameras, {file.name for file in measurement.absorber_files or survey.photo_files}, expected
+        meant = {file.name for file in measurement.absorber_files or survey.photo_files}
+        bearings = _bearings(cameras, meant, finder)
+        solution = solve_absorber(
+            bearings, cameras.photos, finder.expected.absorber, inputs.stations_m, inputs.collector.absorber_diameter_m
         )
-        stations = collector.stations_m(model.absorber.station_step_m)
-        solution = solve_absorber(bearings, cameras.photos, expected.absorber, stations)
     doubts = absorber_doubts(solution.path, solution, collector, is_design=False)
     return Result(
         collector,
-        np.radians(model.collector.orientation_deg),
+        inputs.orientation_rad,
         network,
         solution,
-        name=model.name,
-        doubts=gather_doubts(measurement.doubts, network.doubts, doubts),
+        name=inputs.name,
+        doubts=gather_doubts(inputs.doubts, listed.doubts, network.doubts, doubts),
         durations_s=dict(progress.durations_s),
-        input_sha256=hashes,
+        input_sha256=dict(inputs.input_sha256),
     )
 
 
-def _bearings(cameras: Cameras, meant: set[str], expected: Expectation) -> Bearings:
+def _bearings(cameras: Cameras, meant: set[str], finder: Finder) -> Bearings:
     """Find the tube in the photos that are meant for it."""
     parts = []
     for k, (file, view) in enumerate(zip(cameras.files, cameras.views, strict=True)):
         if file.name in meant:
-            parts += tube_bearings([Shot(read_luma(file), k, view)], expected)
+            parts += tube_bearings([Shot(finder.read(file), k, view)], finder.expected)
     if not parts:
         raise EstimationError(
             "absorber: none of its photos shows enough targets to know where it was taken from; see rejected.csv of "

@@ -7,12 +7,11 @@ from pathlib import Path
 import numpy as np
 
 from heliogauge.running.progress import Progress
-from observer.doubts.photos import refuse_impossible_cameras
 from observer.photo_edges.views import View
-from observer.pipeline.inputs import Inputs
 from observer.pipeline.stated_camera import explained
 from observer.pipeline.target_list import CheckedList, refuse_loose_list
 from observer.slopes.pose_modes import Photos
+from observer.trough.collector import Collector
 from photogrammetry import pipeline as photogrammetry_pipeline
 from photogrammetry.pipeline import collect_photos
 
@@ -46,11 +45,11 @@ class Cameras:
         return cls(network, Photos(poses, covariance), views, tuple(by_name[name] for name in names))
 
 
-def adjust_cameras(listed: CheckedList, inputs: Inputs, jobs: int | None, progress: Progress) -> Cameras:
+def adjust_cameras(listed: CheckedList, collector: Collector, jobs: int | None, progress: Progress) -> Cameras:
     """Adjust poses, targets and, where it is asked for, the camera.
 
     jobs: Photos side by side.
-    InputError: The list of targets is mirrored, upside down or in other units.
+    InputError: The list of targets is upside down.
     EstimationError: The photos do not hang together, or the trough's frame is free to turn.
     """
     first = listed.first
@@ -63,6 +62,5 @@ def adjust_cameras(listed: CheckedList, inputs: Inputs, jobs: int | None, progre
             start=first.start,
         )
     cameras = Cameras.of(network, listed.survey.photo_files)
-    refuse_loose_list(network, listed.survey, inputs.collector)
-    refuse_impossible_cameras(cameras.photos.eyes_m, inputs.collector)
+    refuse_loose_list(network, listed.survey, collector)
     return cameras

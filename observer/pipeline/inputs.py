@@ -20,6 +20,7 @@ from observer.keys import ObserverMeasurement, SunSection, TroughSection
 from observer.light.trace import Sunlight
 from observer.photo_edges.tone import Tone
 from observer.pipeline.photos import Finder, build_finder
+from observer.pipeline.target_kinds import TargetKinds, target_kinds
 from observer.slopes.row_spline import Roughness
 from observer.trough.absorber_path import AbsorberPath
 from observer.trough.collector import Collector, GlassTube
@@ -184,7 +185,8 @@ def build_inputs(measurement: ObserverMeasurement, tables: Tables, coordinates: 
         absorber = absorber_of_table(tables.absorber, folder / str(model.absorber.file))
     rows = collector.rows_m(1e-3 * model.evaluation.row_step_mm)
     expected = Expectation(collector, design, rows, 1e-3 * model.evaluation.largest_slope_error_mrad)
-    survey, known = build_survey(measurement, coordinates), known_targets(coordinates)
+    kinds = target_kinds(tables.targets, folder / model.targets.file)
+    survey, known = build_survey(measurement, coordinates, kinds), known_targets(coordinates)
     tone = None if model.images.encoding == "auto" else Tone(model.images.encoding)
     return Inputs(
         model.name,
@@ -192,7 +194,7 @@ def build_inputs(measurement: ObserverMeasurement, tables: Tables, coordinates: 
         float(np.radians(model.collector.orientation_deg)),
         light,
         survey,
-        build_finder(survey, known, expected, tone),
+        build_finder(survey, known, expected, tone, kinds),
         model.targets.file,
         absorber,
         model.absorber.source,
@@ -272,14 +274,26 @@ def listed_coordinates(table: Table, path: Path) -> tuple[CoordinateSection, ...
 
 
 def build_survey(
-    measurement: ObserverMeasurement, coordinates: Sequence[CoordinateSection]
+    measurement: ObserverMeasurement, coordinates: Sequence[CoordinateSection], kinds: TargetKinds | None = None
 ) -> PhotogrammetryMeasurement:
     """Return the photo network from which it is estimated where the cameras stood in the trough's frame.
 
+    kinds: What the listed targets look like.
     Returns: The same photos, with the listed coordinates as weighted observations.
     """
     model, files = measurement.model, measurement.all_photos
-    targets = TargetsSection.model_validate(model.targets.model_dump(exclude={"file"}, exclude_unset=True))
+    said = model.targets.model_dump(exclude={"file"}, exclude_unset=True)
+    plain = () if kinds is None else _plain_targets(coordinates, kinds)
+    if (
+        plain
+        and not model.targets.is_listed
+        and not (model.targets.dictionary and all(c.is_known for c in model.camera))
+    ):
+        # Dots that no photo can name by itself: by the list alone, or through the poses that codes give.
+        said["uncoded"] = plain
+    if kinds is not None and kinds.common_diameter_m is not None and model.targets.diameter_mm is None:
+        said["diameter_mm"] = 1e3 * kinds.common_diameter_m
+    targets = TargetsSection.model_validate(said)
     if targets.dictionary is not None and not targets.is_listed and targets.find_uncoded is None:
         # Dots that nobody lists add nothing to poses that a dozen known targets determine, and cost time.
         targets = targets.model_copy(update={"find_uncoded": False})
@@ -294,6 +308,16 @@ def build_survey(
         datum=DatumSection(kind="inner"),
     )
     return PhotogrammetryMeasurement(measurement.folder, network, files)
+
+
+def _plain_targets(coordinates: Sequence[CoordinateSection], kinds: TargetKinds) -> tuple[dict[str, object], ...]:
+    """Return the dots without a code of the list whose three coordinates it has, as keys of measurement.toml."""
+    known = known_targets(coordinates)
+    return tuple(
+        {"target": name, "xyz_m": tuple(place), "sigma_mm": 1e3 * sigma}
+        for name, place, sigma in zip(known.names, known.points_m.tolist(), known.sigma_m.tolist(), strict=True)
+        if name in kinds.plain
+    )
 
 
 def known_targets(coordinates: Sequence[CoordinateSection]) -> KnownTargets:

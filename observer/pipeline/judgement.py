@@ -18,7 +18,7 @@ from observer.photo_edges.outline import clipped_share, photos_from_above, plate
 from observer.pipeline.cameras import Cameras
 from observer.pipeline.inputs import Inputs
 from observer.pipeline.mirror import PlacedAbsorber, SolvedMirror
-from observer.pipeline.stated_camera import stated_camera_doubt
+from observer.pipeline.stated_camera import is_camera_wrong, stated_camera_doubt
 from observer.pipeline.target_list import CheckedList
 from observer.product.longitudinal import incidence_doubt
 from observer.selection.edge_refusal import unchecked_doubt
@@ -38,8 +38,8 @@ def judge(
     along_rad = reflector.roughness.along_rad
     camera = stated_camera_doubt(cameras.network, listed.survey, listed.first)
     sparse = sparse_doubt(seeable_shares(mirror.visible, slope_map.aperture, slope_map.valid)[1], eyes)
-    # A wrong camera or a few photos contradict right dimensions.
-    with_sizes = camera is None and sparse is None
+    # A camera that is proven wrong, or a few photos, contradict right dimensions.
+    with_sizes = not is_camera_wrong(camera) and sparse is None
     usual_sigma = float(np.median(slope_map.sigma_slope()[0][slope_map.valid]))
     return gather_doubts(
         inputs.doubts,

@@ -10,6 +10,7 @@ from heliogauge.errors import showing
 from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.images.photos import read_luma
 from heliogauge.running.progress import Progress, SilentProgress
+from observer.doubts.photos import refuse_impossible_cameras
 from observer.keys import ObserverMeasurement
 from observer.photo_edges.views import Shot, View
 from observer.pipeline.cameras import Cameras, adjust_cameras
@@ -76,8 +77,9 @@ def evaluate(inputs: Inputs, first: FirstLook, options: Options, progress: Progr
     InputError: Photos that cannot be used.
     EstimationError: The photos do not hang together, or too little of the reflection is seen.
     """
-    listed = check_list(inputs, first)
-    cameras = adjust_cameras(listed, inputs, options.jobs, progress)
+    listed = check_list(inputs.survey, inputs.finder, inputs.targets_file, first)
+    cameras = adjust_cameras(listed, inputs.collector, options.jobs, progress)
+    refuse_impossible_cameras(cameras.photos.eyes_m, inputs.collector)
     seen = look_again(cameras.files, cameras.views, inputs.finder, listed.first, jobs=options.jobs, progress=progress)
     shown = partial(cameras.network.measured.pictures, "too little is seen of the absorber")
     with progress.stage("absorber"), blamed(cameras.network), showing(shown):

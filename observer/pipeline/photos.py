@@ -26,6 +26,8 @@ from observer.photo_edges.reflection_edges import ReflectionEdges, joined, refle
 from observer.photo_edges.tone import Tone, linear_light
 from observer.photo_edges.tube_bearings import Bearings, tube_bearings
 from observer.photo_edges.views import Shot, View
+from observer.pipeline.photo_poses import PlacedPhoto, place_photo
+from observer.pipeline.target_kinds import TargetKinds
 from observer.pipeline.tone import Sample, sizes_of, some_of, tone_of, usual_tone
 from observer.product.pictures import Slices, empty_slices
 from observer.trough.expectation import Expectation
@@ -76,6 +78,8 @@ class Finder:
     camera_of: Camera of each photo to start with; empty where none is known.
     expected: Collector, absorber and rows.
     tone: How the photos are encoded; None: estimated from their own edges.
+    kinds: What the listed targets look like.
+    wants_loose: Whether dots that the list does not have are to be measured, too.
     """
 
     section: TargetsSection
@@ -84,6 +88,8 @@ class Finder:
     camera_of: Mapping[str, Camera]
     expected: Expectation
     tone: Tone | None = None
+    kinds: TargetKinds = field(default_factory=TargetKinds)
+    wants_loose: bool = True
 
     def read(self, file: Path) -> Image:
         """Return a photo whose numbers are proportional to light."""
@@ -96,8 +102,34 @@ class Finder:
 
     @property
     def follows(self) -> bool:
-        """Whether targets can be followed: coded rings, with a camera that is known."""
-        return self.search.dictionary is not None and not self.search.with_uncoded and bool(self.camera_of)
+        """Whether targets can be followed: round ones that codes or the list name, with a camera that is known."""
+        loose = (self.search.with_uncoded and self.wants_loose) or self.section.square_dictionary is not None
+        return self.search.dictionary is not None and not loose and bool(self.camera_of)
+
+    def placed(self, image: Image, found: OnePhoto, camera: Camera | None) -> PlacedPhoto:
+        """Return a photo that was searched under the names of the list, and its pose.
+
+        found: What the search found.
+        """
+        one = self.kinds.named(found)
+        if camera is None:
+            return PlacedPhoto(one, None)
+        if self.section.is_listed:
+            # Dots of a list of their own are matched through the poses.
+            return PlacedPhoto(one, provisional_pose(one.detections, self.known, camera))
+        placed = place_photo(one, self.known, camera)
+        listed = set(self.known.names).intersection(one.detections.names)
+        if placed.pose is None and listed and not self.search.with_uncoded:
+            # Codes that look too flat to be read are dots still.
+            name = one.detections.photo
+            found = measure_photo(image, name, self.section, replace(self.search, with_uncoded=True))
+            again = place_photo(self.kinds.named(found), self.known, camera)
+            placed = again._replace(photo=again.photo.with_thumbnail(one.thumbnail))
+        if self.wants_loose:
+            return placed
+        none = np.zeros(0, dtype=np.intp)
+        one = replace(placed.photo, dots=placed.photo.dots.chosen(none), dot_ellipses_px2=np.zeros((0, 2, 2)))
+        return placed._replace(photo=one)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -110,6 +142,7 @@ class FirstLook:
     edges, bearings: What those photos show of the tube.
     slices: A few rows of the mirror in all photos.
     tone: How the photos are encoded; None where that is not known yet.
+    by_list: Photos whose pose rests on the places of their dots, because too few codes are read.
     """
 
     photos: tuple[str, ...]
@@ -119,6 +152,7 @@ class FirstLook:
     bearings: dict[str, Bearings]
     slices: Slices
     tone: Tone | None = None
+    by_list: tuple[str, ...] = ()
 
     @property
     def start(self) -> StartValues | None:
@@ -158,6 +192,8 @@ class _Run:
     bearings: dict[str, Bearings] = field(default_factory=dict)
     #: Photos that were searched as a whole, for this trough or for another one in the same photos.
     searched: dict[str, OnePhoto] = field(default_factory=dict)
+    #: Photos with a pose by the places of their dots, because too few codes are read.
+    by_list: list[str] = field(default_factory=list)
 
     def take(self, number: int, name: str, image: Image) -> None:
         """Find what a photo shows, or leave that to `finish`."""
@@ -216,8 +252,11 @@ class _Run:
         found = self.searched.get(name)
         if found is None:
             found = self.searched[name] = measure_photo(photo.image, name, self.finder.section, self.finder.search)
+        placed = self.finder.placed(photo.image, found, camera)
+        found, pose = placed.photo, placed.pose
         self.targets[name] = found
-        pose = None if camera is None else provisional_pose(found.detections, self.finder.known, camera)
+        if placed.by_list:
+            self.by_list.append(name)
         if pose is None or camera is None:
             return None
         if self.finder.follows and agrees_with_list(found.detections, self.finder.known, camera, pose):
@@ -226,13 +265,18 @@ class _Run:
 
 
 def build_finder(
-    network: PhotogrammetryMeasurement, known: KnownTargets, expected: Expectation, tone: Tone | None = None
+    network: PhotogrammetryMeasurement,
+    known: KnownTargets,
+    expected: Expectation,
+    tone: Tone | None = None,
+    kinds: TargetKinds | None = None,
 ) -> Finder:
     """Collect what is looked for in each photo.
 
     known: Those with listed coordinates.
     expected: Collector, absorber and rows.
     tone: How the photos are encoded; None: as their own edges show.
+    kinds: What the listed targets look like.
     Returns: With the cameras, where measurement.toml or their files have them.
     InputError: Cameras or dictionary that cannot be used, or no targets.
     """
@@ -249,7 +293,38 @@ def build_finder(
             sizes = dict.fromkeys(names, (width, height))
         built = build_cameras(network, names, sizes)
         cameras = {name: built.cameras[place] for name, place in built.camera_of.items()}
-    return Finder(section, build_search(section, network.folder), known, cameras, expected, tone)
+    search, looks = build_search(section, network.folder), kinds or TargetKinds()
+    wants_loose = search.with_uncoded
+    if looks.plain and cameras:
+        # They are named in each photo; without a camera they are matched through the poses.
+        search = replace(search, with_uncoded=True)
+    return Finder(section, search, known, cameras, expected, tone, looks, wants_loose)
+
+
+def measure_targets(files: Sequence[Path], finder: Finder, *, jobs: int | None, progress: Progress) -> FirstLook:
+    """Measure the targets of photos alone; the absorber is looked for when all poses are adjusted.
+
+    files: The photos.
+    jobs: Photos side by side.
+    Returns: Targets and provisional poses.
+    InputError: A photo cannot be read.
+    """
+    names = tuple(file.name for file in files)
+    slices = empty_slices(finder.expected.collector, finder.expected.y_m, len(files))
+    if not finder.measures_alone:
+        return FirstLook(names, (), {}, {}, {}, slices, finder.tone)
+
+    def one(number: int) -> PlacedPhoto:
+        image, name = finder.read(files[number]), names[number]
+        found = measure_photo(image, name, finder.section, finder.search)
+        stage.advance()
+        return finder.placed(image, found.with_thumbnail(make_thumbnail(image)), finder.camera_of.get(name))
+
+    with progress.stage("measure photos", len(files)) as stage:
+        found = side_by_side(one, range(len(files)), jobs)
+    poses = {name: one.pose for name, one in zip(names, found, strict=True) if one.pose is not None}
+    by_list = tuple(name for name, one in zip(names, found, strict=True) if one.by_list)
+    return FirstLook(names, tuple(one.photo for one in found), poses, {}, {}, slices, finder.tone, by_list)
 
 
 def look_first(files: Sequence[Path], finder: Finder, *, jobs: int | None, progress: Progress) -> FirstLook:
@@ -337,7 +412,8 @@ def _put_together(names: tuple[str, ...], runs: Sequence[_Run], slices: Slices, 
     poses = {name: pose for run in runs for name, pose in run.poses.items()}
     edges = {name: part for run in runs for name, part in run.edges.items()}
     bearings = {name: part for run in runs for name, part in run.bearings.items()}
-    return FirstLook(names, targets, poses, edges, bearings, slices, tone)
+    by_list = tuple(name for run in runs for name in run.by_list)
+    return FirstLook(names, targets, poses, edges, bearings, slices, tone, by_list)
 
 
 def _tone_of_some(files: Sequence[Path], finder: Finder, searched: dict[str, OnePhoto]) -> Tone | None:
@@ -353,7 +429,7 @@ def _tone_of_some(files: Sequence[Path], finder: Finder, searched: dict[str, One
         found = searched.get(file.name)
         if found is None:
             found = searched[file.name] = measure_photo(image, file.name, finder.section, finder.search)
-        pose = provisional_pose(found.detections, finder.known, camera)
+        found, pose, _ = finder.placed(image, found, camera)
         if pose is not None:
             samples.append(Sample(image, View(camera, pose)))
             size_m = None if stated is None else 1e-3 * stated

@@ -11,7 +11,7 @@ from heliogauge.doubts import Doubt, Severity, gather_doubts
 from heliogauge.errors import EstimationError, MetrologyError, NotConvergedError
 from heliogauge.measurement.models import Intrinsic
 from heliogauge.running.progress import SilentProgress
-from observer.doubts.photos import camera_doubt
+from observer.doubts.photos import scatter_doubt
 from observer.pipeline.photos import FirstLook
 from photogrammetry import pipeline as photogrammetry_pipeline
 from photogrammetry.keys import PhotogrammetryMeasurement
@@ -29,6 +29,8 @@ _TIMES_SIGMA = 5.0
 _FOCAL_TIMES_SIGMA, _FOCAL_SHARE = 3.0, 5e-4
 #: Photos from which the camera is estimated, and those for its focal length.
 _PHOTOS, _FOCAL_PHOTOS = 24, 100
+#: Findings that another camera proves.
+_PROVEN = ("camera_contradicts_targets", "focal_length_contradicts_targets")
 _FREE: tuple[Intrinsic, ...] = ("focal_px", "center_x_px", "center_y_px", "k1", "k2")
 
 
@@ -39,12 +41,23 @@ def stated_camera_doubt(
 
     first: What was found in the photos.
     """
-    factor = network.solved.image_sigma_factor
-    stated = survey.model.camera
-    if not first.targets or len(stated) > 1 or stated[0].free is not None:
-        return camera_doubt(factor)
-    said = _doubt_by_fit(network, survey, first) if factor >= _ASK_FACTOR else None
-    return said or camera_doubt(factor) or _doubt_of_focal_length(network, survey, first)
+    stated, said = survey.model.camera, None
+    if first.targets and len(stated) == 1 and stated[0].free is None:
+        if network.solved.image_sigma_factor >= _ASK_FACTOR:
+            said = _doubt_by_fit(network, survey, first)
+        said = said or _doubt_of_focal_length(network, survey, first)
+    return said or _scatter_of(network)
+
+
+def is_camera_wrong(doubt: Doubt | None) -> bool:
+    """Return whether a doubt proves the stated camera wrong, by another one that fits the targets."""
+    return doubt is not None and doubt.code in _PROVEN
+
+
+def _scatter_of(network: photogrammetry_pipeline.Result) -> Doubt | None:
+    residuals = network.solved.bundle.residuals_px
+    rms = float(np.sqrt((residuals**2).sum(axis=1).mean()))
+    return scatter_doubt(network.solved.image_sigma_factor, rms, network.camera.focal_x_px)
 
 
 def _doubt_by_fit(
@@ -159,7 +172,7 @@ def blamed(network: photogrammetry_pipeline.Result) -> Iterator[None]:
     try:
         yield
     except EstimationError as error:
-        doubts = gather_doubts(camera_doubt(network.solved.image_sigma_factor), network.doubts)
+        doubts = gather_doubts(_scatter_of(network), network.doubts)
         if not doubts:
             raise
         raise EstimationError(f"{error}; before that: {doubts[0]}") from error

@@ -4,10 +4,18 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from heliogauge.doubts import Doubt
-from observer.pipeline.inputs import AXES, Inputs
+from heliogauge.doubts import Doubt, Severity
+from heliogauge.validate import FloatArray
+from observer.pipeline.inputs import AXES
 from observer.pipeline.photos import Finder, FirstLook
-from observer.targets.list_checks import refuse_loose_frame, refuse_strange_targets, refuse_upside_down, stray_targets
+from observer.targets.list_checks import (
+    exchanged_pairs,
+    intersect,
+    refuse_loose_frame,
+    refuse_strange_targets,
+    refuse_upside_down,
+    stray_targets,
+)
 from observer.targets.module_targets import spans_an_area
 from observer.trough.collector import Collector
 from photogrammetry import pipeline as photogrammetry_pipeline
@@ -31,15 +39,25 @@ class CheckedList:
     doubts: tuple[Doubt, ...] = ()
 
 
-def check_list(inputs: Inputs, first: FirstLook) -> CheckedList:
+def check_list(survey: PhotogrammetryMeasurement, finder: Finder, file: str, first: FirstLook) -> CheckedList:
     """Leave out photos that determine no pose and coordinates that the photos contradict.
 
+    file: Name of the list, for messages.
     first: What was found in the photos.
     InputError: The list is not that of the targets in the photos.
     """
-    found = leave_out_lines(inputs.survey, first, inputs.finder.known)
-    refuse_strange_list(found.survey, found.first, inputs.targets_file)
-    return leave_out_strays(found, inputs.finder)
+    found = leave_out_lines(survey, first, finder.known)
+    refuse_strange_list(found.survey, found.first, file)
+    found = leave_out_strays(found, finder)
+    count = len(first.by_list)
+    if not count:
+        return found
+    text = (
+        f"{count} photos show too few codes that can be read for their pose; it was found from the places of the other "
+        f"targets in the list: {', '.join(first.by_list[:5])}{' ...' if count > 5 else ''}"
+    )
+    note = Doubt("photos_placed_by_list", text, {"photos_count": count}, Severity.NOTE)
+    return replace(found, doubts=(*found.doubts, note))
 
 
 def leave_out_lines(survey: PhotogrammetryMeasurement, first: FirstLook, known: KnownTargets) -> CheckedList:
@@ -101,14 +119,81 @@ def refuse_loose_list(
 
 
 def leave_out_strays(found: CheckedList, finder: Finder) -> CheckedList:
-    """Leave out the coordinates of targets that the photos show elsewhere, as where two were exchanged in the list.
+    """Set right entries of the list that were exchanged, and leave out coordinates that the photos contradict.
 
-    Returns: Without those coordinates; the targets are measured like others that are not listed.
+    Returns: Without those coordinates; the targets are measured like others that are not listed. Two that were
+        exchanged have each other's coordinates.
     """
     known, survey, first = finder.known, found.survey, found.first
+    sights = _sights(known, first, finder)
+    shown = np.flatnonzero([len(rays) > 0 for rays in sights.miss_px])
+    if not shown.size:
+        return found
+    usual = np.array([float(np.median(sights.miss_px[number])) for number in shown])
+    step = sights.pixel_m
+    which = stray_targets(usual, np.hypot(_POINT_PX, known.sigma_m[shown] / step))
+    if not which.any():
+        return found
+    stray = shown[which]
+    seen = {int(number): place for number in stray if (place := intersect(*sights.rays(int(number)))) is not None}
+    plain = [
+        number for number, name in enumerate(known.names) if name in finder.kinds.plain and not sights.miss_px[number]
+    ]
+    pairs = exchanged_pairs(seen, known.points_m, known.sigma_m, _POINT_PX * step, plain)
+    swapped = {known.names[a]: known.names[b] for pair in pairs for a, b in (pair, pair[::-1])}
+    left = [known.names[number] for number in stray if known.names[number] not in swapped]
+    doubts = []
+    if pairs:
+        said = "; ".join(f"{known.names[a]} and {known.names[b]}" for a, b in pairs)
+        text = (
+            f"targets: exchanged in the list: {said}; the photos show each where the list has the other, and so they "
+            "were used. Mend the list"
+        )
+        doubts.append(Doubt("targets_exchanged", text, {"targets_count": 2 * len(pairs)}))
+    if left:
+        far = dict(zip((known.names[number] for number in stray), usual[which], strict=True))
+        listed = ", ".join(f"{name} ({1e3 * step * far[name]:.0f} mm)" for name in left)
+        text = (
+            f"targets: not where the list has them: {listed}; their coordinates were not used. Has one moved, or was a "
+            "number mistyped?"
+        )
+        doubts.append(Doubt("targets_not_where_listed", text, {"targets_count": len(left)}))
+    kept = tuple(
+        one.model_copy(update={"target": swapped.get(one.target, one.target)})
+        if isinstance(one, CoordinateSection)
+        else one
+        for one in survey.model.constraint
+        if not (isinstance(one, CoordinateSection) and one.target in left)
+    )
+    survey = replace(survey, model=survey.model.model_copy(update={"constraint": kept}))
+    return CheckedList(survey, first, (*found.doubts, *doubts))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Sights:
+    """Where photos show the listed targets.
+
+    miss_px: Of each target how far it is from where the pose of each photo has it [px].
+    eyes_m, lines: Of each target the cameras' places and the directions in which they see it [m].
+    pixel_m: What a pixel is at the targets of a usual photo [m].
+    """
+
+    miss_px: list[list[float]]
+    eyes_m: list[list[FloatArray]]
+    lines: list[list[FloatArray]]
+    pixel_m: float
+
+    def rays(self, number: int) -> tuple[FloatArray, FloatArray]:
+        """Return places and directions of the lines of sight to a target, (n, 3) each."""
+        return np.reshape(self.eyes_m[number], (-1, 3)), np.reshape(self.lines[number], (-1, 3))
+
+
+def _sights(known: KnownTargets, first: FirstLook, finder: Finder) -> _Sights:
     place = {name: number for number, name in enumerate(known.names)}
-    off: list[list[float]] = [[] for _ in known.names]
-    pixel_m = []
+    count, pixel_m = len(known.names), []
+    miss: list[list[float]] = [[] for _ in range(count)]
+    eyes: list[list[FloatArray]] = [[] for _ in range(count)]
+    lines: list[list[FloatArray]] = [[] for _ in range(count)]
     for one in first.targets:
         table = one.detections
         pose, camera = first.poses.get(table.photo), finder.camera_of.get(table.photo)
@@ -117,27 +202,13 @@ def leave_out_strays(found: CheckedList, finder: Finder) -> CheckedList:
             continue
         own = [place[table.names[k]] for k in rows]
         seen = pose.apply(known.points_m[own])
-        for number, miss in zip(own, np.linalg.norm(camera.project(seen) - table.pixels_px[rows], axis=1), strict=True):
-            off[number].append(float(miss))
+        off = np.linalg.norm(camera.project(seen) - table.pixels_px[rows], axis=1)
+        back = pose.inverse()
+        for number, far, line in zip(
+            own, off.tolist(), back.rotate(camera.cast_rays(table.pixels_px[rows])), strict=True
+        ):
+            miss[number].append(far)
+            eyes[number].append(back.translation_m)
+            lines[number].append(line)
         pixel_m.append(float(np.median(seen[:, 2])) / camera.focal_x_px)
-    shown = [number for number, values in enumerate(off) if values]
-    if not shown:
-        return found
-    usual = np.array([float(np.median(off[number])) for number in shown])
-    step = float(np.median(pixel_m))
-    which = stray_targets(usual, np.hypot(_POINT_PX, known.sigma_m[shown] / step))
-    if not which.any():
-        return found
-    names = [known.names[number] for number, stray in zip(shown, which, strict=True) if stray]
-    kept = tuple(
-        one for one in survey.model.constraint if not (isinstance(one, CoordinateSection) and one.target in names)
-    )
-    listed = ", ".join(f"{name} ({1e3 * step * far:.0f} mm)" for name, far in zip(names, usual[which], strict=True))
-    doubt = Doubt(
-        "targets_not_where_listed",
-        f"targets: not where the list has them: {listed}; their coordinates were not used. Were two exchanged, one "
-        "moved, or a number mistyped?",
-        {"targets_count": len(names)},
-    )
-    survey = replace(survey, model=survey.model.model_copy(update={"constraint": kept}))
-    return CheckedList(survey, first, (*found.doubts, doubt))
+    return _Sights(miss, eyes, lines, float(np.median(pixel_m)) if pixel_m else 0.0)

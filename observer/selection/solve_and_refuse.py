@@ -14,7 +14,7 @@ from observer.photo_edges.reflection_edges import ReflectionEdges, design_misfit
 from observer.selection.edge_refusal import EdgeFate, first_fate, has_shadows, is_alone
 from observer.selection.shadows import confirmed_edges, pulled_curves
 from observer.slopes.along_variance import find_along
-from observer.slopes.common_unknowns import CommonUnknowns, common_unknowns
+from observer.slopes.common_unknowns import CommonUnknowns, common_unknowns, glass_widening_rad
 from observer.slopes.joint_solution import SlopeErrors, find_roughness, solve_jointly
 from observer.slopes.mirror_surface import at_points, beside_chord, heights, on_surface
 from observer.slopes.pose_modes import Photos, pose_derivatives, pose_scatter, reduce_to_modes
@@ -353,6 +353,7 @@ class _Nominal:
             edges.points_m, self.sights.eyes_m, edges.side, expected.collector, expected.absorber
         )
         self.across_rad_per_m = change_across(self.sights, self._found, focal, bend_per_m)
+        self.glass_rad = glass_widening_rad(self._found, self.sights, expected)
         self.sigma_rad = np.hypot(self.across_rad_per_m * edges.sigma_x_m, _MODEL_RAD)
         self._by_pose = pose_derivatives(self.sights, self._found, photos.poses, edges.photo, focal, bend_per_m)
 
@@ -415,7 +416,7 @@ def _lines(nominal: _Nominal, expected: Expectation, present: _Surface, grid: Ro
     return TouchingLines(
         edges.row,
         points[:, 0],
-        found.angle_rad - found.d_slope_x * slopes[:, 0] - found.d_slope_y * slopes[:, 1],
+        found.angle_rad + nominal.glass_rad - found.d_slope_x * slopes[:, 0] - found.d_slope_y * slopes[:, 1],
         found.d_slope_x,
         found.d_slope_y,
         nominal.sigma_rad,

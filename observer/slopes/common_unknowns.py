@@ -9,7 +9,9 @@ says how the tube lies to the mirror, but other things change it too, and are un
 - a displacement of all edges outward, and one for each photo, from blur, exposure and the way edges are located;
 - the middle of the glass beside that of the tube: the glass turns a line that touches the metal by kappa while it is
   inside, so that with the tube d beside the middle of the glass and the line's direction u the tube looks wider by
-  ``2 kappa u.d`` towards one side of the mirror and narrower towards the other (0.1 mm in 35 mm for d = 6 mm);
+  ``2 kappa u.d`` towards one side of the mirror and narrower towards the other (0.1 mm in 35 mm for d = 6 mm). Glass
+  is straight between its bellows and the tube sags within it: what the tube's path says of that is known
+  (`glass_widening_rad`), how each glass is mounted is not;
 - the mean height of each panel, with the accuracy of its mounting as prior: a millimetre looks like 0.15 mrad of slope
   at the rim, which nothing separates from slope, and like 0.03 mrad of width, which many edges together do show.
 
@@ -29,7 +31,7 @@ from observer.photo_edges.reflection_edges import ReflectionEdges
 from observer.slopes.pose_modes import CameraModes
 from observer.trough.absorber_path import AbsorberPath
 from observer.trough.expectation import Expectation
-from observer.trough.glass import turned_rad
+from observer.trough.glass import count_receivers, glass_beside_tube, turned_rad
 from observer.trough.observation_equation import Misfit, Sights, change_across, misfit
 
 #: What the stated radius is good for, as a share of it.
@@ -41,8 +43,8 @@ _GLASS_M = 3e-3
 _OUTWARD, _OUTWARD_OF_PHOTO = 2.0, 0.4
 #: Height by which derivatives are taken [m].
 _LIFT_M = 1e-3
-#: Unknowns of the tube beside its place: radius, displacement of all edges, x and z of the glass.
-_TUBE_UNKNOWNS = 4
+#: Unknowns of the tube beside its place and its glass: radius, displacement of all edges.
+_TUBE_UNKNOWNS = 2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -54,7 +56,7 @@ class CommonUnknowns:
     covariance (k, k): Prior covariance of the unknowns about zero.
     n_photo: Number of unknowns that belong to single photos.
     n_stations: Stations of the tube whose place is unknown; 0 where it is held.
-    units (4,): Of the tube's own unknowns: radius [m], edges outward [rad], x and z of the glass [m].
+    units (2 + 2 g,): Of the tube's own unknowns: radius [m], edges outward [rad], x and z of each glass [m].
     steps (n, 6, MODES_PER_PHOTO): Step of each photo's pose (`RigidTransform.moved`) for one unit of its first
         unknowns [rad, m].
     height_unit_m: Unit of the panels' heights; 0 where they are held, and not among the unknowns [m].
@@ -113,7 +115,7 @@ class CommonUnknowns:
         Shapes: common (k,), covariance (k, k).
         height_m, sigma_m (p,): In the order of `Collector.panel_index`; empty where heights are held [m].
         """
-        first = self.radius + _TUBE_UNKNOWNS
+        first = self.radius + self.units.size
         sigma = np.sqrt(np.diagonal(covariance)[first:])
         return self.height_unit_m * common[first:], self.height_unit_m * sigma
 
@@ -176,20 +178,21 @@ def common_unknowns(
     n_photo = n_modes + n_photos
     outward, unit = _outward(edges, sights, found, collector.focal_length_m)
     place = _place(found, path) if n_stations else (np.zeros((m, 0), dtype=np.intp), np.zeros((m, 0)))
-    tube, units = _tube(found, sights, expected, outward, unit)
+    tube = _tube(found, sights, expected, outward, unit)
     panel, lifted, n_panels = _lift_panels(sights, found, expected)
     first_tube = n_photo + 2 * n_stations
-    first_panel = first_tube + _TUBE_UNKNOWNS
+    first_panel = first_tube + tube.units.size
     index = np.column_stack(
         [
             modes.index,
             n_modes + edges.photo,
             n_photo + place[0],
-            np.broadcast_to(first_tube + np.arange(_TUBE_UNKNOWNS), (m, _TUBE_UNKNOWNS)),
+            first_tube + tube.unknown,
             first_panel + panel,
         ]
     )
-    derivative = np.column_stack([modes.derivative, _OUTWARD_OF_PHOTO * unit * outward, place[1], tube, lifted])
+    of_photo = _OUTWARD_OF_PHOTO * unit * outward
+    derivative = np.column_stack([modes.derivative, of_photo, place[1], tube.derivative, lifted])
     covariance = np.eye(first_panel + n_panels)
     covariance[:n_modes, :n_modes] = modes.covariance
     if n_stations:
@@ -204,7 +207,7 @@ def common_unknowns(
         covariance,
         n_photo,
         n_stations,
-        units,
+        tube.units,
         modes.steps,
         collector.panel_height_sigma_m,
     )
@@ -262,15 +265,41 @@ def _place(found: Misfit, path: AbsorberPath) -> tuple[IntArray, FloatArray]:
     return index, np.column_stack([weights * by_x[:, None], weights * by_z[:, None]])
 
 
-def _tube(
-    found: Misfit, sights: Sights, expected: Expectation, outward: FloatArray, unit: float
-) -> tuple[FloatArray, FloatArray]:
-    """Return what the tube's own unknowns do to each line, shape (m, 4), and their units."""
+class _Tube(NamedTuple):
+    """Which of the tube's own unknowns move each line, and by how much, shapes (m, 4); the unit of each of them."""
+
+    unknown: IntArray
+    derivative: FloatArray
+    units: FloatArray
+
+
+def _tube(found: Misfit, sights: Sights, expected: Expectation, outward: FloatArray, unit: float) -> _Tube:
+    """Return what the tube's own unknowns do to each line."""
     collector = expected.collector
+    glasses = count_receivers(collector)
+    of_tube = [_RADIUS_SHARE * collector.absorber_diameter_m / 2, _OUTWARD * unit]
+    units = np.array([*of_tube, *[_GLASS_M] * (2 * glasses)])
+    receiver = glass_beside_tube(collector, expected.absorber, np.nan_to_num(found.passing_y_m)).receiver
+    first = _TUBE_UNKNOWNS + 2 * receiver
+    index = np.stack([np.zeros_like(first), np.ones_like(first), first, first + 1], axis=1)
+    columns = np.stack([found.d_angle_d_radius, outward, *_by_glass(found, sights, expected)], axis=1)
+    return _Tube(index, columns * units[index], units)
+
+
+def _by_glass(found: Misfit, sights: Sights, expected: Expectation) -> tuple[FloatArray, FloatArray]:
+    """Return by how much x and z of the middle of the glass, the tube held, move each line, shape (m,) [rad/m]."""
     axis_x, axis_z = expected.absorber.at(np.nan_to_num(found.passing_y_m))
     to_x, to_z = axis_x - sights.points_m[:, 0], axis_z - sights.points_m[:, 2]
-    kappa = turned_rad(collector, 1.0) / np.hypot(to_x, to_z)
-    by_radius = found.d_angle_d_radius
-    units = np.array([_RADIUS_SHARE * collector.absorber_diameter_m / 2, _OUTWARD * unit, _GLASS_M, _GLASS_M])
-    columns = np.stack([by_radius, outward, kappa * to_x * by_radius, kappa * to_z * by_radius], axis=1)
-    return columns * units, units
+    kappa = turned_rad(expected.collector, 1.0) / np.hypot(to_x, to_z)
+    return kappa * to_x * found.d_angle_d_radius, kappa * to_z * found.d_angle_d_radius
+
+
+def glass_widening_rad(found: Misfit, sights: Sights, expected: Expectation) -> FloatArray:
+    """Return by how much glass that is straight between its bellows moves each line, as far as the tube's path says.
+
+    found: Misfits and derivatives of these lines, with the design's slopes.
+    Returns (m,): To be added to the misfits [rad].
+    """
+    beside = glass_beside_tube(expected.collector, expected.absorber, np.nan_to_num(found.passing_y_m))
+    by_x, by_z = _by_glass(found, sights, expected)
+    return np.asarray(np.nan_to_num(by_x * beside.x_m + by_z * beside.z_m))

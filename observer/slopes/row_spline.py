@@ -8,11 +8,12 @@ The slope along the trough has a prior instead of a measurement where one pass o
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from heliogauge.validate import BoolArray, FloatArray, IntArray
+from heliogauge.validate import BoolArray, FloatArray, IntArray, freeze
 from observer.slopes.banded_cholesky import BandedFactor, factorise
 
 if TYPE_CHECKING:
@@ -200,8 +201,8 @@ def prior_bands(grid: RowGrid, prior: Roughness) -> FloatArray:
         [1/rad^2].
 
     Across: differences of the order n within a panel have the variance q h^(2n - 1). Along: the process
-    (k^2 - d^2/dx^2) s = white noise with free ends (Whittle 1954), which has the variance ``noise / (4 k^3)`` and the
-    correlation length sqrt(3) / k.
+    (k^2 - d^2/dx^2) s = white noise (Whittle 1954) of the correlation length sqrt(3) / k, on each panel by itself. With
+    free ends it varies twice as much there; each node is scaled to the stated standard deviation.
     """
     n, step, order = grid.x_m.size, grid.step_m, prior.order
     bands = np.zeros((order + 1, n, 2))
@@ -212,20 +213,36 @@ def prior_bands(grid: RowGrid, prior: Roughness) -> FloatArray:
         for reach in range(order + 1 - offset):
             other = _DIFFERENCES[order][offset + reach]
             bands[reach, offset : offset + n - order, 0] += part * other * stiffness
-    wave = np.sqrt(3) / prior.along_length_m
-    link = grid.joined / step**2
+    along = _along_bands(tuple(grid.joined.tolist()), grid.step_m, prior.along_length_m)
+    for reach in range(3):
+        bands[reach, :, 1] = along[reach] / prior.along_rad**2
+    return bands
+
+
+@lru_cache(maxsize=64)
+def _along_bands(joined: tuple[bool, ...], step_m: float, length_m: float) -> FloatArray:
+    """Return the precision of slopes along the trough of standard deviation 1, as bands, shape (3, nx).
+
+    joined: Of `RowGrid`.
+    """
+    link = np.array(joined, dtype=np.float64) / step_m**2
+    wave, n = np.sqrt(3) / length_m, link.size + 1
     # Three diagonals of the operator k^2 - d^2/dx^2, and from them those of its square.
     main = np.full(n, wave**2)
     main[:-1] += link
     main[1:] += link
-    scale = step / (4 * wave**3 * prior.along_rad**2)
     square = main**2
     square[:-1] += link**2
     square[1:] += link**2
-    bands[0, :, 1] = scale * square
-    bands[1, :-1, 1] = -scale * link * (main[:-1] + main[1:])
-    bands[2, :-2, 1] = scale * link[:-1] * link[1:]
-    return bands
+    beside, second = -link * (main[:-1] + main[1:]), link[:-1] * link[1:]
+    operator = np.diag(main) - np.diag(link, 1) - np.diag(link, -1)
+    inverse = np.linalg.inv(operator)
+    deviation = np.sqrt((inverse**2).sum(axis=1))
+    bands = np.zeros((3, n))
+    bands[0] = deviation**2 * square
+    bands[1, :-1] = deviation[:-1] * deviation[1:] * beside
+    bands[2, :-2] = deviation[:-2] * deviation[2:] * second
+    return freeze(bands)
 
 
 def _log_determinant(bands: FloatArray) -> float:

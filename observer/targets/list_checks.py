@@ -1,6 +1,6 @@
 """Whether the listed targets are those in the photos, and determine where the trough's frame lies."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -19,6 +19,8 @@ _SHOWN = 8
 _STRAY_TIMES = 8.0
 #: ... and so is at most this share of all: as many may have been exchanged, more are another camera or another list.
 _MOST_STRAYS = 0.25
+#: Lines of sight that differ by less say nothing of how far a target is [rad].
+_LEAST_ANGLE_RAD = 0.02
 #: Targets on rims are as high as the mirror there, within this share of the rim's height.
 _BESIDE_SHARE = 0.3
 _AXES = ("x", "y", "z")
@@ -79,6 +81,50 @@ def stray_targets(residual_px: FloatArray, sigma_px: FloatArray) -> BoolArray:
     left = far.size - int(np.count_nonzero(far))
     few = np.count_nonzero(far) <= _MOST_STRAYS * far.size and left > _FEWEST
     return np.asarray(far & few)
+
+
+def intersect(eyes_m: FloatArray, lines: FloatArray) -> FloatArray | None:
+    """Return the point nearest to lines of sight.
+
+    Shapes: eyes_m (n, 3), lines (n, 3), result (3,) [m].
+    Returns: None where the lines are fewer than two or run nearly alike.
+    """
+    unit = lines / np.linalg.norm(lines, axis=1, keepdims=True)
+    across = np.eye(3) - unit[:, :, None] * unit[:, None, :]
+    normal = across.sum(axis=0)
+    # Of two lines at an angle a the smallest eigenvalue is 1 - cos a.
+    if len(eyes_m) < 2 or np.linalg.eigvalsh(normal)[0] < len(eyes_m) * (1 - np.cos(_LEAST_ANGLE_RAD)) / 2:
+        return None
+    return np.asarray(np.linalg.solve(normal, (across @ eyes_m[:, :, None])[..., 0].sum(axis=0)))
+
+
+def exchanged_pairs(
+    seen_m: Mapping[int, FloatArray],
+    points_m: FloatArray,
+    sigma_m: FloatArray,
+    point_m: float,
+    unseen: Sequence[int] = (),
+) -> list[tuple[int, int]]:
+    """Return pairs of stray targets each of which the photos show where the list has the other.
+
+    Shapes: points_m (n, 3), sigma_m (n,).
+    seen_m: Where the photos show the stray ones, by their numbers [m].
+    point_m: How well a photo shows a place [m].
+    unseen: Targets that no photo shows under their name, as dots without a code that are not where they are listed: of
+        a pair with one of them the other one alone tells.
+    """
+    strays = sorted(seen_m)
+    pairs = []
+    for k, a in enumerate(strays):
+        for b in strays[k + 1 :]:
+            sigma = _STRAY_TIMES * np.hypot(sigma_m[[b, a]], point_m)
+            off = [np.linalg.norm(seen_m[a] - points_m[b]), np.linalg.norm(seen_m[b] - points_m[a])]
+            if (np.array(off) < sigma).all():
+                pairs.append((a, b))
+        reach_m = _STRAY_TIMES * np.hypot(sigma_m, point_m)
+        pairs += [(a, b) for b in unseen if np.linalg.norm(seen_m[a] - points_m[b]) < reach_m[b]]
+    members = [one for pair in pairs for one in pair]
+    return [pair for pair in pairs if members.count(pair[0]) == members.count(pair[1]) == 1]
 
 
 def refuse_upside_down(points_m: FloatArray, collector: Collector) -> None:

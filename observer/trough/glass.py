@@ -1,7 +1,11 @@
 """What the glass around the absorber does to lines of sight that pass close to the metal."""
 
+from typing import NamedTuple
+
 import numpy as np
 
+from heliogauge.validate import FloatArray, IntArray
+from observer.trough.absorber_path import AbsorberPath
 from observer.trough.collector import Collector
 
 
@@ -22,3 +26,41 @@ def turned_rad(collector: Collector, radii: float) -> float:
     outer = inner * glass.inner_diameter_m / glass.outer_diameter_m
     at_inner = np.arcsin(inner) - np.arcsin(inner / glass.index)
     return float(at_inner - np.arcsin(outer) + np.arcsin(outer / glass.index))
+
+
+class GlassBeside(NamedTuple):
+    """Where the middle of the glass is beside the tube's.
+
+    receiver (m,): Which piece of glass surrounds the tube there.
+    x_m, z_m (m,): Middle of the glass less that of the tube, were both one at the ends of the piece [m].
+    """
+
+    receiver: IntArray
+    x_m: FloatArray
+    z_m: FloatArray
+
+
+def count_receivers(collector: Collector) -> int:
+    """Return how many pieces of glass there are: one between each two neighbouring supports, at least one."""
+    return max(np.unique(collector.support_y_m).size - 1, 1)
+
+
+def glass_beside_tube(collector: Collector, path: AbsorberPath, y_m: FloatArray) -> GlassBeside:
+    """Return where a glass that is straight between its bellows is beside a tube that sags and bends within it.
+
+    path: The tube's axis.
+    y_m (m,): Places along the trough [m].
+    Returns: Of each place; zeros where no two supports are listed.
+    """
+    supports, half = np.unique(collector.support_y_m), collector.support_width_m / 2
+    if supports.size < 2:
+        return GlassBeside(np.zeros(y_m.size, dtype=np.intp), np.zeros(y_m.size), np.zeros(y_m.size))
+    receiver = np.clip(np.searchsorted(supports, y_m, side="right") - 1, 0, supports.size - 2)
+    first, last = supports[:-1] + half, supports[1:] - half
+    share = np.clip((y_m - first[receiver]) / (last - first)[receiver], 0.0, 1.0)
+    # A station at a bellows has its place from those beside it; the tube is held there and has no kink.
+    beside = [
+        (1 - share) * at_first[receiver] + share * at_last[receiver] - at_tube
+        for at_first, at_last, at_tube in zip(path.at(first), path.at(last), path.at(y_m), strict=True)
+    ]
+    return GlassBeside(np.asarray(receiver, dtype=np.intp), beside[0], beside[1])

@@ -70,7 +70,7 @@ def simulated(photos: Photos, axis: Axis, rng: np.random.Generator, noise_rad: f
 
 
 def solved(bearings: Bearings, photos: Photos) -> AbsorberSolution:
-    return solve_absorber(bearings, photos, AbsorberPath.straight(0.0, 1.49, 0.8), STATIONS_M)
+    return solve_absorber(bearings, photos, AbsorberPath.straight(0.0, 1.49, 0.8), STATIONS_M, 0.070)
 
 
 def test_the_bisector_goes_through_the_axis_and_the_middle_on_the_plane_does_not() -> None:
@@ -174,6 +174,16 @@ def test_a_photo_in_which_the_tube_looks_wider_counts_less() -> None:
     seen = replace(pulled, diameter_m=pulled.diameter_m + np.where(last, 1.2e-3, 0.0))
     errors = [abs(float(np.mean(solved(one, photos).path.z_m)) - 1.49) for one in (pulled, seen)]
     assert errors[1] < 0.5 * errors[0]
+
+
+def test_a_tube_that_looks_too_thin_in_all_photos_is_uncertain_in_height() -> None:
+    photos = photos_at([-3.0, -2.5, 2.5, 3.0], height_m=14.0, sigma=1e-5)
+    bearings = simulated(photos, line(0.0, 0.0), np.random.default_rng(6))
+    thin = replace(bearings, diameter_m=np.full(bearings.photo.size, 0.070 - 1.2e-3))
+    sigmas = [float(solved(one, photos).path.sigma_at([0.0])[1][0]) for one in (bearings, thin)]
+    # A quarter of 1.2 mm towards one side, from 2.75 m beside the tube 12.5 m above it: 0.3 mm x 12.8 / 2.75.
+    assert sigmas[0] < 0.3e-3
+    assert sigmas[1] == pytest.approx(1.4e-3, rel=0.1)
 
 
 def test_one_photo_or_one_side_is_refused_and_a_narrow_base_says_so() -> None:

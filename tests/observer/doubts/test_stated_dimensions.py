@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from heliogauge.camera.model import Camera
+from heliogauge.doubts import Severity
 from heliogauge.errors import InputError
 from heliogauge.geometry.rigid import RigidTransform
-from observer.doubts.photos import camera_doubt, overexposure_doubt, refuse_impossible_cameras, sparse_doubt
+from observer.doubts.photos import overexposure_doubt, refuse_impossible_cameras, scatter_doubt, sparse_doubt
 from observer.doubts.stated_dimensions import Found, diameter_doubt, focal_length_doubt, outline_doubts, panels_doubt
 from observer.photo_edges.outline import Span, clipped_share, photos_from_above, plates_of, rims_in_photo, spans_of
 from observer.photo_edges.views import View
@@ -91,8 +92,13 @@ def test_overexposed_only_beyond_a_glint():
 
 
 def test_camera_and_sparse_photos_by_their_figures():
-    assert camera_doubt(0.85) is None
-    assert "4.4 times worse" in str(camera_doubt(4.38))
+    assert scatter_doubt(0.85, 0.05, 1030.0) is None
+    scattered, moved = scatter_doubt(4.38, 0.1, 1030.0), scatter_doubt(40.0, 0.9, 1030.0)
+    assert scattered is not None
+    assert moved is not None
+    assert "scatter by 0.10 px, 4.4 times what the edges" in str(scattered)
+    assert (scattered.severity, moved.severity) == (Severity.DOUBT, Severity.SERIOUS)
+    assert moved.numbers["slope_rad"] == pytest.approx(0.5 * 0.9 / 1030)
     eyes = np.column_stack([np.linspace(-3, 3, 4), np.zeros(4), np.full(4, 12.0)])
     assert sparse_doubt(0.8, eyes) is None
     said = str(sparse_doubt(0.15, eyes))

@@ -275,3 +275,11 @@ def test_errors_have_the_stated_sigma_and_cameras_are_found_better_than_known() 
     assert found[:, 0].mean() == pytest.approx(1.0, abs=0.25)
     assert found[:, 1].mean() == pytest.approx(1.0, abs=0.2)
     assert (found[:, 2] < 0.5).all()
+
+
+def test_modes_have_the_variance_that_is_shared() -> None:
+    """Five unknowns have at most five modes: these lack 1 % of the variance over the map at most."""
+    rng = np.random.default_rng(11)
+    grid, covariance = small_grid(), np.diag([4.0, 3.0, 2.0, 1.5, 1.0]) * 1e-6
+    found = solve_jointly(random_lines(rng, grid, 300, 5), grid, Roughness(1e-3), covariance)
+    assert (found.modes**2).sum() == pytest.approx(found.shared[found.mode_rows, :, 0].sum(), rel=0.011)

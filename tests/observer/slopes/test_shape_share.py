@@ -75,3 +75,16 @@ def test_turned_normals_need_evidence() -> None:
     assert not ShapeShare(0.02, 0.1, 2e-4).has_shape
     assert ShapeShare(0.27, 0.41, 2e-4).has_shape
     assert ShapeShare(1.05, 0.1, 2e-4).has_shape
+
+
+def test_what_edges_far_apart_add_is_taken_off() -> None:
+    """Where slopes are what the prior says the estimate is right; on mirrors it is too large by what is taken off.
+
+    Edges of one side are 4 cm apart: 0.2 (4 / 6)^1.5 = 0.109.
+    """
+    off = []
+    for seed in range(8):
+        both, by_edge = observed(1.0, np.random.default_rng(seed))
+        off.append(find_shape_share(both, by_edge, GRID, Roughness(1e-2, 1e-5), np.zeros((0, 0))).share - 1.0)
+    assert np.mean(off) == pytest.approx(-0.109, abs=max(3 * np.std(off) / np.sqrt(8), 0.02))
+    assert 3 * np.std(off) / np.sqrt(8) < 0.05

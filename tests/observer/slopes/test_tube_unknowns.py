@@ -12,13 +12,13 @@ from observer.planning.simulated_edges import EdgeNoise, measured_edges, true_ed
 from observer.planning.simulated_flight import Evaluation, simulate
 from observer.product.slope_map import angle_maps
 from observer.selection.solve_and_refuse import Reflector, solve_reflector
-from observer.slopes.common_unknowns import CommonUnknowns, common_unknowns
+from observer.slopes.common_unknowns import CommonUnknowns, common_unknowns, glass_widening_rad
 from observer.slopes.pose_modes import CameraModes, Photos
 from observer.slopes.row_spline import Roughness
 from observer.trough.absorber_path import AbsorberPath
 from observer.trough.collector import Collector, ls2
 from observer.trough.expectation import Expectation
-from observer.trough.glass import turned_rad
+from observer.trough.glass import glass_beside_tube, turned_rad
 from observer.trough.observation_equation import Misfit, Sights
 from observer.trough.typical_mirror import TypicalMirror
 from tests.observer.absorber.test_absorber_glass import distance_within
@@ -110,6 +110,58 @@ def test_glass_beside_the_tube_widens_it_as_traced_rays_say(direction: float) ->
     ray = np.array([np.sin(direction), -np.cos(direction)])
     wider = half_width_m(beside, direction) - half_width_m(np.zeros(2), direction)
     assert wider == pytest.approx(-turned_rad(LS2, 1.0) * float(beside @ ray), abs=6e-6)
+
+
+def sagging(collector: Collector) -> tuple[Expectation, AbsorberPath]:
+    """Return a tube that sags by 8 mm in its first receiver and is bent by 3 mm across in its second."""
+    y = np.linspace(-4.0, 4.0, 401)
+    arch = np.sin(np.pi * np.clip(np.abs(y) - 0.15, 0, 3.6) / 3.6)
+    path = AbsorberPath(y, 3e-3 * arch * (y > 0), 1.49 - 8e-3 * arch * (y < 0), np.zeros((802, 802)))
+    return Expectation(collector, path, np.array([0.0])), path
+
+
+HELD = replace(LS2, support_y_m=np.array([-3.9, 0.0, 3.9]))
+
+
+def test_straight_glass_is_beside_a_tube_that_sags_within_it() -> None:
+    _, path = sagging(HELD)
+    # The path is straight between stations 20 mm apart.
+    beside = glass_beside_tube(HELD, path, np.array([-3.75, -1.95, -0.15, 0.15, 1.95, 3.75]))
+    assert beside.receiver.tolist() == [0, 0, 0, 1, 1, 1]
+    np.testing.assert_allclose(beside.x_m, [0, 0, 0, 0, -3e-3, 0], atol=2e-5)
+    np.testing.assert_allclose(beside.z_m, [0, 8e-3, 0, 0, 0, 0], atol=4e-5)
+    # Without supports nothing says where a piece of glass begins.
+    assert not glass_beside_tube(LS2, path, np.array([-1.95, 1.95])).z_m.any()
+
+
+def test_a_tube_that_sags_in_straight_glass_looks_as_traced_rays_say() -> None:
+    where, path = sagging(HELD)
+    edges, sights = some_edges(np.random.default_rng(8))
+    _, found = unknowns_of(edges, sights, where)
+    moved = glass_widening_rad(found, sights, where) / found.d_angle_d_radius
+    glass = glass_beside_tube(HELD, path, found.passing_y_m)
+    tube = -np.stack([glass.x_m, glass.z_m], axis=1)
+    axis = np.stack(path.at(found.passing_y_m), axis=1)
+    for k in range(0, 60, 6):
+        # What is traced looks downwards; the reflection looks up, which is the same seen upside down.
+        way = axis[k] - sights.points_m[k, [0, 2]]
+        upside = tube[k] * [1.0, -1.0]
+        direction = float(np.arctan2(way[0], way[1]))
+        traced = half_width_m(upside, direction) - half_width_m(np.zeros(2), direction)
+        # What is left is of higher order in the distance: 6 um of 120 um at 8 mm.
+        assert moved[k] == pytest.approx(traced, abs=12e-6)
+    assert np.abs(moved).max() > 1e-4
+
+
+def test_each_glass_has_a_place_of_its_own() -> None:
+    where, _ = sagging(HELD)
+    edges, sights = some_edges(np.random.default_rng(9))
+    unknowns, found = unknowns_of(edges, sights, where)
+    assert unknowns.units.size == 2 + 2 * 2
+    second = np.zeros(len(unknowns.covariance))
+    second[unknowns.radius + 4] = 1.0
+    moves = effect(unknowns, second) != 0
+    assert (moves == (found.passing_y_m > 0)).all()
 
 
 def test_no_glass_turns_nothing() -> None:

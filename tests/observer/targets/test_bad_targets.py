@@ -6,6 +6,8 @@ import pytest
 from heliogauge.errors import EstimationError, InputError
 from observer.pipeline.inputs import read_targets
 from observer.targets.list_checks import (
+    exchanged_pairs,
+    intersect,
     refuse_loose_frame,
     refuse_strange_targets,
     refuse_upside_down,
@@ -68,6 +70,28 @@ def test_strays_are_few_and_far():
     assert not stray_targets(np.array([0.1, 0.1, 0.1, 90.0]), sigma[:4]).any()
     assert not stray_targets(np.array([0.1] * 6 + [90.0] * 6), sigma).any()
     assert not stray_targets(np.zeros(0), np.zeros(0)).any()
+
+
+def test_lines_of_sight_meet_where_the_target_is():
+    place, eyes = np.array([2.7, 1.0, 1.05]), np.array([[-2.0, 0.0, 12.0], [0.5, 0.3, 12.0], [3.0, 0.0, 12.0]])
+    np.testing.assert_allclose(intersect(eyes, 3 * (place - eyes)), place, atol=1e-12)
+    # From one place, and from two that are 0.1 m apart 12 m away, it may be anywhere along the line.
+    assert intersect(eyes[:1], (place - eyes)[:1]) is None
+    close = eyes[0] + np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.0]])
+    assert intersect(close, place - close) is None
+
+
+def test_two_exchanged_entries_are_found_and_a_moved_one_is_not():
+    listed, sigma = RIMS.copy(), np.full(6, 1e-3)
+    # Photos show 1 where the list has 4 and 4 where it has 1, to 2 mm; 2 was moved by half a metre.
+    seen = {1: listed[4] + [0.002, 0, 0], 4: listed[1] - [0, 0.002, 0], 2: listed[2] + [0.5, 0, 0]}
+    assert exchanged_pairs(seen, listed, sigma, 2e-3) == [(1, 4)]
+    assert exchanged_pairs({1: listed[4], 2: listed[5]}, listed, sigma, 2e-3) == []
+    # A dot without a code is not seen under its name where it is listed.
+    assert exchanged_pairs({1: listed[4]}, listed, sigma, 2e-3, [4]) == [(1, 4)]
+    assert exchanged_pairs({1: listed[3]}, listed, sigma, 2e-3, [4]) == []
+    # Where three went round nobody can say which two were exchanged.
+    assert exchanged_pairs({0: listed[1], 1: listed[2], 2: listed[0]}, listed, sigma, 2e-3) == []
 
 
 @pytest.mark.parametrize(
