@@ -16,6 +16,8 @@ _AS_GOOD = 9.0
 _MOST_NAMED = 3
 #: An input is named only where it leaves the means within so many of their sigmas, RMS; else none explains the curl.
 _EXPLAINED = 3.0
+#: And only where it takes most of the chi-square away, as the doubt says.
+_MOST = 0.5
 #: Where the modes come from that contain what was found.
 CONTRADICTION = "setup in contradiction"
 
@@ -88,11 +90,12 @@ def contradiction_of_setup(evaluation: Evaluation, inputs: Sequence[StatedInput]
         "surface has. "
     )
     numbers = {"curl_ratio": ratio, "unexplained_ratio": left}
-    alone = left < _EXPLAINED
+    alone = left < _EXPLAINED and best.chi_square < (1.0 - _MOST) * chi_square
     if alone:
         # What not even the best one explains is no measure of the others.
         as_good = _AS_GOOD * max(1.0, best.chi_square / (len(moments.values_per_m) - 1))
-        named = [one for one in explained if one.chi_square < best.chi_square + as_good][:_MOST_NAMED]
+        limit = min(best.chi_square + as_good, (1.0 - _MOST) * chi_square)
+        named = [one for one in explained if one.chi_square <= limit][:_MOST_NAMED]
         changes = np.abs([one.amount * one.input.changes for one in named]).max(axis=0)
         numbers |= {"curvature_x_per_m": changes[0], "curvature_y_per_m": changes[1], "twist_per_m": changes[2]}
         amounts = [(one.input, float(np.hypot(one.amount, one.sigma))) for one in named]
