@@ -2,11 +2,15 @@
 
 Lens and pixels blur an edge evenly to both sides of it, in light. Encoded as sRGB (IEC 61966-2-1) dark tones are drawn
 apart: the blurred edge looks lopsided, and its steepest place moves by a tenth of a pixel to the dark side, so that a
-dark tube looks thinner than it is. So the encoding is estimated from the edges in the photos themselves.
+dark tube looks thinner than it is. So the encoding is estimated from the photos themselves: by the odds of what
+targets of a stated diameter and edges of the reflection look like under both.
 """
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -22,13 +26,17 @@ _HALF_PX = 3
 _ROUNDS = 4
 #: Steps of the brightness below this share of the usual one are none of an edge.
 _LEAST_STEP = 0.2
-#: Edges that are enough to estimate it.
-_ENOUGH = 100
-#: Without targets: photos that are lopsided by more than this towards the dark are no linear ones. Those have
-#: -0.12 to 0.03 (once 0.055, under clouds), sRGB as it is stored 0.05 to 0.2, linear ones taken for sRGB -0.4 to 0.02.
-_CLEARLY = 0.045
-#: Fewest targets, how well one encoding must fit their stated diameter, and by how much better than the other.
-_ENOUGH_TARGETS, _FITS, _BETTER = 6, 0.025, 0.015
+#: Edges of a photo that are enough to see how lopsided they are.
+_ENOUGH = 30
+#: Size of targets over the stated one, under the right encoding: mostly right within this, for this share of the
+#: flights anything within that (a wrong diameter, overexposed paper). Drawn targets are within 0.5 %, those of an
+#: independent renderer 1.0 and 1.5 % too large; the wrong encoding makes 4 to 10 %.
+_SIZE, _SIZE_WRONG, _SHARE_WRONG = 0.01, 0.1, 0.05
+#: The same for lopsidedness: even under a clear sky, for this share of the flights anything within that: light of glass
+#: and clouds beside the tube is not even (-0.13 to 0.26 in photos of an independent renderer, in either encoding).
+_EVEN, _UNEVEN, _SHARE_UNEVEN = 0.03, 0.2, 0.2
+#: Scatter of lopsidedness between photos as it usually is, counted as so many photos.
+_SCATTER, _SCATTER_PHOTOS = 0.1, 2
 
 
 class Tone(StrEnum):
@@ -38,20 +46,25 @@ class Tone(StrEnum):
     SRGB = "srgb"
 
 
-@dataclass(frozen=True, slots=True)
-class ToneFound:
-    """How photos are encoded, and how lopsided their edges are.
+class _Pair(NamedTuple):
+    """A number under both encodings: of the photo as it is stored, and taken for sRGB."""
 
-    tone: The encoding that leaves edges most even; the usual one where there are too few edges.
-    lopsided: What it leaves; 0 is even. NaN where there are too few edges.
-    as_stored: Lopsidedness of the numbers as they are.
-    by_targets: Whether the size of the targets decided.
+    stored: float
+    decoded: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ToneEvidence:
+    """What one photo says of its encoding.
+
+    sizes (2, n): Diameters of targets over what was stated, in the photo as stored and taken for sRGB.
+    lopsided: How lopsided edges of the reflection are, 0 is even; NaN where there are too few of them.
+    edges: Number of those edges.
     """
 
-    tone: Tone
-    lopsided: float
-    as_stored: float
-    by_targets: bool = False
+    sizes: FloatArray
+    lopsided: _Pair
+    edges: int
 
 
 def full_scale(image: AnyImage) -> float:
@@ -81,6 +94,18 @@ def linear_light(image: AnyImage, tone: Tone) -> AnyImage:
     return np.asarray(cv2.LUT(image, table) if image.dtype == np.uint8 else table[image], dtype=np.float32)
 
 
+def numbers_for_the_eye(light: AnyImage) -> AnyImage:
+    """Return the sRGB numbers of light: dark tones apart again, as the file has them.
+
+    Shapes: light (height, width), result (height, width).
+    light: From `linear_light` [DN].
+    """
+    top = np.float32(full_scale(light))
+    share = np.clip(np.asarray(light, dtype=np.float32) / top, 0, 1)
+    low, high = np.float32(12.92) * share, np.float32(1.055) * share ** np.float32(1 / 2.4) - np.float32(0.055)
+    return np.asarray(np.where(share <= np.float32(0.0031308), low, high) * top, dtype=np.float32)
+
+
 def _decoded(share: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
     """Return the light of sRGB numbers between 0 and 1 (IEC 61966-2-1)."""
     low = share / np.float32(12.92)
@@ -88,34 +113,64 @@ def _decoded(share: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
     return np.asarray(np.where(share <= np.float32(0.04045), low, high), dtype=np.float32)
 
 
-def find_tone(
-    as_stored: FloatArray,
-    decoded: FloatArray,
-    sizes: tuple[FloatArray, FloatArray] | None = None,
-    *,
-    usual: Tone = Tone.LINEAR,
-) -> ToneFound:
-    """Tell from targets, and from edges of the tube's reflection, how photos are encoded.
+def tone_evidence(as_stored: FloatArray, decoded: FloatArray, sizes: FloatArray) -> ToneEvidence:
+    """Collect what one photo says of its encoding.
 
-    as_stored (n, 2 k + 1): Brightness across edges from dark to bright, one pixel apart, in photos as they are
-        stored [DN].
-    decoded (m, 2 k + 1): The same in the photos taken for sRGB.
-    sizes: Diameters of targets over what was stated, in the photos as stored and taken for sRGB.
-    usual: What such photos usually are, where neither targets nor edges show it.
-    Returns: The encoding under which targets are as large as stated; where that does not decide, the one that leaves
-        edges most even.
+    as_stored (n, 2 k + 1): Brightness across edges of the reflection from dark to bright, one pixel apart, in the photo
+        as it is stored [DN].
+    decoded (m, 2 k + 1): The same in the photo taken for sRGB.
+    sizes (2, t): Diameters of targets over what was stated, as stored and taken for sRGB.
     """
-    stored, as_srgb = (_lopsidedness(part) if len(part) >= _ENOUGH else float("nan") for part in (as_stored, decoded))
-    if sizes is not None and min(part.size for part in sizes) >= _ENOUGH_TARGETS:
-        misfit = [abs(float(np.median(part)) - 1) for part in sizes]
-        if min(misfit) < _FITS and abs(misfit[0] - misfit[1]) > _BETTER:
-            linear = misfit[0] < misfit[1]
-            return ToneFound(Tone.LINEAR if linear else Tone.SRGB, stored if linear else as_srgb, stored, True)
-    if np.isnan(stored):
-        return ToneFound(usual, stored, stored)
-    if stored > _CLEARLY and stored > abs(as_srgb):
-        return ToneFound(Tone.SRGB, as_srgb, stored)
-    return ToneFound(Tone.LINEAR, stored, stored)
+    enough = min(len(as_stored), len(decoded)) >= _ENOUGH
+    lopsided = (_lopsidedness(as_stored), _lopsidedness(decoded)) if enough else (math.nan, math.nan)
+    return ToneEvidence(sizes, _Pair(*lopsided), len(as_stored) if np.isfinite(lopsided).all() else 0)
+
+
+def log_odds_of_linear(photos: Sequence[ToneEvidence]) -> float:
+    """Return the logarithm of how much likelier photos look as they do if they are linear than if they are sRGB.
+
+    Notes
+    -----
+    Of all photos together: the median size of their targets over the stated one, and their mean lopsidedness, each with
+    what it is for the right encoding as a mixture of two normal distributions. What makes it differ from 1 and from 0
+    under the right encoding is common to all photos, so that the odds do not grow with their number: other photos of
+    the same flight make the two numbers exact, no more.
+    """
+    sizes = np.concatenate([one.sizes for one in photos] or [np.zeros((2, 0))], axis=1)
+    lopsided = np.array([one.lopsided for one in photos if one.edges]).reshape(-1, 2)
+    total = 0.0
+    if sizes.shape[1]:
+        middle = np.median(sizes, axis=1)
+        scatter = 1.4826 * np.median(np.abs(sizes - middle[:, None]), axis=1)
+        # Of a median; a single target says how large it is to the usual scatter at best.
+        variance = 0.5 * np.pi * (scatter**2 + _SIZE**2) / sizes.shape[1]
+        stored, decoded = (
+            _log_mixture(float(off) - 1, float(own), (_SIZE, _SIZE_WRONG), _SHARE_WRONG)
+            for off, own in zip(middle, variance, strict=True)
+        )
+        total += stored - decoded
+    if len(lopsided):
+        mean = lopsided.mean(axis=0)
+        squares = ((lopsided - mean) ** 2).sum(axis=0) + _SCATTER_PHOTOS * _SCATTER**2
+        variance = squares / (len(lopsided) - 1 + _SCATTER_PHOTOS) / len(lopsided)
+        stored, decoded = (
+            _log_mixture(float(off), float(own), (_EVEN, _UNEVEN), _SHARE_UNEVEN)
+            for off, own in zip(mean, variance, strict=True)
+        )
+        total += stored - decoded
+    return total
+
+
+def _log_mixture(off: float, variance: float, sigmas: tuple[float, float], share: float) -> float:
+    """Return the logarithm of a density: of two normal distributions, the second with its share, both blurred.
+
+    variance: Of the number itself.
+    """
+    density = 0.0
+    for sigma, part in zip(sigmas, (1 - share, share), strict=True):
+        total = sigma**2 + variance
+        density += part * math.exp(-0.5 * off * off / total) / math.sqrt(total)
+    return math.log(max(density, 1e-300))
 
 
 def _lopsidedness(profiles: FloatArray) -> float:

@@ -21,6 +21,7 @@ from observer.light.trace import Sunlight
 from observer.photo_edges.tone import Tone
 from observer.pipeline.photos import Finder, build_finder
 from observer.pipeline.target_kinds import TargetKinds, target_kinds
+from observer.pipeline.tone import Encoding, Encodings
 from observer.slopes.row_spline import Roughness
 from observer.trough.absorber_path import AbsorberPath
 from observer.trough.collector import Collector, GlassTube
@@ -187,14 +188,16 @@ def build_inputs(measurement: ObserverMeasurement, tables: Tables, coordinates: 
     expected = Expectation(collector, design, rows, 1e-3 * model.evaluation.largest_slope_error_mrad)
     kinds = target_kinds(tables.targets, folder / model.targets.file)
     survey, known = build_survey(measurement, coordinates, kinds), known_targets(coordinates)
-    tone = None if model.images.encoding == "auto" else Tone(model.images.encoding)
+    encodings = None
+    if model.images.encoding != "auto":
+        encodings = Encodings((Encoding("", Tone(model.images.encoding)),))
     return Inputs(
         model.name,
         collector,
         float(np.radians(model.collector.orientation_deg)),
         light,
         survey,
-        build_finder(survey, known, expected, tone, kinds),
+        build_finder(survey, known, expected, encodings, kinds),
         model.targets.file,
         absorber,
         model.absorber.source,

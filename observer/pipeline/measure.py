@@ -111,7 +111,7 @@ def evaluate(inputs: Inputs, first: FirstLook, options: Options, progress: Progr
         refined.covariances,
         picture,
         name=inputs.name,
-        doubts=gather_doubts(cameras.network.doubts, doubts, intercept.doubts),
+        doubts=gather_doubts(cameras.network.doubts, seen.encodings.doubts, doubts, intercept.doubts),
         durations_s=dict(progress.durations_s),
         input_sha256=inputs.input_sha256,
     )

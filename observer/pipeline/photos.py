@@ -23,12 +23,12 @@ from heliogauge.running.progress import Progress
 from heliogauge.running.threads import side_by_side
 from observer.photo_edges.moved_edges import bearings_in_poses, edges_in_poses
 from observer.photo_edges.reflection_edges import ReflectionEdges, joined, reflection_edges
-from observer.photo_edges.tone import Tone, linear_light
+from observer.photo_edges.tone import Tone, ToneEvidence, linear_light, numbers_for_the_eye
 from observer.photo_edges.tube_bearings import Bearings, tube_bearings
 from observer.photo_edges.views import Shot, View
 from observer.pipeline.photo_poses import PlacedPhoto, place_photo
 from observer.pipeline.target_kinds import TargetKinds
-from observer.pipeline.tone import Sample, sizes_of, some_of, tone_of, usual_tone
+from observer.pipeline.tone import Encodings, Sample, find_encodings, look_at_tone, sizes_of, some_of
 from observer.product.pictures import Slices, empty_slices
 from observer.trough.expectation import Expectation
 from photogrammetry.detection import TargetSearch, measure_at
@@ -59,13 +59,13 @@ class SeenInPhotos:
     edges: Edges that may be those of its reflection.
     bearings: Directions of the tube itself.
     slices: A few rows of the mirror in all photos, to look at.
-    tone: How the photos are encoded.
+    encodings: How the photos are encoded.
     """
 
     edges: ReflectionEdges
     bearings: Bearings
     slices: Slices
-    tone: Tone
+    encodings: Encodings
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -77,7 +77,7 @@ class Finder:
     known: Those with listed coordinates.
     camera_of: Camera of each photo to start with; empty where none is known.
     expected: Collector, absorber and rows.
-    tone: How the photos are encoded; None: estimated from their own edges.
+    encodings: How the photos are encoded; None: estimated from them.
     kinds: What the listed targets look like.
     wants_loose: Whether dots that the list does not have are to be measured, too.
     """
@@ -87,13 +87,18 @@ class Finder:
     known: KnownTargets
     camera_of: Mapping[str, Camera]
     expected: Expectation
-    tone: Tone | None = None
+    encodings: Encodings | None = None
     kinds: TargetKinds = field(default_factory=TargetKinds)
     wants_loose: bool = True
 
     def read(self, file: Path) -> Image:
         """Return a photo whose numbers are proportional to light."""
-        return linear_light(read_luma(file), self.tone or Tone.LINEAR)
+        image = read_luma(file)
+        return image if self.encodings is None else linear_light(image, self.encodings.tone_of(file.name))
+
+    def is_decoded(self, name: str) -> bool:
+        """Return whether a photo's numbers were turned into light."""
+        return self.encodings is not None and self.encodings.tone_of(name) is Tone.SRGB
 
     @property
     def measures_alone(self) -> bool:
@@ -141,7 +146,7 @@ class FirstLook:
     poses: Provisional ``cam_from_frame`` of the photos whose listed targets determine it.
     edges, bearings: What those photos show of the tube.
     slices: A few rows of the mirror in all photos.
-    tone: How the photos are encoded; None where that is not known yet.
+    encodings: How the photos are encoded; None where that is not known yet.
     by_list: Photos whose pose rests on the places of their dots, because too few codes are read.
     """
 
@@ -151,7 +156,7 @@ class FirstLook:
     edges: dict[str, ReflectionEdges]
     bearings: dict[str, Bearings]
     slices: Slices
-    tone: Tone | None = None
+    encodings: Encodings | None = None
     by_list: tuple[str, ...] = ()
 
     @property
@@ -253,6 +258,12 @@ class _Run:
         if found is None:
             found = self.searched[name] = measure_photo(photo.image, name, self.finder.section, self.finder.search)
         placed = self.finder.placed(photo.image, found, camera)
+        if placed.pose is None and camera is not None and self.finder.is_decoded(name):
+            # Light of dark codes is a few numbers only: no photo is lost that can be placed as it is stored.
+            stored = numbers_for_the_eye(photo.image)
+            found = measure_photo(stored, name, self.finder.section, self.finder.search)
+            again = self.finder.placed(stored, found, camera)
+            placed = placed if again.pose is None else again
         found, pose = placed.photo, placed.pose
         self.targets[name] = found
         if placed.by_list:
@@ -268,14 +279,14 @@ def build_finder(
     network: PhotogrammetryMeasurement,
     known: KnownTargets,
     expected: Expectation,
-    tone: Tone | None = None,
+    encodings: Encodings | None = None,
     kinds: TargetKinds | None = None,
 ) -> Finder:
     """Collect what is looked for in each photo.
 
     known: Those with listed coordinates.
     expected: Collector, absorber and rows.
-    tone: How the photos are encoded; None: as their own edges show.
+    encodings: How the photos are encoded; None: as they show it themselves.
     kinds: What the listed targets look like.
     Returns: With the cameras, where measurement.toml or their files have them.
     InputError: Cameras or dictionary that cannot be used, or no targets.
@@ -298,7 +309,7 @@ def build_finder(
     if looks.plain and cameras:
         # They are named in each photo; without a camera they are matched through the poses.
         search = replace(search, with_uncoded=True)
-    return Finder(section, search, known, cameras, expected, tone, looks, wants_loose)
+    return Finder(section, search, known, cameras, expected, encodings, looks, wants_loose)
 
 
 def measure_targets(files: Sequence[Path], finder: Finder, *, jobs: int | None, progress: Progress) -> FirstLook:
@@ -312,7 +323,7 @@ def measure_targets(files: Sequence[Path], finder: Finder, *, jobs: int | None, 
     names = tuple(file.name for file in files)
     slices = empty_slices(finder.expected.collector, finder.expected.y_m, len(files))
     if not finder.measures_alone:
-        return FirstLook(names, (), {}, {}, {}, slices, finder.tone)
+        return FirstLook(names, (), {}, {}, {}, slices, finder.encodings)
 
     def one(number: int) -> PlacedPhoto:
         image, name = finder.read(files[number]), names[number]
@@ -324,7 +335,7 @@ def measure_targets(files: Sequence[Path], finder: Finder, *, jobs: int | None, 
         found = side_by_side(one, range(len(files)), jobs)
     poses = {name: one.pose for name, one in zip(names, found, strict=True) if one.pose is not None}
     by_list = tuple(name for name, one in zip(names, found, strict=True) if one.by_list)
-    return FirstLook(names, tuple(one.photo for one in found), poses, {}, {}, slices, finder.tone, by_list)
+    return FirstLook(names, tuple(one.photo for one in found), poses, {}, {}, slices, finder.encodings, by_list)
 
 
 def look_first(files: Sequence[Path], finder: Finder, *, jobs: int | None, progress: Progress) -> FirstLook:
@@ -353,14 +364,12 @@ def look_first_at_each(
     names = tuple(file.name for file in files)
     leader = finders[0]
     if not leader.measures_alone:
-        return [FirstLook(names, (), {}, {}, {}, own, leader.tone) for own in slices]
+        return [FirstLook(names, (), {}, {}, {}, own, leader.encodings) for own in slices]
     searched: dict[str, OnePhoto] = {}
     with progress.stage("look how photos are encoded"):
         # One flight, one camera: the first trough that shows it decides.
-        tone = next((seen for one in finders if (seen := _tone_of_some(files, one, searched)) is not None), None)
-        finders = [replace(one, tone=tone) for one in finders]
-    if tone is Tone.SRGB:
-        searched.clear()  # They were searched as they are stored.
+        encodings = _find_encodings(files, finders, searched)
+        finders = [replace(one, encodings=encodings) for one in finders]
     leader = finders[0]
     parts = _runs_of(len(files)) if leader.follows else [range(k, k + 1) for k in range(len(files))]
     # Of long flights some photos, evenly: a report shows no more.
@@ -393,7 +402,9 @@ def look_first_at_each(
     if leader.search.dictionary is not None:
         read = {name for runs in found for one in runs[0].targets.values() for name in one.detections.names}
         refuse_mirrored_codes(read, [name for one in finders for name in one.known.names], leader.search.dictionary)
-    return [_put_together(names, runs, own, tone) for runs, own in zip(zip(*found, strict=True), slices, strict=True)]
+    return [
+        _put_together(names, runs, own, encodings) for runs, own in zip(zip(*found, strict=True), slices, strict=True)
+    ]
 
 
 def _runs_of(count: int) -> list[range]:
@@ -406,35 +417,46 @@ def _runs_of(count: int) -> list[range]:
     return runs
 
 
-def _put_together(names: tuple[str, ...], runs: Sequence[_Run], slices: Slices, tone: Tone | None) -> FirstLook:
+def _put_together(
+    names: tuple[str, ...], runs: Sequence[_Run], slices: Slices, encodings: Encodings | None
+) -> FirstLook:
     """Return what consecutive runs over the photos found."""
     targets = tuple(one for run in runs for one in run.targets.values())
     poses = {name: pose for run in runs for name, pose in run.poses.items()}
     edges = {name: part for run in runs for name, part in run.edges.items()}
     bearings = {name: part for run in runs for name, part in run.bearings.items()}
     by_list = tuple(name for run in runs for name in run.by_list)
-    return FirstLook(names, targets, poses, edges, bearings, slices, tone, by_list)
+    return FirstLook(names, targets, poses, edges, bearings, slices, encodings, by_list)
 
 
-def _tone_of_some(files: Sequence[Path], finder: Finder, searched: dict[str, OnePhoto]) -> Tone | None:
-    """Return how photos are encoded, from a few of them whose targets determine the pose; None where none does.
+def _find_encodings(
+    files: Sequence[Path], finders: Sequence[Finder], searched: dict[str, OnePhoto]
+) -> Encodings | None:
+    """Return how photos are encoded, from those whose targets determine the pose; None where no camera is known.
 
-    What is found in them, as they are stored, is put down.
+    searched: What is found in photos that need no decoding is put down here.
     """
-    if finder.tone is not None or not finder.camera_of:
-        return finder.tone
-    samples, sizes, stated = [], [], finder.section.diameter_mm
-    for file in (files[number] for number in some_of(len(files))):
-        image, camera = read_luma(file), finder.camera_of[file.name]
-        found = searched.get(file.name)
-        if found is None:
-            found = searched[file.name] = measure_photo(image, file.name, finder.section, finder.search)
-        found, pose, _ = finder.placed(image, found, camera)
-        if pose is not None:
-            samples.append(Sample(image, View(camera, pose)))
-            size_m = None if stated is None else 1e-3 * stated
-            sizes.append(sizes_of(samples[-1], found, finder.known, finder.search, size_m))
-    return tone_of(samples, finder.expected, sizes, usual_tone(files)) if samples else None
+    leader = finders[0]
+    if leader.encodings is not None or not leader.camera_of:
+        return leader.encodings
+
+    def evidence_of(file: Path) -> ToneEvidence | None:
+        image, name = read_luma(file), file.name
+        found = searched[name] = measure_photo(image, name, leader.section, leader.search)
+        # One flight, one camera: the first trough whose targets the photo shows.
+        for finder in finders:
+            one, pose, _ = finder.placed(image, found, finder.camera_of[name])
+            if pose is not None:
+                sample, stated = Sample(image, View(finder.camera_of[name], pose)), finder.section.diameter_mm
+                size_m = None if stated is None else 1e-3 * stated
+                sizes = sizes_of(sample, one, finder.known, finder.search, size_m)
+                return look_at_tone(sample, finder.expected, sizes)
+        return None
+
+    found = find_encodings(files, evidence_of)
+    for name in [name for name in searched if found.tone_of(name) is Tone.SRGB]:
+        del searched[name]  # It was searched as it is stored.
+    return found
 
 
 def look_again(
@@ -454,11 +476,15 @@ def look_again(
     InputError: A photo cannot be read, or all cameras stand behind the mirror.
     """
     expected = finder.expected
-    tone = first.tone
-    if tone is None:
-        samples = [Sample(read_luma(files[number]), views[number]) for number in some_of(len(files))]
-        tone = tone_of(samples, expected, usual=usual_tone(files))
-    finder = replace(finder, tone=tone)
+    encodings = first.encodings
+    if encodings is None:
+        view_of = dict(zip(files, views, strict=True))
+
+        def evidence_of(file: Path) -> ToneEvidence:
+            return look_at_tone(Sample(read_luma(file), view_of[file]), expected, np.zeros((2, 0)))
+
+        encodings = find_encodings(files, evidence_of)
+    finder = replace(finder, encodings=encodings)
     if views and max(float(one.eye_m[2]) for one in views) < 0:
         raise InputError(
             "targets: with the coordinates listed all cameras stand behind the mirror (z below 0); is the list "
@@ -493,7 +519,7 @@ def look_again(
         edges_in_poses(joined(everything), before, views, expected),
         bearings_in_poses(together, before, views, expected),
         slices,
-        tone,
+        encodings,
     )
 
 

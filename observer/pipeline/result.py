@@ -129,7 +129,7 @@ class Result(InstrumentResult):
             "removed": self.slope_map.removed,
             "frame": self.slope_map.frame,
             "surface": surface_text(self.reflector),
-            "encoding": f"photos are {self.seen.tone.value}",
+            "encoding": self.seen.encodings.text(),
             "light": self.intercept.light,
             "intercept": self.intercept.assumption,
             "datum": bundle.datum,

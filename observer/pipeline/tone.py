@@ -1,16 +1,18 @@
-"""How the photos of a trough are encoded, from a few of them."""
+"""How the photos of a trough are encoded: by the odds from as many of them as it takes."""
 
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
+from heliogauge.doubts import Doubt
 from heliogauge.flags import SampleFlag
 from heliogauge.images.photos import Image
 from heliogauge.validate import FloatArray
 from observer.photo_edges.reflection_edges import edge_profiles
-from observer.photo_edges.tone import Tone, find_tone, linear_light
+from observer.photo_edges.tone import Tone, ToneEvidence, linear_light, log_odds_of_linear, tone_evidence
 from observer.photo_edges.views import Shot, View
 from observer.trough.expectation import Expectation
 from photogrammetry.centers import NamedEllipses
@@ -18,13 +20,19 @@ from photogrammetry.detection import TargetSearch, measure_at
 from photogrammetry.matching import KnownTargets
 from photogrammetry.pipeline import OnePhoto
 
-#: Photos from which the encoding is estimated, in the inner part of a pass, where the reflection is on the mirror.
+#: Photos that are looked at first, in the inner part of a pass, where the reflection is on the mirror.
 _PHOTOS = 3
 _INNER = (0.2, 0.8)
+#: Odds at which no further photo is looked at.
+_CERTAIN = math.log(100.0)
+#: Odds below which the encoding is doubtful, and from which a single photo contradicts the others.
+_CLEAR = math.log(20.0)
+#: Odds that a JPEG file is encoded for the eye: cameras write no others, programs may.
+_JPEG_ODDS = math.log(100.0)
 
 
 def some_of(count: int) -> list[int]:
-    """Return numbers of the photos from which the encoding is estimated."""
+    """Return numbers of the photos that are looked at first."""
     return sorted({round(share * (count - 1)) for share in np.linspace(*_INNER, _PHOTOS)})
 
 
@@ -47,11 +55,11 @@ class Sample:
 
 def sizes_of(
     sample: Sample, found: OnePhoto, known: KnownTargets, search: TargetSearch, diameter_m: float | None
-) -> tuple[FloatArray, FloatArray]:
+) -> FloatArray:
     """Return how large targets look over what their stated diameter lets expect, as stored and taken for sRGB.
 
     known: Listed coordinates.
-    Returns: Ratios of listed targets; empty where no diameter is stated.
+    Returns (2, n): Ratios of listed targets; none where no diameter is stated.
     """
     camera, pose = sample.view
     place = dict(zip(known.names, known.points_m, strict=True))
@@ -60,7 +68,7 @@ def sizes_of(
     fit = np.isfinite(found.ellipses_px2).all(axis=(1, 2)) & ((table.flags & np.uint32(SampleFlag.CLIPPED)) == 0)
     rows = [k for k, name in enumerate(table.names) if name in place and fit[k]]
     if diameter_m is None or not rows:
-        return np.zeros(0), np.zeros(0)
+        return np.zeros((2, 0))
     starts = NamedEllipses(tuple(table.names[k] for k in rows), table.pixels_px[rows], found.ellipses_px2[rows])
     decoded = measure_at([sample.decoded], [table.photo], [starts], search)[0][0]
     # Targets on the rims look along the optical axis; three points of each give the size at which the lens shows it.
@@ -69,35 +77,142 @@ def sizes_of(
     pixels = [camera.project(pose.apply(points)) for points in (middle, *aside)]
     area = np.abs(np.linalg.det(np.stack([pixels[1] - pixels[0], pixels[2] - pixels[0]], axis=2)))
     expected = dict(zip(starts.names, np.sqrt(area), strict=True))
-    ratios = [
-        np.array([size / expected[name] for name, size in zip(one.names, one.radius_px, strict=True)])
-        for one in (table.chosen(np.array(rows)), decoded)
+    # A target that can be measured in one of both only says nothing.
+    as_stored = dict(zip(starts.names, table.radius_px[rows], strict=True))
+    both = [
+        (as_stored[name], size, expected[name]) for name, size in zip(decoded.names, decoded.radius_px, strict=True)
     ]
-    return ratios[0], ratios[1]
+    stored, light, right = np.array(both).reshape(-1, 3).T
+    return np.asarray(np.stack([stored, light]) / right)
 
 
-def usual_tone(files: Sequence[Path]) -> Tone:
-    """Return how photos are encoded where nothing in them shows it: JPEG for the eye, as cameras write them."""
-    return Tone.SRGB if all(file.suffix.lower() in (".jpg", ".jpeg") for file in files) else Tone.LINEAR
-
-
-def tone_of(
-    samples: Sequence[Sample],
-    expected: Expectation,
-    sizes: Sequence[tuple[FloatArray, FloatArray]] = (),
-    usual: Tone = Tone.LINEAR,
-) -> Tone:
-    """Return how photos are encoded.
+def look_at_tone(sample: Sample, expected: Expectation, sizes: FloatArray) -> ToneEvidence:
+    """Return what a photo says of its encoding.
 
     expected: Collector, absorber and rows.
-    Returns: The encoding under which targets are as large as stated and edges of the reflection are even; the usual
-        one where too few are seen.
+    sizes (2, n): Of `sizes_of`.
     """
-    profiles: list[list[FloatArray]] = [[], []]
-    for one in samples:
-        for image, found in zip((one.image, one.decoded), profiles, strict=True):
-            found.append(edge_profiles(Shot(image, 0, one.view), expected))
-    ratios = None
-    if sizes:
-        ratios = (np.concatenate([one[0] for one in sizes]), np.concatenate([one[1] for one in sizes]))
-    return find_tone(np.concatenate(profiles[0]), np.concatenate(profiles[1]), ratios, usual=usual).tone
+    stored, decoded = (edge_profiles(Shot(image, 0, sample.view), expected) for image in (sample.image, sample.decoded))
+    return tone_evidence(stored, decoded, sizes)
+
+
+@dataclass(frozen=True, slots=True)
+class Encoding:
+    """How files of one kind are encoded.
+
+    kind: How their names end; empty for all.
+    tone: The likelier encoding.
+    log_odds: Logarithm of the odds for it; infinite where it was stated.
+    photos, targets, edges: Numbers of what that rests on.
+    own: Photos that contradict the others, and their encoding.
+    """
+
+    kind: str
+    tone: Tone
+    log_odds: float = math.inf
+    photos: int = 0
+    targets: int = 0
+    edges: int = 0
+    own: Mapping[str, Tone] = field(default_factory=dict)
+
+    def text(self) -> str:
+        """Return a sentence."""
+        files = f"{self.kind} files" if self.kind else "photos"
+        if math.isinf(self.log_odds):
+            return f"{files} are {self.tone.value}, as stated"
+        odds = f"{math.exp(min(self.log_odds, math.log(1e6))):.3g} : 1"
+        seen = f"{self.targets} sizes of targets and {self.edges} edges of the reflection in {self.photos} photos"
+        return f"{files} are {self.tone.value} ({odds}, from {seen if self.photos else 'the kind of file alone'})"
+
+
+@dataclass(frozen=True, slots=True)
+class Encodings:
+    """How the photos of a measurement are encoded.
+
+    kinds: Of each kind of file.
+    """
+
+    kinds: tuple[Encoding, ...]
+
+    def tone_of(self, name: str) -> Tone:
+        """Return the encoding of a photo by its name."""
+        for one in self.kinds:
+            if name.lower().endswith(one.kind):
+                return one.own.get(name, one.tone)
+        return Tone.LINEAR
+
+    def text(self) -> str:
+        """Return it in words."""
+        return "; ".join(one.text() for one in self.kinds)
+
+    @property
+    def doubts(self) -> tuple[Doubt, ...]:
+        """What is not clear of it."""
+        found = [_unclear(one) for one in self.kinds if one.log_odds < _CLEAR]
+        return (*found, *(_differing(one) for one in self.kinds if one.own))
+
+
+def _unclear(one: Encoding) -> Doubt:
+    odds = math.exp(one.log_odds)
+    return Doubt(
+        "encoding_unclear",
+        f"{one.text()}: that is not certain. With the wrong encoding the tube looks 1.4 % thicker or thinner and "
+        'slopes are twice as wrong; state [images] encoding = "linear" or "srgb", or the targets\' diameter_mm',
+        {"encoding_odds_factor": odds},
+    )
+
+
+def _differing(one: Encoding) -> Doubt:
+    names = sorted(one.own)
+    more = f" and {len(names) - 5} more" if len(names) > 5 else ""
+    return Doubt(
+        "encodings_differ",
+        f"{one.text()}, but {', '.join(names[:5])}{more} {'is' if len(names) == 1 else 'are'} not: each photo is taken "
+        "as it looks itself. Were files of several programs put together?",
+        {"photos_count": float(len(names))},
+    )
+
+
+def find_encodings(files: Sequence[Path], evidence_of: Callable[[Path], ToneEvidence | None]) -> Encodings:
+    """Find how photos are encoded, each kind of file by itself.
+
+    files: All photos, in the order in which they were taken.
+    evidence_of: Looks at a photo; None where its pose is not known.
+    Returns: Of each kind the likelier encoding; of photos that contradict the others clearly, their own.
+    """
+    kinds: dict[str, list[Path]] = {}
+    for file in files:
+        kinds.setdefault(file.suffix.lower(), []).append(file)
+    return Encodings(tuple(_encoding(kind, own, evidence_of) for kind, own in kinds.items()))
+
+
+def _encoding(kind: str, files: Sequence[Path], evidence_of: Callable[[Path], ToneEvidence | None]) -> Encoding:
+    prior = -_JPEG_ODDS if kind in (".jpg", ".jpeg") else 0.0
+    seen: dict[str, ToneEvidence] = {}
+    alone: dict[str, float] = {}
+    odds = prior
+    for count, file in enumerate(_in_turn(files), start=1):
+        one = evidence_of(file)
+        if one is not None:
+            seen[file.name], alone[file.name] = one, log_odds_of_linear([one])
+            odds = prior + log_odds_of_linear(list(seen.values()))
+        agree = min(alone.values(), default=0.0) > -_CLEAR or max(alone.values(), default=0.0) < _CLEAR
+        if count >= _PHOTOS and agree and abs(odds) > _CERTAIN:
+            break
+    tone = Tone.SRGB if odds < 0 else Tone.LINEAR
+    differing = {
+        name: Tone.LINEAR if own > 0 else Tone.SRGB
+        for name, own in alone.items()
+        if abs(own) > _CLEAR and (own > 0) is not (tone is Tone.LINEAR)
+    }
+    used = [one for one in seen.values() if one.sizes.size or one.edges]
+    targets, edges = sum(one.sizes.shape[1] for one in used), sum(one.edges for one in used)
+    return Encoding(kind, tone, abs(odds), len(used), targets, edges, differing)
+
+
+def _in_turn(files: Sequence[Path]) -> Iterator[Path]:
+    """Return photos in the order in which they are looked at: each further one far from those before."""
+    first = some_of(len(files))
+    # The golden section never comes back to a place.
+    later = sorted(set(range(len(files))).difference(first), key=lambda k: k * 0.5 * (math.sqrt(5) - 1) % 1.0)
+    return (files[k] for k in (*first, *later))
