@@ -12,6 +12,7 @@ from heliogauge.slopes.removal import Removal
 from heliogauge.slopes.statistics import statistics
 from heliogauge.validate import FloatArray
 from observer.absorber.position import AbsorberSolution
+from observer.light.panel_gains import PanelGains
 from observer.product.panel_alignment import panel_tilts
 from observer.product.panel_shapes import panel_shapes
 from observer.product.slope_map import AngleMaps
@@ -132,12 +133,17 @@ def surface_text(reflector: Reflector) -> str:
 
 
 def panel_columns(
-    slope_map: SlopeMap, angles: AngleMaps, collector: Collector, reflector: Reflector | None = None
+    slope_map: SlopeMap,
+    angles: AngleMaps,
+    collector: Collector,
+    gains: PanelGains | None = None,
+    reflector: Reflector | None = None,
 ) -> dict[str, Any]:
     """Return what ``panels.csv`` holds.
 
+    gains: What turning panels gains.
     reflector: The solution, of which the panels' heights are unknowns.
-    Returns: Columns: mean angles, focal length and, with the solution, height of each panel with their sigma.
+    Returns: Columns: mean angles, gain, focal length and, with the solution, height of each panel with their sigma.
     """
     tilts = panel_tilts(angles.theta_r_rad, slope_map, collector)
     to_tube = panel_tilts(angles.theta_ra_rad, angles.to_tube, collector)
@@ -150,11 +156,20 @@ def panel_columns(
         "sigma_mean_theta_r_rad": tilts.sigma_rad,
         "mean_theta_ra_rad": to_tube.tilt_rad,
         "sigma_mean_theta_ra_rad": to_tube.sigma_rad,
+        **({} if gains is None else _gain_columns(gains)),
         "focal_length_m": shapes.focal_length_m,
         "sigma_focal_length_m": shapes.sigma_focal_length_m,
         "rest_slope_rad": shapes.rest_rad,
         **({} if reflector is None else _height_columns(reflector, tilts.tilt_rad.size)),
         "measured_share": tilts.measured_share,
+    }
+
+
+def _gain_columns(gains: PanelGains) -> dict[str, Any]:
+    return {
+        "gain_ratio": gains.gain_ratio,
+        "sigma_gain_ratio": gains.sigma_gain_ratio,
+        "gain_is_sure": gains.sure.astype(int),
     }
 
 
@@ -164,6 +179,17 @@ def _height_columns(reflector: Reflector, n_panels: int) -> dict[str, Any]:
     height, sigma = reflector.unknowns.panel_heights_m(errors.common, errors.covariance_common)
     held = np.full(n_panels, np.nan)
     return {"height_m": height if height.size else held, "sigma_height_m": sigma if sigma.size else held}
+
+
+def turns_text(summary: Summary) -> str:
+    """Say what turning panels gains."""
+    numbers = summary.numbers
+    sure, count = int(numbers["panels_to_turn_count"] or 0), int(numbers["panels_count"] or 0)
+    if not sure:
+        return f"turning none of {count} gains anything that is sure"
+    key = "intercept_gain_panels_turned_ratio"
+    gain = number_text(float(numbers[key] or 0.0), float(numbers[f"sigma_{key}"] or 0.0), "", key)
+    return f"turning {sure} of {count} gains {gain}; `heliogauge observer align` gives the moves of their mounts"
 
 
 def headline_text(summary: Summary) -> str:
@@ -190,6 +216,7 @@ def headline_text(summary: Summary) -> str:
             f"  intercept factor {said('intercept_ratio')}; an aligned absorber gains "
             f"{said('intercept_gain_absorber_aligned_ratio')}, perfect mirrors "
             f"{said('intercept_gain_mirror_perfect_ratio')}",
+            f"  panels           {turns_text(summary)}",
             f"  measured         {said('measured_share')} of the mirror, {said('seeable_measured_share')} of what can "
             "show the tube",
             f"  design           {summary.texts['design']}",

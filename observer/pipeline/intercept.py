@@ -24,8 +24,10 @@ from observer.light.cases import (
     optics_of,
 )
 from observer.light.intercept import TroughOptics
+from observer.light.panel_gains import PanelGains, panel_gains
 from observer.light.spread import BeamSpread, beam_spread, gaussian_short_form
 from observer.light.trace import Sunlight, TracedIntercept, trace_intercept
+from observer.product.panel_alignment import PanelTilts
 from observer.trough.absorber_path import AbsorberPath
 from observer.trough.collector import Collector
 
@@ -52,6 +54,7 @@ class InterceptResult:
     incidence: As measured, at `INCIDENCES_RAD`.
     offset: The best tracking offset; None where there is none within the curve.
     shift: The best way of the absorber; None where it is longer than 50 mm.
+    panels: What turning panels gains.
     short_form: Intercept factor of Gaussians with the same RMS.
     spread: Light about the direction to the absorber, pooled over the aperture.
     traced: Intercept factor by counting rays.
@@ -68,6 +71,7 @@ class InterceptResult:
     incidence: Intercept
     offset: Best | None
     shift: Best | None
+    panels: PanelGains
     short_form: float
     spread: BeamSpread
     traced: TracedIntercept
@@ -91,10 +95,12 @@ def evaluate_intercept(
     slope_map: SlopeMap,
     absorber: AbsorberPath,
     collector: Collector,
+    tilts: PanelTilts,
     slope_covariance: SumCovariance | None = None,
 ) -> InterceptResult:
     """Compute what the measured trough collects in some light.
 
+    tilts: Mean theta_ra of each panel.
     slope_covariance: Covariance of weighted sums of slopes; by default what the map states.
     Returns: Intercept factors by three ways, with contributions, curves and prescriptions.
     EstimationError: No node of the mirror was measured.
@@ -123,6 +129,7 @@ def evaluate_intercept(
         doubts.append(Doubt("intercept_factors_contradict", text, numbers))
     offset, shift = _best(trough, own, profile, doubts)
     inside = np.full(trough.nodes.node.size, 1.0 / trough.nodes.node.size)
+    panel = collector.panel_index(*trough.nodes.points_m[:, :2].T)
     return InterceptResult(
         cases={case: intercept_at_offsets(trough, case, optics[case]) for case in Case},
         gains={case: intercept_gain(trough, optics, case) for case in Case if case is not Case.AS_MEASURED},
@@ -135,6 +142,7 @@ def evaluate_intercept(
         incidence=_over_incidence(trough, sun, scatter),
         offset=offset,
         shift=shift,
+        panels=panel_gains(trough, own, panel, tilts.tilt_rad, tilts.sigma_rad),
         short_form=_short_form(trough, optics, sun, scatter),
         spread=beam_spread(own),
         traced=traced,
@@ -200,6 +208,8 @@ def intercept_numbers(result: InterceptResult) -> tuple[Numbers, dict[str, str]]
         put(key, float(result.cases[case].ratio[0]), float(result.cases[case].sigma_ratio[0]))
     put("intercept_gain_absorber_aligned_ratio", *result.gains[Case.ABSORBER_ALIGNED])
     put("intercept_gain_mirror_perfect_ratio", *result.gains[Case.MIRROR_PERFECT])
+    put("intercept_gain_panels_turned_ratio", result.panels.together_ratio, result.panels.sigma_together_ratio)
+    numbers["panels_count"], numbers["panels_to_turn_count"] = result.panels.sure.size, int(result.panels.sure.sum())
     put("intercept_traced_ratio", result.traced.ratio, result.traced.sampling_sigma)
     numbers["intercept_pooled_ratio"] = result.spread.ratio
     numbers["intercept_short_form_ratio"] = result.short_form

@@ -22,6 +22,7 @@ from observer.pipeline.photos import FirstLook, SeenInPhotos, look_again, look_f
 from observer.pipeline.result import Result
 from observer.pipeline.stated_camera import blamed
 from observer.pipeline.target_list import check_list
+from observer.product.panel_alignment import panel_tilts
 from observer.product.pictures import Overlay, draw_overlay
 from observer.selection.edge_refusal import EdgeFate
 from observer.trough.absorber_path import AbsorberPath
@@ -88,7 +89,10 @@ def evaluate(inputs: Inputs, first: FirstLook, options: Options, progress: Progr
         mirror = solve_mirror(inputs, seen, cameras.photos, placed)
     with progress.stage("intercept factor"):
         slopes_known = mirror.reflector.sum_covariance()
-        intercept = evaluate_intercept(inputs.light, mirror.slope_map, mirror.absorber, inputs.collector, slopes_known)
+        tilts = panel_tilts(mirror.angles.theta_ra_rad, mirror.angles.to_tube, inputs.collector)
+        intercept = evaluate_intercept(
+            inputs.light, mirror.slope_map, mirror.absorber, inputs.collector, tilts, slopes_known
+        )
     with progress.stage("picture"):
         refined = refine_poses(cameras.photos, mirror.reflector)
         picture = _draw_clearest(inputs, cameras, refined.poses, seen, mirror)

@@ -150,7 +150,7 @@ class Result(InstrumentResult):
         network.mkdir()
         self.network.write(network)
         write_intercept(self.intercept, folder)
-        panels = panel_columns(self.slope_map, self.angles, self.collector, self.reflector)
+        panels = panel_columns(self.slope_map, self.angles, self.collector, self.intercept.panels, self.reflector)
         write_table_csv(folder / "panels.csv", panels)
         tube, solution, collector = self.absorber, self.absorber_solution, self.collector
         write_table_csv(folder / "absorber.csv", absorber_columns(tube, solution, collector))

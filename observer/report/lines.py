@@ -161,7 +161,13 @@ def panels(results: TroughResults) -> Html:
         return Html("")
     # Short headings, and nothing where all cells are empty: the table must not be wider than the page.
     shown = {name.replace("mean_", "").replace("centre_", ""): cells for name, cells in columns.items() if any(cells)}
-    return join(Html("<h2>Panels</h2><p>Means of the angles; the middle of each panel.</p>"), listed(shown, "panels"))
+    text = (
+        "Means of the angles; the middle of each panel. A positive angle is taken back by turning the panel to -x. "
+        "<em>gain</em>: what the intercept factor gains by turning this panel until its mean theta_ra is zero, the sun "
+        "on the optical axis; it is sure where angle and gain are beyond three sigma. "
+        "<code>heliogauge observer align</code> gives the moves of the mounts."
+    )
+    return join(Html(f"<h2>Panels</h2><p>{text}</p>"), listed(shown, "panels"))
 
 
 def listed(columns: Columns | None, name: str = "numbers") -> Html:

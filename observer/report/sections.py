@@ -56,6 +56,10 @@ LABELS: dict[str, str] = {
 }
 
 
+#: Panels that the first screen names.
+_MOST_PANELS = 3
+
+
 class HasTables(Protocol):
     """Results with tables."""
 
@@ -68,9 +72,8 @@ def head(results: TroughResults) -> FirstScreen:
     """Return the first screen: verdict, headline numbers, the mirror."""
     summary, slope_map = results.base.summary, results.base.slope_map
     line = f"trough, observer; design: {slope_map.design}; heliogauge {summary.version}"
-    return page.first_screen(
-        summary.name, line, _verdict(results), headline_rows(summary, LABELS), mirror_view(results)
-    )
+    rows = [*headline_rows(summary, LABELS), *panels_to_turn(results)]
+    return page.first_screen(summary.name, line, _verdict(results), rows, mirror_view(results))
 
 
 def _verdict(results: TroughResults) -> Verdict:
@@ -84,6 +87,26 @@ def _verdict(results: TroughResults) -> Verdict:
         residual = float(counts["image_residual_rms_px"] or 0.0)
         passed.append(f"{len(results.photos)} photos adjusted, targets within {residual:.2g} px RMS")
     return verdict_of(summary, (*holes(results.base.slope_map), *stations_missing(results)), passed)
+
+
+def panels_to_turn(results: TroughResults) -> list[tuple[str, ...]]:
+    """Say which panels gain by a turn, and how much, as `page.headline_numbers` takes it."""
+    columns = results.table("panels.csv")
+    if columns is None or "gain_is_sure" not in columns:
+        return []
+    worth = numbers(columns, "gain_is_sure") == 1
+    if not worth.any():
+        return [("Panels that surely gain by a turn", f"none of {worth.size}")]
+    gain = numbers(columns, "gain_ratio")
+    best = np.flatnonzero(worth)[np.argsort(-gain[worth])]
+    turns, sigmas = -numbers(columns, "mean_theta_ra_rad"), numbers(columns, "sigma_mean_theta_ra_rad")
+    named = ", ".join(
+        f"{columns['panel'][one]} by {number_text(turns[one], sigmas[one], 'rad', 'turn_rad')}"
+        for one in best[:_MOST_PANELS]
+    )
+    more = f" and {best.size - _MOST_PANELS} more" if best.size > _MOST_PANELS else ""
+    gained = _text(results.base.summary, "intercept_gain_panels_turned_ratio")
+    return [(f"Gain by turning {best.size} of {worth.size} panels", gained, f"panel {named}{more}; see Panels below")]
 
 
 def stations_missing(results: HasTables) -> tuple[str, ...]:

@@ -23,8 +23,12 @@ from observer.pipeline.intercept import (
     intercept_numbers,
     write_intercept,
 )
+from observer.product.panel_alignment import PanelTilts
 from observer.trough.absorber_path import AbsorberPath
 from tests.observer.drawn_trough import SOLTRACE, gaussian_errors, slope_map
+
+#: One panel, turned by 3 mrad.
+TILTED = PanelTilts(np.zeros(1), np.zeros(1), np.array([3e-3]), np.array([1e-4]), np.ones(1))
 
 
 def model(**sections: object) -> ObserverModel:
@@ -55,7 +59,7 @@ def result(folder: Path) -> InterceptResult:
     slopes[:6] = np.nan
     given = model()
     light = Sunlight(build_sun(given.sun, None, folder), 1e-3, 2e-3)
-    return evaluate_intercept(light, replace(mirror, slope_x=slopes), absorber(), SOLTRACE)
+    return evaluate_intercept(light, replace(mirror, slope_x=slopes), absorber(), SOLTRACE, TILTED)
 
 
 def columns(path: Path) -> dict[str, np.ndarray]:
@@ -148,7 +152,7 @@ def test_curves_are_written_as_tables(tmp_path: Path) -> None:
 
 def test_an_absorber_away_from_the_light_is_said() -> None:
     mirror = slope_map(gaussian_errors(1e-3, (20, 40)))
-    found = evaluate_intercept(Sunlight(GaussianSun(2.73e-3)), mirror, absorber(0.09, 1.71), SOLTRACE)
+    found = evaluate_intercept(Sunlight(GaussianSun(2.73e-3)), mirror, absorber(0.09, 1.71), SOLTRACE, TILTED)
     numbers, why = intercept_numbers(found)
     assert found.doubts != ()
     assert numbers["best_tracking_offset_rad"] is None
