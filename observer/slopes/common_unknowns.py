@@ -256,7 +256,10 @@ def _outward(edges: ReflectionEdges, sights: Sights, found: Misfit, focal_m: flo
 
 
 def _place(found: Misfit, path: AbsorberPath) -> tuple[IntArray, FloatArray]:
-    """Return the coordinates of the tube's stations that move each line, and by how much, shapes (m, 4)."""
+    """Return the coordinates of the tube's stations that move each line, and by how much, shapes (m, 4).
+
+    By how much the tube leans between them is held: of a change along the tube within metres that is a hundredth.
+    """
     before, share = path.shares(np.nan_to_num(found.passing_y_m))
     after = np.minimum(before + 1, path.n - 1)
     weights = np.column_stack([1 - share, share])

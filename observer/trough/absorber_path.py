@@ -63,6 +63,21 @@ class AbsorberPath(ShortRepr):
         place = np.asarray(y_m, dtype=np.float64)
         return np.interp(place, self.y_m, self.x_m), np.interp(place, self.y_m, self.z_m)
 
+    def slopes_at(self, y_m: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
+        """Return by how much the axis leans at any place along the trough, dx/dy and dz/dy; beyond the ends not at all.
+
+        Shapes: y_m (...), slope_x, slope_z (...).
+
+        Differences of neighbouring stations, interpolated between: a tube has no kinks at its stations.
+        """
+        place = np.asarray(y_m, dtype=np.float64)
+        if self.n == 1:
+            return np.zeros(place.shape), np.zeros(place.shape)
+        inside = (place >= self.y_m[0]) & (place <= self.y_m[-1])
+        leans = (np.interp(place, self.y_m, np.gradient(values, self.y_m)) for values in (self.x_m, self.z_m))
+        slope_x, slope_z = (np.where(inside, lean, 0.0) for lean in leans)
+        return slope_x, slope_z
+
     def shares(self, y_m: npt.ArrayLike) -> tuple[IntArray, FloatArray]:
         """Return which station lies before each place and the share of the one after it.
 

@@ -9,6 +9,12 @@ radius a, whose axis it passes at A = (X_a, Z_a), where::
 
 with side +1 for the edge that is seen at the larger camera angle. For s_y = 0 this is Phi = 2 theta_ra + side * w of
 Owkes (2012), eqs 5.4 and 5.10, with theta_a = (beta_0 - beta) / 2 (its eq. 5.7 with the sign repaired).
+
+A tube that sags or is bent leans where the ray passes, by (X_a', Z_a') = d(X_a, Z_a)/dy. A ray that runs along the
+trough as well then touches its two sides at different places along it: 0.1 mm of width at 10 degrees and 8 mrad. Seen
+in coordinates that lean with the tube, ``x - X_a' y`` and ``z - Z_a' y``, it is straight along y and as round, to the
+square of the lean: all above holds with r_x - X_a' r_y for r_x, r_z - Z_a' r_y for r_z, and A where the leaning axis
+comes through the plane of P across the trough.
 """
 
 from dataclasses import dataclass
@@ -62,7 +68,7 @@ def misfit(sights: Sights, slopes: tuple[FloatArray, FloatArray], absorber: Abso
     slopes (m,): dz/dx and dz/dy of the mirror at the points.
     Returns: Angles and derivatives; NaN where the ray does not reach the tube's height or starts inside the tube.
     """
-    ray = _Ray(sights, slopes)
+    ray = _Ray(sights, slopes, absorber)
     angle, half, passing, to_x, to_z = _beside_tube(sights, ray, absorber, radius_m)
     by_x, by_y = ray.turns_with_slopes()
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -94,43 +100,52 @@ def misfit_with_slopes(
     slopes (m,): dz/dx and dz/dy of the mirror at the points.
     radius_m: The tube's radius [m].
     """
-    ray = _Ray(sights, slopes)
+    ray = _Ray(sights, slopes, absorber)
     beside = _beside_tube(sights, ray, absorber, radius_m)
     return SlopeMisfit(beside.angle_rad + sights.side * beside.half_rad, *ray.turns_with_slopes())
 
 
 class _Ray:
-    """Reflected lines of sight r = 2 (n.v) n / n.n - v, one array for each component; v need not be of unit length."""
+    """Reflected lines of sight r = 2 (n.v) n / n.n - v, one array for each component; v need not be of unit length.
 
-    def __init__(self, sights: Sights, slopes: tuple[FloatArray, FloatArray]) -> None:
+    ``x`` and ``z`` lean with the tube where it is passed, by ``lean_x`` and ``lean_z``; ``level`` is what the normal
+    leans with it, as z and x see it.
+    """
+
+    def __init__(self, sights: Sights, slopes: tuple[FloatArray, FloatArray], absorber: AbsorberPath) -> None:
         self.slope_x, self.slope_y = slopes
         away_x, away_y, away_z = (sights.eyes_m - sights.points_m).T
         self.square = 1.0 + self.slope_x**2 + self.slope_y**2
         self.twice = 2 * (away_z - self.slope_x * away_x - self.slope_y * away_y) / self.square
-        self.x = -self.twice * self.slope_x - away_x
+        self.upright_x = -self.twice * self.slope_x - away_x
         self.y = -self.twice * self.slope_y - away_y
-        self.z = self.twice - away_z
+        upright_z = self.twice - away_z
+        self.passing_y_m = _passing_y(sights.points_m, self.y, upright_z, absorber)
+        self.lean_x, self.lean_z = absorber.slopes_at(self.passing_y_m)
+        self.x, self.z = self.upright_x - self.lean_x * self.y, upright_z - self.lean_z * self.y
         self.across = self.x**2 + self.z**2
+        self.level = self.z * (self.slope_x - self.lean_x * self.slope_y) + self.x * (1 + self.lean_z * self.slope_y)
 
     def turns_with_slopes(self) -> tuple[FloatArray, FloatArray]:
         """Return by how much psi changes with both slopes, shape (m,) each.
 
         With h = (n.v) / n.n a slope changes it by ``r_i / n.n``, and r by ``2 n`` times that and by -2 h along i.
         """
-        level = self.z * self.slope_x + self.x
-        by_x = -(self.twice * self.z + 2 * self.x * level / self.square) / self.across
-        return by_x, -2 * self.y * level / (self.square * self.across)
+        part = 2 * self.level / self.square
+        by_x = -(self.twice * self.z + self.upright_x * part) / self.across
+        return by_x, -(self.y * part - self.twice * self._leaning()) / self.across
 
     def turns_with_eye(self) -> FloatArray:
         """Return by how much psi changes with the camera's place, shape (m, 3) [rad/m].
 
         r is linear in v: v along i changes it by ``2 n_i n / n.n`` less v itself.
         """
-        level = self.z * self.slope_x + self.x
-        part = 2 / (self.square * self.across)
-        by_x = part * self.slope_x * level - self.z / self.across
-        by_z = self.x / self.across - part * level
-        return np.stack([by_x, part * self.slope_y * level, by_z], axis=1)
+        part = 2 * self.level / self.square
+        along = np.stack([part * self.slope_x - self.z, part * self.slope_y + self._leaning(), self.x - part], axis=1)
+        return np.asarray(along / self.across[:, None])
+
+    def _leaning(self) -> FloatArray:
+        return np.asarray(self.lean_x * self.z - self.lean_z * self.x)
 
 
 class BesideTube(NamedTuple):
@@ -139,7 +154,7 @@ class BesideTube(NamedTuple):
     angle_rad: Angle beside the axis: the mean of the misfits of both edges [rad].
     half_rad: Half the tube's width: `misfit` is their sum for side +1, their difference for side -1 [rad].
     passing_y_m: Where along the trough [m].
-    to_x_m, to_z_m: Way from the mirror point to the axis there [m].
+    to_x_m, to_z_m: Way across the trough from the mirror point to the axis that leans as there [m].
     """
 
     angle_rad: FloatArray
@@ -152,9 +167,10 @@ class BesideTube(NamedTuple):
 def _beside_tube(sights: Sights, ray: _Ray, absorber: AbsorberPath, radius_m: float) -> BesideTube:
     points = sights.points_m
     with np.errstate(divide="ignore", invalid="ignore"):
-        passing = _passing_y(points, ray.y, ray.z, absorber)
+        passing = ray.passing_y_m
         axis_x, axis_z = absorber.at(passing)
-        to_x, to_z = axis_x - points[:, 0], axis_z - points[:, 2]
+        back = points[:, 1] - passing
+        to_x, to_z = axis_x + ray.lean_x * back - points[:, 0], axis_z + ray.lean_z * back - points[:, 2]
         sine = radius_m / np.sqrt(to_x**2 + to_z**2)
         half = np.arcsin(np.where(sine < 1, sine, np.nan))
         angle = np.arctan2(ray.x, ray.z) - np.arctan2(to_x, to_z)
@@ -167,12 +183,13 @@ def beside_axis(sights: Sights, slope_x: FloatArray, absorber: AbsorberPath, rad
     sights: Mirror points and cameras; sides do not matter.
     slope_x (m,): dz/dx of the mirror at the points; its slope along the trough counts as none.
     """
-    return _beside_tube(sights, _Ray(sights, (slope_x, np.zeros_like(slope_x))), absorber, radius_m)
+    return _beside_tube(sights, _Ray(sights, (slope_x, np.zeros_like(slope_x)), absorber), absorber, radius_m)
 
 
 def _passing_y(points_m: FloatArray, ray_y: FloatArray, ray_z: FloatArray, absorber: AbsorberPath) -> FloatArray:
     """Return where along the trough the reflected rays come to the absorber's height."""
-    along = ray_y / np.where(ray_z > 1e-6, ray_z, np.nan)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        along = ray_y / np.where(ray_z > 1e-6, ray_z, np.nan)
     passing = points_m[:, 1] + (float(np.mean(absorber.z_m)) - points_m[:, 2]) * along
     height = np.interp(passing, absorber.y_m, absorber.z_m)
     return np.asarray(points_m[:, 1] + (height - points_m[:, 2]) * along)

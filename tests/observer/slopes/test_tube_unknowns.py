@@ -68,10 +68,12 @@ def test_derivatives_with_respect_to_place_and_radius() -> None:
     where = expected(PRIOR_M**2 * np.eye(34))
     unknowns, before = unknowns_of(edges, sights, where)
     common = np.zeros(len(unknowns.covariance))
-    common[unknowns.place] = 1e-5 * rng.standard_normal(34)
+    # Along the trough the tube is moved slowly: by how much it leans is held in the derivatives.
+    common[unknowns.place] = 1e-5 * np.sin(2 * np.pi / 8.0 * np.tile(STATIONS_M, 2) + np.repeat([0.3, 1.7], 17))
     path = unknowns.moved(where.absorber, common, unknowns.covariance)
     moved = design_misfit(sights.points_m, sights.eyes_m, sights.side, LS2, path)
-    np.testing.assert_allclose(moved.angle_rad - before.angle_rad, effect(unknowns, common), atol=2e-9)
+    changed = moved.angle_rad - before.angle_rad
+    np.testing.assert_allclose(changed, effect(unknowns, common), atol=0.01 * np.abs(changed).max())
     common[:] = 0.0
     common[unknowns.radius] = 1e-5 / unknowns.units[0]
     wider = replace(LS2, absorber_diameter_m=LS2.absorber_diameter_m + 2e-5)

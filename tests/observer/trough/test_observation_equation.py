@@ -64,9 +64,15 @@ def test_displaced_absorber_looks_like_half_the_change_of_its_direction() -> Non
     np.testing.assert_allclose(angles[0] + angles[1], 0.0, atol=1e-12)
 
 
-def test_derivatives_are_those_of_differences() -> None:
+def leaning_tube(x_m: float, z_m: float, lean: float) -> AbsorberPath:
+    ends = np.array([-9.0, 9.0])
+    return AbsorberPath(ends, x_m + lean * ends, z_m - 0.5 * lean * ends, np.zeros((4, 4)))
+
+
+@pytest.mark.parametrize("lean", [0.0, 8e-3])
+def test_derivatives_are_those_of_differences(lean: float) -> None:
     sights, slope_x, slope_y = random_sights()
-    absorber, h = AbsorberPath.straight(0.003, 1.485, 9.0), 1e-6
+    absorber, h = leaning_tube(0.003, 1.485, lean), 1e-6
     found = misfit(sights, (slope_x, slope_y), absorber, RADIUS_M)
 
     def change(plus: np.ndarray, minus: np.ndarray) -> np.ndarray:
@@ -89,7 +95,7 @@ def test_derivatives_are_those_of_differences() -> None:
         np.testing.assert_allclose(found.d_angle_d_eye[:, axis], change(at(sights=plus), at(sights=minus)), **near)
     for axis in range(2):
         step = h * np.eye(2)[axis]
-        plus, minus = (AbsorberPath.straight(0.003 + sign * step[0], 1.485 + sign * step[1], 9.0) for sign in (1, -1))
+        plus, minus = (leaning_tube(0.003 + sign * step[0], 1.485 + sign * step[1], lean) for sign in (1, -1))
         np.testing.assert_allclose(
             found.d_angle_d_absorber[:, axis], change(at(absorber=plus), at(absorber=minus)), **near
         )
