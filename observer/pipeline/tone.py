@@ -65,9 +65,13 @@ def sizes_of(
     place = dict(zip(known.names, known.points_m, strict=True))
     table = found.detections
     # White that is overexposed grows into the black, as in numbers encoded for the eye.
-    fit = np.isfinite(found.ellipses_px2).all(axis=(1, 2)) & ((table.flags & np.uint32(SampleFlag.CLIPPED)) == 0)
-    rows = [k for k, name in enumerate(table.names) if name in place and fit[k]]
-    if diameter_m is None or not rows:
+    round_ones = np.isfinite(found.ellipses_px2).all(axis=(1, 2)) & np.array(
+        [name in place for name in table.names], bool
+    )
+    clipped = (table.flags & np.uint32(SampleFlag.CLIPPED)) != 0
+    rows = np.flatnonzero(round_ones & ~clipped)
+    # Where most are overexposed the others nearly are.
+    if diameter_m is None or 2 * rows.size <= np.count_nonzero(round_ones):
         return np.zeros((2, 0))
     starts = NamedEllipses(tuple(table.names[k] for k in rows), table.pixels_px[rows], found.ellipses_px2[rows])
     decoded = measure_at([sample.decoded], [table.photo], [starts], search)[0][0]

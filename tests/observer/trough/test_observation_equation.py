@@ -142,3 +142,23 @@ def test_width_of_the_reflection_hardly_changes_for_a_displaced_absorber() -> No
 
     widths = [2 * 14.0 * half(dx, 1.49 + dz) for dx, dz in ((0, 0), (0.035, 0), (-0.035, 0), (0, 0.035), (0, -0.035))]
     assert max(np.abs(one - widths[0]).max() for one in widths[1:]) == pytest.approx(0.0155, abs=0.002)
+
+
+def test_width_of_the_reflection_hardly_tells_where_the_absorber_is() -> None:
+    """Owkes 2012, sec. 5.3: an LS-2's absorber moved by 35 mm changes the width by at most 15 mm (from some 13 m)."""
+    trough, height_m = ls2(), 13.0
+    x = np.linspace(-2.4, 2.4, 25)
+    slope = x / (2 * trough.focal_length_m)
+    points = np.stack([x, np.zeros(x.size), 0.5 * x * slope], axis=1)
+    sights = Sights(points, np.tile([0.0, 0.0, height_m], (x.size, 1)), np.zeros(x.size))
+
+    def width_rad(moved_x_m: float, moved_z_m: float) -> np.ndarray:
+        path = AbsorberPath.straight(moved_x_m, trough.focal_length_m + moved_z_m, trough.length_m / 2)
+        return 2 * beside_axis(sights, slope, path, trough.absorber_diameter_m / 2).half_rad
+
+    usual = width_rad(0, 0)
+    np.testing.assert_allclose(usual, 2 * np.arcsin(0.035 / np.hypot(x, 1.49 - points[:, 2])), rtol=1e-12)
+    turns = np.radians(np.arange(0, 360, 15))
+    most = max(np.abs(width_rad(0.035 * np.cos(turn), 0.035 * np.sin(turn)) - usual).max() for turn in turns)
+    assert 1.1e-3 < most < 1.15e-3
+    assert most * height_m < 0.015
