@@ -154,14 +154,14 @@ def plan_command(
 
 @app.command("compare")
 def compare_command(
-    results: Annotated[list[Path], typer.Argument(metavar="RESULT", help="Results at different orientations.")],
+    results: Annotated[list[Path], typer.Argument(metavar="RESULT", help="Results at other orientations or dates.")],
     out: OutFolder,
     force: Force = False,
     no_report: NoReport = False,
     quiet: Quiet = False,
     verbose: Verbose = False,
 ) -> None:
-    """Gravity study: one trough at several orientations; orientations.csv, sag_by_weight.csv, report.html."""
+    """Compare results of one trough: which panels turned, what changed; at several orientations what weight does."""
     from heliogauge.running.terminal import terminal_progress
     from observer.studies.compare import run
 

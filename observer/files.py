@@ -33,6 +33,7 @@ NETWORK_FOLDER = "network"
 OVERVIEW_TABLE, OVERVIEW_MAPS = "overview.csv", "overview.nc"
 ALIGNMENT_OVERLAY, ALIGNMENT_MOVES = "overlay.svg", "mounts.svg"
 ORIENTATION_PROFILES, ORIENTATION_SAGS, ORIENTATION_CHANGES = "profiles.csv", "sags.csv", "theta_r_change.nc"
+CHANGED_NUMBERS, CHANGED_PANELS = "changed_numbers.csv", "changed_panels.csv"
 
 #: Columns of a table that says where the absorber is.
 ABSORBER_COLUMNS = ("y_m", "x_a_m", "z_a_m", "sigma_x_a_m", "sigma_z_a_m")

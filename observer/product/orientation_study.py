@@ -51,7 +51,7 @@ class WeightSag:
 
 
 #: Orientations that differ by less say nothing of what weight does [rad].
-_LEAST_TURN_RAD = np.radians(10.0)
+LEAST_TURN_RAD = np.radians(10.0)
 
 
 def sag_by_weight(sags: SpanSags) -> WeightSag:
@@ -65,7 +65,7 @@ def sag_by_weight(sags: SpanSags) -> WeightSag:
     ``sag = g (sin t, -cos t) + bend``: weighted least squares for g and the two components of the bend.
     """
     turn = sags.orientation_rad
-    if turn.size < 2 or np.ptp(turn) < _LEAST_TURN_RAD:
+    if turn.size < 2 or np.ptp(turn) < LEAST_TURN_RAD:
         raise EstimationError(
             f"orientation study: {turn.size} orientations within {np.degrees(np.ptp(turn) if turn.size else 0):.0f} "
             "degrees; two at least 10 degrees apart are needed to separate weight from bend"

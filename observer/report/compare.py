@@ -1,4 +1,4 @@
-"""Sections of the report of a gravity study; each is one cell of its notebook."""
+"""Sections of the report on results of one trough at several orientations or dates; each is a cell of its notebook."""
 
 from dataclasses import dataclass, replace
 from itertools import groupby
@@ -12,11 +12,19 @@ from heliogauge.reporting.look import robust_limit
 from heliogauge.reporting.notation import number_text
 from heliogauge.reporting.verdict import verdict_of
 from heliogauge.results.arrays import read_arrays
-from heliogauge.results.folder import Summary, read_summary, read_table_csv
+from heliogauge.results.folder import Summary, read_summary, read_table_csv, unit_of
 from heliogauge.view.maps import MapLayer, MapView
 from heliogauge.view.tables import TableColumn, TableView
-from observer.files import COLLECTOR, ORIENTATION_CHANGES, ORIENTATION_PROFILES, ORIENTATION_SAGS, read_collector
-from observer.product.orientation_study import SpanSags
+from observer.files import (
+    CHANGED_NUMBERS,
+    CHANGED_PANELS,
+    COLLECTOR,
+    ORIENTATION_CHANGES,
+    ORIENTATION_PROFILES,
+    ORIENTATION_SAGS,
+    read_collector,
+)
+from observer.product.orientation_study import LEAST_TURN_RAD, SpanSags
 from observer.report.figures_modules import CHANGES_TITLE, OneMap, maps_sheet
 from observer.report.maps import panel_lines
 from observer.report.orientations import Profile, orientation_views, profile_view
@@ -29,7 +37,7 @@ _CHANGES = ("theta_r_change", "sigma_theta_r_change")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StudyResults:
-    """What a folder with a gravity study holds."""
+    """What a folder with compared results holds."""
 
     summary: Summary
     collector: Collector
@@ -38,10 +46,17 @@ class StudyResults:
     changes: list[OneMap]
     orientations: Columns
     by_weight: Columns
+    changed_numbers: Columns
+    changed_panels: Columns
+
+    @property
+    def is_turned(self) -> bool:
+        """Whether orientations differ enough to say something of weight."""
+        return bool(np.ptp([one.orientation_rad for one in self.profiles]) >= LEAST_TURN_RAD)
 
 
 def open_study(folder: str | Path = ".") -> StudyResults:
-    """Read a folder with a gravity study.
+    """Read a folder with compared results.
 
     folder: The folder; the working directory without it.
     """
@@ -68,6 +83,8 @@ def open_study(folder: str | Path = ".") -> StudyResults:
         changes,
         read_table_csv(folder / "orientations.csv"),
         read_table_csv(folder / "sag_by_weight.csv"),
+        read_table_csv(folder / CHANGED_NUMBERS, ("of", "key", "before", "after", "change", "sigma_change")),
+        read_table_csv(folder / CHANGED_PANELS, ("of", "panel", "is_sure")),
     )
 
 
@@ -81,7 +98,7 @@ def _parts(columns: Columns) -> list[tuple[str, Columns]]:
 
 
 def head(results: StudyResults) -> FirstScreen:
-    """Return the first screen: verdict, what weight does, how the mirror changes."""
+    """Return the first screen: verdict, what changed, what weight does."""
     summary, table_ = results.summary, results.orientations
     rows: list[tuple[str, ...]] = [(f"Sag by weight, {ends}", text) for ends, text, *_ in _weights(results)]
     for k, name in enumerate(table_["result"]):
@@ -89,8 +106,16 @@ def head(results: StudyResults) -> FirstScreen:
         if k and values[0] is not None:
             noise = "" if values[1] is None else f"noise alone would give {number_text(values[1], None, 'rad')}"
             rows.append((f"theta_r changed, RMS: {name}", number_text(values[0], None, "rad"), noise))
-    missing = [] if results.by_weight["from_y_m"] else ["no span was measured at two orientations"]
-    line = f"one trough at {len(results.profiles)} orientations; heliogauge {summary.version}"
+    rows += [(f"Panels that turned: {name}", *said) for name, said in _turned(results)]
+    rows += [
+        (f"{_title(key)} changed: {name}", text)
+        for name, key, _, _, text in _changed(results)
+        if key == "intercept_ratio"
+    ]
+    is_missing = results.is_turned and not results.by_weight["from_y_m"]
+    missing = ["no span was measured at two orientations"] if is_missing else []
+    words = f"at {len(results.profiles)} orientations" if results.is_turned else f"in {len(results.profiles)} results"
+    line = f"one trough {words}; heliogauge {summary.version}"
     view = change_view(results) or profile_view(results.profiles, "z")
     return page.first_screen(summary.name, line, verdict_of(summary, missing), rows, view)
 
@@ -125,6 +150,59 @@ def change_view(results: StudyResults) -> MapView | None:
         lines=panel_lines(results.collector),
         stills=[maps_sheet(results.changes, CHANGES_TITLE).html(CHANGES_TITLE)],
     )
+
+
+def changes(results: StudyResults) -> Html:
+    """Return what changed from the first result to each other one: numbers and panels."""
+    note = (
+        "Other result minus the first. The two measurements are taken to err apart: where they share targets or a "
+        "camera calibration, true sigmas are smaller. A panel's change is that of the mean over what both measured. It "
+        "has surely turned where chance makes the largest of all these changes so large once in a hundred times."
+    )
+    rows = [(name, _title(key), *texts) for name, key, *texts in _changed(results)]
+    shown = table(("result", "", "first", "then", "change \u00b1 1 sigma"), rows, numbers=(2, 3, 4))
+    return join(shown, Html(f'<p class="caption">{note}</p>'), *_panel_tables(results))
+
+
+def _changed(results: StudyResults) -> list[tuple[str, str, str, str, str]]:
+    """Return of each changed number: result, key, first and other value, change."""
+    columns, found = results.changed_numbers, []
+    for k, (name, key) in enumerate(zip(columns["of"], columns["key"], strict=True)):
+        unit = unit_of(key)[1]
+        before, after, change, sigma = (float(columns[one][k]) for one in ("before", "after", "change", "sigma_change"))
+        first, then = (number_text(value, None, unit, key) for value in (before, after))
+        found.append((name, key, first, then, number_text(change, sigma, unit, key)))
+    return found
+
+
+def _title(key: str) -> str:
+    return unit_of(key)[0].removesuffix("_ratio").replace("_", " ")
+
+
+def _turned(results: StudyResults) -> list[tuple[str, tuple[str, str]]]:
+    """Say of each other result how many panels turned, and which."""
+    found = []
+    for name, part in _parts(results.changed_panels):
+        sure = [panel for panel, one in zip(part["panel"], part["is_sure"], strict=True) if one == "1"]
+        numbers_ = ", ".join(sure)
+        found.append((name, (f"{len(sure)} of {len(part['panel'])}", f"panel {numbers_}" if sure else "")))
+    return found
+
+
+def _panel_tables(results: StudyResults) -> list[TableView]:
+    tables = []
+    for name, part in _parts(results.changed_panels):
+        shown = [TableColumn("panel", part["panel"], numbers(part, "panel").tolist())]
+        for key, title in (("theta_r_change_rad", "theta_r changed"), ("theta_ra_change_rad", "theta_ra changed")):
+            values, sigmas = numbers(part, key), numbers(part, f"sigma_{key}")
+            texts = [
+                number_text(value, sigma, "rad") if np.isfinite(value) else "-"
+                for value, sigma in zip(values.tolist(), sigmas.tolist(), strict=True)
+            ]
+            shown.append(TableColumn(title, texts, values.tolist()))
+        shown.append(TableColumn("surely turned", ["yes" if one == "1" else "" for one in part["is_sure"]]))
+        tables.append(TableView(f"panels: {name}", tuple(shown)))
+    return tables
 
 
 def weight(results: StudyResults) -> Html:

@@ -1,7 +1,7 @@
-"""Results of one trough at several orientations to a table and a figure: what its weight does (gravity study)."""
+"""Results of one trough at several orientations or dates: what its weight does to it, and what has changed."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -9,8 +9,9 @@ import numpy as np
 
 from heliogauge.doubts import Doubt
 from heliogauge.errors import EstimationError, InputError
-from heliogauge.results.arrays import LabelledArray, write_arrays
-from heliogauge.results.folder import Summary, hash_files, read_summary, write_table_csv
+from heliogauge.reporting.notation import number_text
+from heliogauge.results.arrays import LabelledArray, read_arrays, write_arrays
+from heliogauge.results.folder import Summary, hash_files, read_summary, unit_of, write_table_csv
 from heliogauge.results.frame import InstrumentResult
 from heliogauge.results.slope_map_file import read_slope_map
 from heliogauge.results.tables import read_table_csv
@@ -18,6 +19,9 @@ from heliogauge.slopes.grid import resample
 from heliogauge.slopes.map import SlopeMap
 from heliogauge.validate import FloatArray
 from observer.files import (
+    ANGLES,
+    CHANGED_NUMBERS,
+    CHANGED_PANELS,
     COLLECTOR,
     ORIENTATION_CHANGES,
     ORIENTATION_PROFILES,
@@ -25,7 +29,9 @@ from observer.files import (
     read_collector,
     write_collector,
 )
+from observer.product.changes import NumberChange, PanelChanges, PanelState, number_changes, panel_changes
 from observer.product.orientation_study import (
+    LEAST_TURN_RAD,
     SpanSags,
     WeightSag,
     change_sigma,
@@ -54,6 +60,7 @@ class OneOrientation:
     profile: The absorber along the trough.
     spans: Columns of ``absorber_spans.csv``.
     slope_map: The mirror; None where only the absorber was measured.
+    panels: Angles of its panels; None likewise.
     """
 
     folder: Path
@@ -62,21 +69,31 @@ class OneOrientation:
     profile: Profile
     spans: dict[str, FloatArray]
     slope_map: SlopeMap | None
+    panels: PanelState | None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Comparison(InstrumentResult):
-    """A gravity study, ready to be written.
+    """Results compared, ready to be written.
 
     orientations: In the order given; the first is what the others are compared with.
     sags: For each span; None where fewer than two orientations show it.
     maps: All mirrors on the first one's grid.
+    changed: Of each other result, how its numbers differ from the first one's.
+    turned: Of each other result, how its panels turned; None where one of both has none.
     """
 
     kind: ClassVar[str] = KIND
     orientations: tuple[OneOrientation, ...]
     sags: tuple[WeightSag | None, ...]
     maps: tuple[SlopeMap | None, ...]
+    changed: tuple[tuple[NumberChange, ...], ...]
+    turned: tuple[PanelChanges | None, ...]
+
+    @property
+    def others(self) -> tuple[str, ...]:
+        """What the results are called that are held against the first."""
+        return tuple(one.profile.label for one in self.orientations[1:])
 
     def summarise(self) -> Summary:
         """Collect the headline numbers with their sigmas, doubts and provenance."""
@@ -85,6 +102,9 @@ class Comparison(InstrumentResult):
             if sag is not None:
                 numbers[f"span_{number}_sag_by_weight_m"] = sag.by_weight_m
                 numbers[f"sigma_span_{number}_sag_by_weight_m"] = sag.sigma_by_weight_m
+        known = [one for one in self.turned if one is not None]
+        if known:
+            numbers["panels_turned_count"] = int(np.any([one.is_sure for one in known], axis=0).sum())
         return self._summary(numbers, {"results": ", ".join(one.profile.label for one in self.orientations)})
 
     def write_files(self, folder: Path) -> None:
@@ -98,8 +118,13 @@ class Comparison(InstrumentResult):
         sags = [_sags_of(self.orientations, k) for k, _ in known]
         profiles = [one.profile for one in self.orientations]
         changes = mirror_changes(self)
-        write_table_csv(folder / ORIENTATION_PROFILES, _long(profiles, "y_m"))
-        write_table_csv(folder / ORIENTATION_SAGS, _long(sags, "orientation_rad", [k + 1 for k, _ in known]))
+        names = [one.label for one in profiles]
+        write_table_csv(folder / ORIENTATION_PROFILES, _long(profiles, Profile, "y_m", names))
+        write_table_csv(folder / ORIENTATION_SAGS, _long(sags, SpanSags, "orientation_rad", [k + 1 for k, _ in known]))
+        write_table_csv(folder / CHANGED_NUMBERS, _rows(zip(self.others, self.changed, strict=True)))
+        turned = [(name, one) for name, one in zip(self.others, self.turned, strict=True) if one is not None]
+        parts = [one for _, one in turned]
+        write_table_csv(folder / CHANGED_PANELS, _long(parts, PanelChanges, "panel", [name for name, _ in turned]))
         write_changes(folder / ORIENTATION_CHANGES, changes)
         write_collector(folder / COLLECTOR, self.orientations[0].collector)
         (folder / FIGURE).write_text(orientation_sheet(profiles, sags).svg(), encoding="utf-8")
@@ -109,7 +134,11 @@ class Comparison(InstrumentResult):
     def headline(self) -> str:
         """Return the most important numbers in a few lines for the terminal."""
         turns = ", ".join(f"{np.degrees(one.profile.orientation_rad):g}" for one in self.orientations)
-        lines = [f"{len(self.orientations)} orientations: {turns} degrees from zenith"]
+        lines = [f"{len(self.orientations)} results at {turns} degrees from zenith"]
+        for name, changed, turned in zip(self.others, self.changed, self.turned, strict=True):
+            lines.append(f"  {name} against {self.orientations[0].profile.label}")
+            lines += [f"    {_said(one)}" for one in changed]
+            lines += [] if turned is None else [f"    {turned_text(turned)}"]
         for number, sag in enumerate(self.sags, start=1):
             if sag is not None:
                 lines.append(
@@ -121,23 +150,40 @@ class Comparison(InstrumentResult):
         return "\n".join(lines)
 
 
+def _said(one: NumberChange) -> str:
+    name, unit = unit_of(one.key)
+    texts = [number_text(value, None, unit, one.key) for value in (one.before, one.after)]
+    change = number_text(one.change, one.sigma_change, unit, one.key)
+    return f"{name.replace('_', ' ')}: {texts[0]}, then {texts[1]}: changed by {change}"
+
+
+def turned_text(turned: PanelChanges) -> str:
+    """Say which panels turned."""
+    numbers = ", ".join(map(str, turned.panel[turned.is_sure]))
+    if not numbers:
+        return f"none of {turned.panel.size} panels surely turned"
+    return f"{turned.is_sure.sum()} of {turned.panel.size} panels turned: {numbers}"
+
+
 def run(folders: Sequence[Path]) -> Comparison:
-    """Compare results of one trough at several orientations.
+    """Compare results of one trough, at several orientations or dates.
 
     folders: Results of ``heliogauge observer measure`` or ``heliogauge observer absorber``, two at least.
     Returns: Sags by weight, profiles, maps on one grid.
     InputError: Fewer than two results, a folder that holds none, or results of different collectors.
     """
     if len(folders) < 2:
-        raise InputError(f"observer compare: {len(folders)} result given, two at different orientations are needed")
-    found = tuple(_read(folder) for folder in folders)
+        raise InputError(f"observer compare: {len(folders)} result given, two are needed")
+    found = _with_own_labels([_read(folder) for folder in folders])
     sizes = {(one.collector.aperture_width_m, one.collector.length_m) for one in found if one.slope_map is None}
     if len(sizes) > 1:
         listed = "; ".join(f"parabolic trough, aperture {width:g} m x {length:g} m" for width, length in sorted(sizes))
         raise InputError(f"observer compare: results of different collectors: {listed}")
     sags: list[WeightSag | None] = []
     doubts: list[Doubt] = []
-    for number in range(len(found[0].spans["from_y_m"])):
+    # Results at one orientation are compared for what changed; of weight they say nothing.
+    turned = np.ptp([one.profile.orientation_rad for one in found]) >= LEAST_TURN_RAD
+    for number in range(len(found[0].spans["from_y_m"]) if turned else 0):
         try:
             sag = sag_by_weight(_sags_of(found, number))
         except EstimationError as error:
@@ -163,6 +209,11 @@ def run(folders: Sequence[Path]) -> Comparison:
         found,
         tuple(sags),
         maps,
+        tuple(number_changes(found[0].summary.numbers, one.summary.numbers) for one in found[1:]),
+        tuple(
+            None if found[0].panels is None or one.panels is None else panel_changes(found[0].panels, one.panels)
+            for one in found[1:]
+        ),
         name=found[0].summary.name,
         doubts=tuple(doubts),
         input_sha256={f"{k}/{one.name}": next(iter(hash_files([one]).values())) for k, one in inputs},
@@ -189,7 +240,40 @@ def _read(folder: Path) -> OneOrientation:
     profile = Profile(label, turn, *(table[name] for name in names))
     collector = read_collector(folder / COLLECTOR)
     return OneOrientation(
-        folder, summary, collector, profile, spans, read_slope_map(slopes) if slopes.is_file() else None
+        folder,
+        summary,
+        collector,
+        profile,
+        spans,
+        read_slope_map(slopes) if slopes.is_file() else None,
+        _read_panels(folder, collector) if (folder / ANGLES).is_file() else None,
+    )
+
+
+def _read_panels(folder: Path, collector: Collector) -> PanelState:
+    found, _ = read_arrays(folder / ANGLES, ("x", "y", "theta_r", "theta_ra"))
+    sigmas = _numbers(folder / "panels.csv", ("sigma_mean_theta_r_rad", "sigma_mean_theta_ra_rad"))
+    return PanelState(
+        x_m=found["x"],
+        y_m=found["y"],
+        theta_r_rad=found["theta_r"].astype(np.float64),
+        theta_ra_rad=found["theta_ra"].astype(np.float64),
+        panel=collector.panel_index(*np.meshgrid(found["x"], found["y"])),
+        sigma_theta_r_rad=sigmas["sigma_mean_theta_r_rad"],
+        sigma_theta_ra_rad=sigmas["sigma_mean_theta_ra_rad"],
+    )
+
+
+def _with_own_labels(found: Sequence[OneOrientation]) -> tuple[OneOrientation, ...]:
+    """Return results with labels that tell them apart: with their folders where name and orientation are the same."""
+    labels = [one.profile.label for one in found]
+    if len(set(labels)) == len(labels):
+        return tuple(found)
+    return tuple(
+        replace(
+            one, profile=replace(one.profile, label=f"{one.folder} ({np.degrees(one.profile.orientation_rad):g} deg)")
+        )
+        for one in found
     )
 
 
@@ -229,15 +313,25 @@ def mirror_changes(result: Comparison) -> list[OneMap]:
     return found
 
 
-def _long(parts: Sequence[Any], size: str, names: Sequence[str | int] | None = None) -> dict[str, list[Any]]:
-    """Return values of several dataclasses below each other; the first column says whose they are."""
-    columns: dict[str, list[Any]] = {"of": []}
-    for k, part in enumerate(parts):
+def _long(parts: Sequence[Any], kind: type, size: str, names: Sequence[str | int]) -> dict[str, list[Any]]:
+    """Return values of several dataclasses of a kind below each other; the first column says whose they are."""
+    own = [one.name for one in fields(kind) if one.name != "label"]
+    columns: dict[str, list[Any]] = {"of": [], **{name: [] for name in own}}
+    for label, part in zip(names, parts, strict=True):
         n = getattr(part, size).size
-        columns["of"] += [part.label if names is None else names[k]] * n
-        for name in (name for name in part.__slots__ if name != "label"):
-            columns.setdefault(name, []).extend(np.broadcast_to(getattr(part, name), n).tolist())
+        columns["of"] += [label] * n
+        for name in own:
+            value = getattr(part, name)
+            values = value.astype(int) if isinstance(value, np.ndarray) and value.dtype == bool else value
+            columns[name].extend(np.broadcast_to(values, n).tolist())
     return columns
+
+
+def _rows(parts: Iterable[tuple[str, Sequence[NumberChange]]]) -> dict[str, list[Any]]:
+    """Return the changes of numbers below each other; the first column says whose they are."""
+    rows = [(name, one) for name, changes in parts for one in changes]
+    columns: dict[str, list[Any]] = {"of": [name for name, _ in rows]}
+    return columns | {field.name: [getattr(one, field.name) for _, one in rows] for field in fields(NumberChange)}
 
 
 def write_changes(path: Path, changes: Sequence[OneMap]) -> None:
