@@ -30,7 +30,7 @@ OVERLAY_PHOTO = "reflection_overlay.jpg"
 #: Cameras and targets, in the form of a photogrammetry measurement; `heliogauge report` makes their report.
 NETWORK_FOLDER = "network"
 #: Studies of finished measurements: modules side by side, panels aligned, several orientations.
-OVERVIEW_TABLE, OVERVIEW_MAPS = "overview.csv", "overview.nc"
+OVERVIEW_TABLE, OVERVIEW_MAPS, OVERVIEW_LOOPS = "overview.csv", "overview.nc", "loops.csv"
 ALIGNMENT_OVERLAY, ALIGNMENT_MOVES = "overlay.svg", "mounts.svg"
 ORIENTATION_PROFILES, ORIENTATION_SAGS, ORIENTATION_CHANGES = "profiles.csv", "sags.csv", "theta_r_change.nc"
 CHANGED_NUMBERS, CHANGED_PANELS = "changed_numbers.csv", "changed_panels.csv"

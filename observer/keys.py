@@ -70,6 +70,7 @@ class ModuleSection(Section):
     place_m: tuple[Number, Number, Number] = Field(
         (0.0, 0.0, 0.0), description="Its origin in the frame of the common targets [m]."
     )
+    loop: Text | None = Field(None, description="Loop that it belongs to; the overview has numbers for each loop.")
     turn_deg: Number = Field(0.0, description="Its turn in that frame, right-handed about +y [deg].")
     targets_file: Text | None = Field(None, description="A list of targets of its own, in its own frame.")
     collector: TroughSection | None = Field(None, description="Where it is built otherwise: all keys of [collector].")

@@ -68,7 +68,10 @@ def run(
         raise EstimationError(f"{measurement.model.name}: none of {len(failed)} modules could be measured\n{reasons}")
     with progress.stage("overview"):
         places = {one.name: np.array(one.place_m) for one in done}
-        found = pipeline_overview.run([folder / one.name for one in done], base=folder, places_m=places, failed=failed)
+        loops = {one.name: one.loop for one in done if one.loop is not None}
+        found = pipeline_overview.run(
+            [folder / one.name for one in done], base=folder, places_m=places, loops=loops, failed=failed
+        )
         durations = _by_module(progress.durations_s, found.labels)
         found = replace(found, name=measurement.model.name, input_sha256=hashes, durations_s=durations)
         found.write(folder)

@@ -17,7 +17,7 @@ from heliogauge.view.charts import ChartSeries, ChartView, Mark
 from heliogauge.view.maps import MapLayer, MapView
 from heliogauge.view.stills import side_by_side
 from heliogauge.view.tables import TableColumn, TableView
-from observer.files import OVERVIEW_MAPS, OVERVIEW_TABLE, ModuleMap, read_maps
+from observer.files import OVERVIEW_LOOPS, OVERVIEW_MAPS, OVERVIEW_TABLE, ModuleMap, read_maps
 from observer.report.figures_modules import maps_sheet, module_angle
 from observer.report.sections import numbers_table
 
@@ -33,6 +33,7 @@ _COLUMNS = (
     ("absorber_mean_x_m", "absorber X_a", "m"),
     ("absorber_mean_z_offset_m", "Z_a - focal length", "m"),
     ("intercept_ratio", "intercept factor", ""),
+    ("intercept_gain_panels_turned_ratio", "gain by turning panels", ""),
     ("measured_share", "measured", ""),
     ("photos_count", "photos", ""),
 )
@@ -43,6 +44,7 @@ _CHARTS = (
     ("rms_theta_r_rad", "theta_r RMS [mrad]", _MRAD),
     ("rms_theta_ra_rad", "theta_ra RMS [mrad]", _MRAD),
     ("intercept_ratio", "intercept factor", 1.0),
+    ("intercept_gain_panels_turned_ratio", "gain by turning panels", 1.0),
 )
 
 
@@ -181,6 +183,27 @@ def modules(results: OverviewResults) -> TableView:
     if any(reasons):
         columns.append(TableColumn("not measured, because", reasons))
     return TableView("modules", tuple(columns), [f"module-{name}" for name in names])
+
+
+def loops(results: OverviewResults) -> Html:
+    """Return the numbers of each loop and of all modules; nothing where no loops are named."""
+    path = results.folder / OVERVIEW_LOOPS
+    if not path.is_file():
+        return Html("")
+    columns = read_table_csv(path, ("loop", "modules_count"))
+    shown = [TableColumn(one, columns[one.replace("modules", "modules_count")]) for one in ("loop", "modules")]
+    for key, title, unit in (
+        ("rms_theta_r_rad", "theta_r, RMS of modules", "rad"),
+        ("rms_theta_ra_rad", "theta_ra, RMS of modules", "rad"),
+        ("intercept_ratio", "intercept factor, mean", ""),
+        ("lowest_intercept_ratio", "lowest", ""),
+        ("intercept_gain_panels_turned_ratio", "mean gain by turning panels", ""),
+    ):
+        values = [float(cell) if cell else np.nan for cell in columns[key]]
+        texts = [number_text(one, None, unit, key) if np.isfinite(one) else "-" for one in values]
+        shown.append(TableColumn(title, texts, values))
+    shown.append(TableColumn("panels to turn", columns["panels_to_turn_count"]))
+    return join(Html("<h2>Loops</h2>"), TableView("loops", tuple(shown)))
 
 
 def _link(results: OverviewResults, name: str) -> str:

@@ -5,13 +5,15 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, ClassVar
 
+import numpy as np
+
 from heliogauge.doubts import Doubt, Severity, gather_doubts
 from heliogauge.errors import InputError
 from heliogauge.results.arrays import read_arrays
 from heliogauge.results.folder import Summary, hash_files, read_summary, write_table_csv
 from heliogauge.results.frame import InstrumentResult
 from heliogauge.validate import FloatArray
-from observer.files import ANGLES, OVERVIEW_MAPS, OVERVIEW_TABLE, ModuleMap, write_maps
+from observer.files import ANGLES, OVERVIEW_LOOPS, OVERVIEW_MAPS, OVERVIEW_TABLE, ModuleMap, write_maps
 
 #: Kind of the summary, which names its report.
 KIND = "observer-overview"
@@ -27,6 +29,8 @@ _FACET_KEYS = (
     "sigma_intercept_ratio",
     "measured_share",
 )
+#: Numbers of which a loop has the RMS over its modules.
+_POOLED = ("rms_theta_r_rad", "rms_theta_ra_rad")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -38,6 +42,7 @@ class Result(InstrumentResult):
     modules: What each says.
     failed: Modules that could not be measured, with the reason.
     places_m: Where modules are in the common frame, by label, shape (3,) [m].
+    loops: The loop of each module that has one, by label.
     """
 
     kind: ClassVar[str] = KIND
@@ -46,6 +51,7 @@ class Result(InstrumentResult):
     modules: tuple[Summary, ...]
     failed: Mapping[str, str] = field(default_factory=dict)
     places_m: Mapping[str, FloatArray] = field(default_factory=dict)
+    loops: Mapping[str, str] = field(default_factory=dict)
 
     def summarise(self) -> Summary:
         """Collect the headline numbers of all modules."""
@@ -62,6 +68,8 @@ class Result(InstrumentResult):
     def write_files(self, folder: Path) -> None:
         """Write overview.csv and overview.nc into an existing folder."""
         write_table_csv(folder / OVERVIEW_TABLE, _table(self))
+        if self.loops:
+            write_table_csv(folder / OVERVIEW_LOOPS, _loops(self))
         maps = [_read_map(one, label) for one, label in zip(self.folders, self.labels, strict=True)]
         write_maps(folder / OVERVIEW_MAPS, [one for one in maps if one is not None])
 
@@ -86,12 +94,14 @@ def run(
     *,
     base: Path | None = None,
     places_m: Mapping[str, FloatArray] | None = None,
+    loops: Mapping[str, str] | None = None,
     failed: Mapping[str, str] | None = None,
 ) -> Result:
     """Collect results of ``heliogauge observer measure``.
 
     base: Folder that their names are given from.
     places_m: Where modules are in a common frame, by their names from there [m].
+    loops: Their loops, by these names; by default the folders in which results lie, where these are several.
     failed: Modules that could not be measured, with the reason.
     InputError: A folder that holds no result of the Observer, or the same folder twice.
     """
@@ -120,10 +130,19 @@ def run(
         modules,
         failed or {},
         places_m or {},
+        _folders_as_loops(folders, labels) if loops is None else loops,
         name="overview",
         doubts=gather_doubts(not_measured, doubtful),
         input_sha256=hashes,
     )
+
+
+def _folders_as_loops(folders: Sequence[Path], labels: Sequence[str]) -> dict[str, str]:
+    above = [folder.resolve().parent for folder in folders]
+    if len(set(above)) < 2:
+        return {}
+    same_name = len({folder.name for folder in above}) < len(set(above))
+    return {label: str(folder) if same_name else folder.name for label, folder in zip(labels, above, strict=True)}
 
 
 def _first_of(label: str, module: Summary) -> Doubt:
@@ -132,6 +151,34 @@ def _first_of(label: str, module: Summary) -> Doubt:
     text = f"{label}: {f'{count} warnings, the first: ' if count > 1 else ''}{module.doubts[0]}"
     worst = max((one.severity for one in module.doubts), key=list(Severity).index)
     return Doubt("module_doubtful", text, {"doubts_count": count}, worst)
+
+
+def _loops(result: Result) -> dict[str, list[Any]]:
+    """Return a row for each loop, and one for all modules."""
+    own = [result.loops.get(label, "") for label in result.labels]
+    rows = []
+    for name in [*dict.fromkeys(own), "all"]:
+        modules = [one for one, loop in zip(result.modules, own, strict=True) if name in (loop, "all")]
+        slope, aimed, kept, gain, turns = (
+            np.array([value for one in modules if (value := one.numbers.get(key)) is not None], dtype=np.float64)
+            for key in (*_POOLED, "intercept_ratio", "intercept_gain_panels_turned_ratio", "panels_to_turn_count")
+        )
+        rows.append(
+            {
+                "loop": name,
+                "modules_count": len(modules),
+                **{key: _mean(one**2) ** 0.5 for key, one in zip(_POOLED, (slope, aimed), strict=True)},
+                "intercept_ratio": _mean(kept),
+                "lowest_intercept_ratio": float(kept.min()) if kept.size else np.nan,
+                "intercept_gain_panels_turned_ratio": _mean(gain),
+                "panels_to_turn_count": int(turns.sum()),
+            }
+        )
+    return {name: [row[name] for row in rows] for name in rows[0]}
+
+
+def _mean(values: FloatArray) -> float:
+    return float(values.mean()) if values.size else np.nan
 
 
 def _table(result: Result) -> dict[str, list[Any]]:
@@ -144,6 +191,8 @@ def _table(result: Result) -> dict[str, list[Any]]:
         "failed": [*([""] * len(result.modules)), *result.failed.values()],
         "warnings": [*(len(module.doubts) for module in result.modules), *none],
     }
+    if result.loops:
+        columns["loop"] = [*(result.loops.get(label, "") for label in result.labels), *none]
     if result.places_m:
         for k, axis in enumerate("xyz"):
             own = [result.places_m.get(label) for label in result.labels]

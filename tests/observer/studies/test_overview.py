@@ -94,3 +94,33 @@ def test_the_report_shows_every_module_and_links_to_those_below_it(tmp_path):
     shown = [module_angle(one, "theta_r") for one in results.maps]
     assert "one: 1.50 mrad RMS" in maps_sheet(shown, "").svg()
     assert "overview of 3 modules" in first
+
+
+def test_loops_have_numbers_of_their_own(tmp_path):
+    from observer.report import overview as report
+
+    numbers = {"intercept_gain_panels_turned_ratio": 0.01, "panels_to_turn_count": 2}
+    (tmp_path / "east").mkdir()
+    (tmp_path / "west").mkdir()
+    folders = [
+        result_of(tmp_path / loop / f"m{k}", rms_theta_r_rad=slope, intercept_ratio=kept, **numbers)
+        for loop, k, slope, kept in (("east", 1, 3e-3, 0.95), ("east", 2, 4e-3, 0.93), ("west", 1, 1e-3, 0.99))
+    ]
+    result = run(folders)
+    (tmp_path / "out").mkdir()
+    result.write(tmp_path / "out")
+    table = read_table_csv(tmp_path / "out" / "loops.csv", ())
+    assert table["loop"] == ["east", "west", "all"]
+    assert table["modules_count"] == ["2", "1", "3"]
+    assert table["panels_to_turn_count"] == ["4", "2", "6"]
+    np.testing.assert_allclose(
+        [float(one) for one in table["rms_theta_r_rad"]], [12.5e-6**0.5, 1e-3, (26e-6 / 3) ** 0.5]
+    )
+    np.testing.assert_allclose([float(one) for one in table["intercept_ratio"]], [0.94, 0.99, 2.87 / 3])
+    np.testing.assert_allclose([float(one) for one in table["lowest_intercept_ratio"]], [0.93, 0.99, 0.93])
+    assert read_table_csv(tmp_path / "out" / "overview.csv", ())["loop"] == ["east", "east", "west"]
+    page = report.loops(report.open_overview(tmp_path / "out")).text
+    assert "east" in page
+    assert ">0.94<" in page
+    # Results of one folder are of no loop.
+    assert run(folders[:2]).loops == {}
