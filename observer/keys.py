@@ -16,6 +16,7 @@ from photogrammetry.keys import (
     CameraSections,
     DistanceSection,
     NetworkCameraSection,
+    PositionsSection,
     ScaleBarSection,
     TargetsSection,
 )
@@ -196,6 +197,9 @@ class ObserverModel(MeasurementModel):
     targets: KnownTargetsSection = Field(description="The targets on the collector.")
     scale_bar: tuple[ScaleBarSection, ...] = Field((), description="Known distances of targets, as scale bars.")
     distance: tuple[DistanceSection, ...] = Field((), description="Known distances of targets, as measured by tape.")
+    positions: PositionsSection | None = Field(
+        None, description="The drone's own positions, which check the list of targets and the camera."
+    )
     absorber: AbsorberSection = Field(AbsorberSection(), description="How the absorber's position is found.")
     sun: SunSection = Field(SunSection(), description="The sun for the intercept factor.")
     optics: OpticsSection = Field(OpticsSection(), description="What else spreads the beam.")
@@ -241,6 +245,7 @@ class ObserverMeasurement:
         model = self.model
         named = [*(one.file for one in model.camera), model.targets.file, model.absorber.file, model.sun.file]
         named += [one.targets_file for one in model.module]
+        named += [] if model.positions is None else [model.positions.file]
         if model.module and all(one.targets_file for one in model.module):
             named.remove(model.targets.file)
         own = (self.folder / MEASUREMENT_FILE, *(self.folder / name for name in named if name))

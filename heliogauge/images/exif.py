@@ -15,13 +15,10 @@ def focal_length_35mm(content: bytes) -> float | None:
     content: The first `EXIF_BYTES`, or more.
     Returns: The focal length [mm]; None where the file does not say it, or is no JPEG.
     """
-    start = content.find(_EXIF_MARK)
-    if not content.startswith(b"\xff\xd8") or start < 0:
+    block = exif_block(content)
+    if block is None:
         return None
-    tiff = content[start + len(_EXIF_MARK) :]
-    order = {b"II*\x00": "<", b"MM\x00*": ">"}.get(tiff[:4])
-    if order is None:
-        return None
+    tiff, order = block
     try:
         (first,) = struct.unpack_from(order + "I", tiff, 4)
         inner = _entry(tiff, order, first, _EXIF_POINTER)
@@ -30,6 +27,19 @@ def focal_length_35mm(content: bytes) -> float | None:
         # A damaged tag block says nothing.
         return None
     return float(value) if value else None
+
+
+def exif_block(content: bytes) -> tuple[bytes, str] | None:
+    """Return the TIFF block of EXIF and its byte order as `struct` writes it; None without one.
+
+    content: The first `EXIF_BYTES`, or more.
+    """
+    start = content.find(_EXIF_MARK)
+    if not content.startswith(b"\xff\xd8") or start < 0:
+        return None
+    tiff = content[start + len(_EXIF_MARK) :]
+    order = {b"II*\x00": "<", b"MM\x00*": ">"}.get(tiff[:4])
+    return None if order is None else (tiff, order)
 
 
 def _entry(tiff: bytes, order: str, start: int, wanted: int) -> int | None:

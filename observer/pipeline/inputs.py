@@ -309,6 +309,7 @@ def build_survey(
         scale_bar=model.scale_bar,
         constraint=(*coordinates, *model.distance),
         datum=DatumSection(kind="inner"),
+        positions=model.positions,
     )
     return PhotogrammetryMeasurement(measurement.folder, network, files)
 

@@ -123,6 +123,7 @@ class Result(InstrumentResult):
             **collected,
             "photos_count": len(bundle.problem.observations.photos),
             "image_residual_rms_px": float(np.sqrt((bundle.residuals_px**2).sum(axis=1).mean())),
+            **({} if self.network.positions is None else self.network.positions.numbers),
         }
         texts = {
             "design": self.slope_map.design,

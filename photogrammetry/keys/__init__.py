@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from photogrammetry.keys.measurement import DistanceSection as DistanceSection
     from photogrammetry.keys.measurement import PhotogrammetryModel as PhotogrammetryModel
     from photogrammetry.keys.measurement import ScaleBarSection as ScaleBarSection
+    from photogrammetry.keys.positions import PositionsSection as PositionsSection
     from photogrammetry.keys.targets import TargetsSection as TargetsSection
 
 __getattr__, __dir__, __all__ = lazy_face(__name__)

@@ -32,6 +32,7 @@ class PhotogrammetryMeasurement(ShortRepr):
         named += [] if model.start is None else model.start.names
         named += model.files.names
         named += [] if model.targets is None else model.targets.names
+        named += [] if model.positions is None else [model.positions.file]
         named += [] if model.surface is None else model.surface.names
         images = dict.fromkeys(video_of(file) for file in self.photo_files)
         return (self.folder / MEASUREMENT_FILE, *(self.folder / name for name in named if name), *images)

@@ -16,6 +16,7 @@ from heliogauge.measurement.models import (
 )
 from photogrammetry.keys.cameras import CameraSections, NetworkCameraSection
 from photogrammetry.keys.natural import NaturalSection
+from photogrammetry.keys.positions import PositionsSection
 from photogrammetry.keys.surface import SurfaceSection
 from photogrammetry.keys.targets import TargetsSection
 
@@ -225,6 +226,9 @@ class PhotogrammetryModel(MeasurementModel):
     files: KnownFilesSection = Field(
         KnownFilesSection(), description="Tables of what is known, besides the sections here."
     )
+    positions: PositionsSection | None = Field(
+        None, description="The drone's own positions, which check the size of the network."
+    )
     collector: CollectorSection | None = Field(None, description="Targets on the rim of a parabolic trough.")
     datum: DatumSection = Field(DatumSection(), description="What places the network where the rest leaves it open.")
     adjustment: AdjustmentSection = Field(AdjustmentSection(), description="How the network is adjusted.")
@@ -243,6 +247,8 @@ class PhotogrammetryModel(MeasurementModel):
             raise ValueError("[natural] is for photos; image points are measured already")
         if self.natural is not None and self.adjustment.sigmas == "stated":
             raise ValueError('adjustment.sigmas = "stated": natural features have none; leave it out')
+        if self.positions is not None and self.positions.file is None and self.images is None:
+            raise ValueError("positions.file is needed with image points: there are no photos to read positions from")
         unsized = [one.name for one in self.camera if not one.has_size]
         if self.image_points is not None and unsized:
             raise ValueError(f"{', '.join(unsized)}: width_px and height_px (or a file) are needed with image points")

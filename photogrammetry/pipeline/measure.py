@@ -38,6 +38,7 @@ from photogrammetry.pipeline.inputs import (
 )
 from photogrammetry.pipeline.natural import add_features
 from photogrammetry.pipeline.photos import MeasuredPhotos
+from photogrammetry.pipeline.positions import check_positions
 from photogrammetry.pipeline.result import Result
 from photogrammetry.pipeline.surface import measure_surface
 from photogrammetry.start_values.network import StartValues
@@ -91,8 +92,10 @@ def run(
     checks = build_checks(model)
     with progress.stage("statistics"):
         lengths = state_length_errors(solved.bundle, checks, build_permissible_error(model))
+        positions = check_positions(measurement, solved.bundle)
         sizes = check_sizes(solved, measured.points, measured.ellipses_px2, stated_diameter_mm(model))
-        doubts = gather_doubts(measured.doubts, check_network(solved), check_lengths(lengths), sizes)
+        scale = () if positions is None else positions.doubts
+        doubts = gather_doubts(measured.doubts, check_network(solved), check_lengths(lengths), sizes, scale)
     surface = None
     if model.surface is not None:
         with progress.stage("surface"):
@@ -106,6 +109,7 @@ def run(
         lengths=lengths,
         sensors=sensors_of(measurement, cameras),
         surface=surface,
+        positions=positions,
         doubts=doubts,
         durations_s=dict(progress.durations_s),
         input_sha256=hashes,

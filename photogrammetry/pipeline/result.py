@@ -21,6 +21,7 @@ from heliogauge.results.frame import InstrumentResult
 from heliogauge.results.thumbnails import write_thumbnails
 from photogrammetry.bundle.constraints import Distance
 from photogrammetry.networks.length_error import LengthStatement
+from photogrammetry.networks.position_scale import PositionScale
 from photogrammetry.networks.quality import network_numbers, quality_texts
 from photogrammetry.networks.solve_network import Solved
 from photogrammetry.pipeline.headline import headline_text
@@ -49,6 +50,7 @@ class Result(InstrumentResult):
     lengths: Known lengths against a network that did not use them.
     sensors: Of the cameras that were given in millimetres.
     surface: The surface under the targets, where ``[surface]`` asks for it.
+    positions: Size of the flight by the drone's own positions, where ``[positions]`` asks for it.
     """
 
     kind: ClassVar[str] = "photogrammetry"
@@ -58,6 +60,7 @@ class Result(InstrumentResult):
     lengths: LengthStatement
     sensors: dict[str, Sensor] = field(default_factory=dict)
     surface: SurfaceResult | None = None
+    positions: PositionScale | None = None
 
     @property
     def camera(self) -> Camera:
@@ -145,6 +148,8 @@ class Result(InstrumentResult):
         """Collect the headline numbers with their sigmas, doubts and provenance."""
         bundle = self.solved.bundle
         numbers, missing = network_numbers(self.solved, self.lengths)
+        if self.positions is not None:
+            numbers |= self.positions.numbers
         seen = {*self.measured.points.photos, *self.measured.thumbnails}
         numbers |= {
             "left_out_photos_count": len(seen - set(self.photo_poses)),

@@ -1,0 +1,141 @@
+"""Where a drone's antenna or camera was at each photo: tags of the photos, ``.MRK`` logs of DJI, tables."""
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from heliogauge.errors import InputError
+from heliogauge.files.regular import open_regular
+from heliogauge.files.texts import read_text
+from heliogauge.geometry.geodesy import enu_from_geodetic
+from heliogauge.images.drone_tags import drone_tag
+from heliogauge.images.exif import EXIF_BYTES
+from heliogauge.results.tables import read_table_csv
+from heliogauge.validate import FloatArray
+
+GEODETIC_COLUMNS = ("image", "latitude_deg", "longitude_deg", "altitude_m")
+LOCAL_COLUMNS = ("image", "east_m", "north_m", "up_m")
+SIGMA_COLUMNS = ("sigma_east_mm", "sigma_north_mm", "sigma_up_mm")
+#: A line of a ``.MRK`` file: number, time, week, antenna to sensor [mm], place of the sensor ("after compensation"; DJI
+#: Matrice 4 user manual, p. 92), sigmas north, east, up [m], status 50 (fixed), 34 (float), 16 (single).
+_NUMBER = r"([-+]?[\d.]+)"
+_MRK = re.compile(
+    rf"^(\d+)\s+{_NUMBER}\s+\[\d+\]\s+{_NUMBER},N\s+{_NUMBER},E\s+{_NUMBER},V\s+{_NUMBER},Lat\s+{_NUMBER},Lon\s+"
+    rf"{_NUMBER},Ellh\s+{_NUMBER},\s*{_NUMBER},\s*{_NUMBER}\s+(\d+),Q"
+)
+#: DJI numbers the photos of a flight in their names.
+_NUMBER_IN_NAME = re.compile(r"_(\d{4})(?:_\w*)?\.\w+$")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DronePositions:
+    """Places of photos, east, north and up.
+
+    photos length n: Names of the photos.
+    enu_m (n, 3): Places about some origin [m].
+    sigma_m (n, 3): Their standard deviations [m].
+    """
+
+    photos: tuple[str, ...]
+    enu_m: FloatArray
+    sigma_m: FloatArray
+
+
+def positions_of_photos(files: Sequence[Path], default_sigma_m: float) -> DronePositions:
+    """Read positions from the tags of photos.
+
+    default_sigma_m: Standard deviation where the tags say none [m].
+    Returns: Of the photos that have a position.
+    InputError: No photo has one.
+    """
+    rows: dict[str, tuple[float, ...]] = {}
+    for file in files:
+        with open_regular(file) as stream:
+            tag = drone_tag(stream.read(EXIF_BYTES))
+        if tag is not None:
+            sigma = tag.sigma_m or (default_sigma_m,) * 3
+            rows[file.name] = (tag.latitude_deg, tag.longitude_deg, tag.altitude_m, *sigma)
+    if not rows:
+        raise InputError(
+            "positions: no photo says in EXIF or XMP where it was taken; name the drone's log: [positions] file = ..."
+        )
+    return _of_degrees(rows)
+
+
+def read_positions(path: Path, files: Sequence[Path], default_sigma_m: float) -> DronePositions:
+    """Read positions from a log of the drone or of the software that processed its raw data.
+
+    path: ``.MRK`` file of DJI, or a table with the columns image, latitude_deg, longitude_deg, altitude_m or image,
+        east_m, north_m, up_m; with sigma_east_mm, sigma_north_mm, sigma_up_mm, where they are known.
+    files: The photos; a ``.MRK`` file counts them by the numbers in their names, or else in their order.
+    default_sigma_m: Standard deviation where the log says none [m].
+    InputError: A file that is neither, a cell that is no number, or as many lines as no photos have.
+    """
+    if path.suffix.lower() == ".mrk":
+        return _read_mrk(path, files)
+    table = read_table_csv(path, ("image",))
+    columns = next((one for one in (GEODETIC_COLUMNS, LOCAL_COLUMNS) if set(one) <= set(table)), None)
+    if columns is None:
+        raise InputError(f"{path}: columns {', '.join(GEODETIC_COLUMNS)} or {', '.join(LOCAL_COLUMNS)} are needed")
+    has_sigmas = set(SIGMA_COLUMNS) <= set(table)
+    rows: dict[str, tuple[float, ...]] = {}
+    for line, name in enumerate(table["image"]):
+        where = f"{path}, photo {name}"
+        if name in rows:
+            raise InputError(f"{where}: given twice; keep one line")
+        place = [_number(table[column][line], f"{where}, {column}") for column in columns[1:]]
+        sigma = [default_sigma_m] * 3
+        if has_sigmas:
+            sigma = [1e-3 * _number(table[column][line], f"{where}, {column}") for column in SIGMA_COLUMNS]
+        if min(sigma) <= 0:
+            raise InputError(f"{where}: a sigma above 0 is needed")
+        rows[name] = (*place, *sigma)
+    if columns is GEODETIC_COLUMNS:
+        return _of_degrees(rows)
+    values = np.array(list(rows.values())).reshape(-1, 6)
+    return DronePositions(tuple(rows), values[:, :3], values[:, 3:])
+
+
+def _read_mrk(path: Path, files: Sequence[Path]) -> DronePositions:
+    lines: dict[int, tuple[float, ...]] = {}
+    for number, text in enumerate(read_text(path, "a .MRK file").splitlines(), start=1):
+        if not text.strip():
+            continue
+        found = _MRK.match(text.strip())
+        if found is None:
+            raise InputError(f"{path}, line {number}: not a line of a .MRK file: {text[:60]!r}")
+        lines[int(found[1])] = tuple(map(float, (found[6], found[7], found[8], found[10], found[9], found[11])))
+    named = {file.name: _NUMBER_IN_NAME.search(file.name) for file in files}
+    if all(named.values()):
+        rows = {name: lines[int(hit[1])] for name, hit in named.items() if hit and int(hit[1]) in lines}
+    elif len(files) == len(lines):
+        rows = dict(zip([file.name for file in files], [lines[key] for key in sorted(lines)], strict=True))
+    else:
+        raise InputError(
+            f"{path}: {len(lines)} lines for {len(files)} photos whose names have no numbers like DJI_0001.JPG: which "
+            "is whose? Give a table with the column image instead"
+        )
+    return _of_degrees(rows)
+
+
+def _of_degrees(rows: Mapping[str, tuple[float, ...]]) -> DronePositions:
+    values = np.array(list(rows.values())).reshape(-1, 6)
+    if not len(values):
+        return DronePositions((), values[:, :3], values[:, 3:])
+    origin = np.median(values[:, :3], axis=0).tolist()
+    return DronePositions(
+        tuple(rows), enu_from_geodetic(values[:, 0], values[:, 1], values[:, 2], origin), values[:, 3:]
+    )
+
+
+def _number(cell: str, where: str) -> float:
+    try:
+        value = float(cell)
+    except ValueError:
+        value = np.nan
+    if not np.isfinite(value):
+        raise InputError(f"{where}: {cell!r} is not a number")
+    return value

@@ -1,0 +1,30 @@
+"""The drone's own positions beside the network."""
+
+import numpy as np
+
+from photogrammetry.bundle.adjustment import BundleResult
+from photogrammetry.exchange.drone_positions import positions_of_photos, read_positions
+from photogrammetry.keys.load import PhotogrammetryMeasurement
+from photogrammetry.networks.position_scale import PositionScale, scale_by_positions
+
+
+def check_positions(measurement: PhotogrammetryMeasurement, bundle: BundleResult) -> PositionScale | None:
+    """Compare the size of the flight by the drone's own positions with that by the network.
+
+    Returns: None without positions.
+    InputError: Positions that cannot be read.
+    EstimationError: Fewer than three photos of the network have one.
+    """
+    section = measurement.model.positions
+    if section is None:
+        return None
+    sigma_m = 1e-3 * section.sigma_mm
+    if section.file is None:
+        found = positions_of_photos(measurement.photo_files, sigma_m)
+    else:
+        found = read_positions(measurement.folder / section.file, measurement.photo_files, sigma_m)
+    place = {name: k for k, name in enumerate(bundle.problem.observations.photos)}
+    rows = np.array([k for k, name in enumerate(found.photos) if name in place], dtype=np.intp)
+    photos = np.array([place[found.photos[k]] for k in rows], dtype=np.intp)
+    lever_m = 1e-3 * np.array(section.lever_arm_mm)
+    return scale_by_positions(bundle, photos, found.enu_m[rows], found.sigma_m[rows], lever_m)
