@@ -32,6 +32,8 @@ _MISFIT_OF_ONE, _MISFIT_PIXELS = 1.5, 20_000
 _MENDED_MISFIT = 0.75
 #: Rounds in which a motion is found: each leaves a tenth of the last.
 _MOTION_ROUNDS = 4
+#: Sigma beyond which a set that stands elsewhere is said to have other periods; both are used in any case.
+_OTHER_PERIODS = 3.0
 #: What keeps the light the same from frame to frame.
 _STEADY_LIGHT = "lock the exposure, let the display warm up, expose for whole refresh periods"
 #: Faults that say where a frame's content belongs.
@@ -471,9 +473,8 @@ def _with_model(state: _State, model: FrameModel) -> _State | None:
         # Where single frames are of another sharpness, what else they seem to have is part of it.
         why = "has another contrast or sharpness than the rest of its set"
         return _left_out(state, blurred, why, FaultKind.CORRUPT)
-    moved = [*kinds[OddityKind.PLACE_OF_SET], *kinds[OddityKind.PERIODS_OF_SET]]
-    if moved:
-        return _with_places(state, model, moved)
+    if kinds[OddityKind.SCALE_OF_SET]:
+        return _with_places(state, model, kinds[OddityKind.SCALE_OF_SET])
     from scipy import ndimage
 
     frames = state.frames
@@ -517,7 +518,7 @@ def _with_places(state: _State, model: FrameModel, moved: list[Oddity]) -> _Stat
         sets[index] = FringeSet(fringes.axis, fringes.periods * (1 + scale), steps)
         doubts.append(_say(state, one))
         finest = max(other.periods for other in state.pattern.sets if other.axis is fringes.axis)
-        if one.kind is OddityKind.PERIODS_OF_SET and fringes.periods == finest:
+        if fringes.periods == finest:
             number = 0 if fringes.axis is Axis.X else 1
             sigma[number] = math.hypot(sigma[number], float(one.sigma[0]))
     return replace(state, pattern=FringePattern(tuple(sets)), repairs=tuple(doubts), sigma_periods=sigma)
@@ -552,20 +553,21 @@ def _say(state: _State, one: Oddity) -> Doubt:
             "others; moved back. The camera or the mirror moved: fix both"
         )
         return _moved_doubt(text, value)
-    if one.kind is OddityKind.PERIODS_OF_SET:
+    if one.kind is OddityKind.SCALE_OF_SET and abs(value[0]) > _OTHER_PERIODS * sigma[0]:
         found = fringes.periods * (1 + value[0])
         text = (
             f"{of_set}: the other sets of this direction say {found:.4g} +- {fringes.periods * sigma[0]:.2g} periods; "
             "that was used. Check [[pattern.set]] and that the display shows every pixel of the pattern"
         )
         return Doubt("fringe_periods_corrected", text, {"periods_count": found, "periods_ratio": 1 + value[0]})
-    if one.kind is OddityKind.PLACE_OF_SET:
-        share = value[0] / (TURN_RAD * fringes.periods)
+    if one.kind is OddityKind.SCALE_OF_SET:
+        share = value[1] / (TURN_RAD * fringes.periods)
         text = (
-            f"{of_set}: displayed {share:+.3%} +- {sigma[0] / (TURN_RAD * fringes.periods):.3%} of the screen beside "
-            "their place; moved back. Check that the display shows every pattern at the same place and size"
+            f"{of_set}: displayed {share:+.3%} +- {sigma[1] / (TURN_RAD * fringes.periods):.3%} of the screen beside "
+            f"their place, with {1 + value[0]:.6f} +- {sigma[0]:.6f} of their periods; moved back. Check that the "
+            "display shows every pattern at the same place and size"
         )
-        return Doubt("fringes_displaced", text, {"displaced_share": share})
+        return Doubt("fringes_displaced", text, {"displaced_share": share, "periods_ratio": 1 + value[0]})
     if one.kind is OddityKind.STEP:
         text = f"{where}: its step is {np.degrees(value[0]):+.2f} +- {np.degrees(sigma[0]):.2f} deg off; that was used"
         return _steps_doubt(text, {"step_off_rad": value[0]})

@@ -10,6 +10,7 @@ from deflectometry.pipeline.stated_inputs import CURL_PROBABILITY, StatedInput, 
 from heliogauge.adjust.chi_square import chi_square_cdf
 from heliogauge.doubts import Doubt
 from heliogauge.slopes.curl_moments import CurlMoments, curl_moments
+from heliogauge.validate import FloatArray
 
 #: Explanations that leave so little more chi-square than the best one are named beside it: three sigma.
 _AS_GOOD = 9.0
@@ -27,22 +28,21 @@ class SetupContradiction:
     """Slopes that no surface has with the set-up as stated.
 
     doubt: Which errors would make them.
-    amounts: How much of each input; alternatives where one explains it alone, together where none does.
-    alone: Whether each explains it alone.
+    inputs: What may be off.
+    amounts (m, n): Independent combinations of errors of these inputs that the sigmas have to contain, in their units.
     """
 
     doubt: Doubt
-    amounts: tuple[tuple[StatedInput, float], ...]
-    alone: bool
+    inputs: tuple[StatedInput, ...]
+    amounts: FloatArray
 
     def contained(self, evaluation: Evaluation) -> Evaluation:
         """Return the evaluation with sigmas that contain the errors found."""
         maps = {}
         for name, slope_map in evaluation.maps.items():
-            modes = [(CONTRADICTION, one.modes[name], amount) for one, amount in self.amounts]
-            if not self.alone:
-                (_, first, _), total = modes[0], sum(amount * mode.coefficients for _, mode, amount in modes)
-                modes = [(CONTRADICTION, replace(first, coefficients=np.asarray(total)), 1.0)]
+            single = [one.modes[name] for one in self.inputs]
+            together = np.tensordot(self.amounts, np.concatenate([one.coefficients for one in single]), axes=1)
+            modes = [(CONTRADICTION, replace(single[0], coefficients=one[None]), 1.0) for one in together]
             maps[name] = with_modes(slope_map, modes)
         return replace(evaluation, maps=maps)
 
@@ -70,8 +70,7 @@ def contradiction_of_setup(evaluation: Evaluation, inputs: Sequence[StatedInput]
     The curl of a surface's slopes is zero whatever its shape; slopes computed with a screen that stands elsewhere have
     a smooth one. Its means over the mirror (`heliogauge.slopes.curl_moments`) are hundreds of times more certain than
     the curl at single nodes. Which error explains them is found by moving each input; those that one pose cannot tell
-    apart are named together. Where none does alone, all inputs are adjusted to the curl together, each by as few
-    permille as possible.
+    apart are named together. Where none does alone, all inputs are adjusted to the curl together.
     """
     found = {name: curl_moments(one) for name, one in evaluation.maps.items()}
     tested = {name: one for name, one in found.items() if one is not None}
@@ -98,23 +97,27 @@ def contradiction_of_setup(evaluation: Evaluation, inputs: Sequence[StatedInput]
         named = [one for one in explained if one.chi_square <= limit][:_MOST_NAMED]
         changes = np.abs([one.amount * one.input.changes for one in named]).max(axis=0)
         numbers |= {"curvature_x_per_m": changes[0], "curvature_y_per_m": changes[1], "twist_per_m": changes[2]}
-        amounts = [(one.input, float(np.hypot(one.amount, one.sigma))) for one in named]
+        concerned = [one.input for one in named]
+        # What is left after the best one is more than noise: its amount is less sure by as much.
+        amounts = np.diag([float(np.hypot(one.amount, max(left, 1.0) * one.sigma)) for one in named])
         text += (
             f"Most of it would go with {', or '.join(map(str, named))}: by that much 1/f is off by up to "
             f"{2 * changes[0]:.2g} (x) and {2 * changes[1]:.2g} 1/m (y), twist by {changes[2]:.2g} 1/m; the sigmas "
             "were enlarged to contain it. "
         )
     else:
-        amounts = _joint(moments, inputs, name)
+        concerned, (amounts, permille) = list(inputs), _joint(moments, inputs, name)
+        numbers["inputs_off_permille"] = permille
         text += (
             "Neither screen, mirror nor camera out of place explains it alone: several are, or the lens or the shape "
-            "of the screen is not as stated; the sigmas were enlarged by what all of them together would do. "
+            f"of the screen is not as stated; the sigmas were enlarged as if all of them were off by {permille:.2g} "
+            "permille (turns by as many mrad), as the curl has it. "
         )
     text += (
         "Measure that again, or state how well it is known ([screen] sigma_rotation_mrad, sigma_translation_mm, "
         "sigma_width_mm, sigma_height_mm; [camera] sigma_focal_px, sigma_center_px; [mirror.distance] sigma_mm)"
     )
-    return SetupContradiction(Doubt("setup_contradicts_slopes", text, numbers), tuple(amounts), alone)
+    return SetupContradiction(Doubt("setup_contradicts_slopes", text, numbers), tuple(concerned), amounts)
 
 
 def _explain(moments: CurlMoments, one: StatedInput, facet: str) -> _Explanation:
@@ -126,9 +129,31 @@ def _explain(moments: CurlMoments, one: StatedInput, facet: str) -> _Explanation
     return _Explanation(one, amount, information**-0.5, moments.chi_square - amount**2 * information)
 
 
-def _joint(moments: CurlMoments, inputs: Sequence[StatedInput], facet: str) -> list[tuple[StatedInput, float]]:
-    """Fit errors of all inputs together to the curl: the smallest in permille, as if each were known to one."""
+def _joint(moments: CurlMoments, inputs: Sequence[StatedInput], facet: str) -> tuple[FloatArray, float]:
+    """Return what errors of all inputs together may be after the curl was seen, and how many permille each is off.
+
+    Returns: Combinations (1 + n, n) of errors whose squares add up to the second moments: what fits best, then the
+    principal directions of what the curl leaves open; and the standard deviation of each input [permille].
+
+    Empirical Bayes: errors of all inputs have one standard deviation in permille, the one with which the curl is as
+    large as expected (chi-square equals its freedom). Where one input is off by so much others may be, too, also those
+    that the curl does not see.
+    """
     scale = np.array([one.thousandth for one in inputs])
     effects = np.stack([moments.of_modes(one.modes[facet])[:, 0] for one in inputs], axis=1) * scale
-    amounts = scale * (effects.T @ np.linalg.solve(effects @ effects.T + moments.covariance, moments.values_per_m))
-    return list(zip(inputs, amounts.tolist(), strict=True))
+    values, freedom = moments.values_per_m, len(moments.values_per_m)
+
+    def whitened(permille: float) -> FloatArray:
+        return np.linalg.solve(
+            permille**2 * effects @ effects.T + moments.covariance, np.column_stack([values, effects])
+        )
+
+    low, high = 1e-6, 1e6
+    for _ in range(60):
+        middle = float(np.sqrt(low * high))
+        low, high = (middle, high) if values @ whitened(middle)[:, 0] > freedom else (low, middle)
+    solved = high**2 * effects.T @ whitened(high)
+    left = high**2 * (np.eye(len(inputs)) - solved[:, 1:])
+    size, directions = np.linalg.eigh(0.5 * (left + left.T))
+    open_to = directions * np.sqrt(np.maximum(size, 0.0))
+    return np.vstack([solved[:, 0], open_to.T]) * scale, high
