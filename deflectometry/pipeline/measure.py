@@ -21,7 +21,7 @@ from deflectometry.pipeline.inputs import (
 )
 from deflectometry.pipeline.plausibility import implausible, refuse_impossible, size_doubt
 from deflectometry.pipeline.result import Result
-from deflectometry.pipeline.setup_test import contradiction_of_setup
+from deflectometry.pipeline.setup_test import contradiction_of_setup, with_camera_contained
 from deflectometry.pipeline.stated_inputs import stated_inputs, unconfirmed_note, with_sigmas_of_images
 from deflectometry.setup.camera_and_screen import Setup
 from deflectometry.setup.screen_table import check_beyond_table
@@ -96,6 +96,7 @@ def run(
         if adjusted is None:
             evaluation = with_sigmas_of_images(evaluation, inputs, unstated)
             evaluation = evaluation if contradiction is None else contradiction.contained(evaluation)
+            evaluation = with_camera_contained(setup, evaluation)
     facets, align = evaluation.located.facets, choices.align
     as_measured = assemble_maps(facets, evaluation.maps, align, Removal.NOTHING)
     maps = {name: remove(one, choices.removal) for name, one in evaluation.maps.items()}

@@ -1,13 +1,18 @@
 """Whether the slopes can be those of a surface with camera, screen and mirror where they are said to stand."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from deflectometry.pipeline.evaluate import Evaluation
-from deflectometry.pipeline.stated_inputs import CURL_PROBABILITY, StatedInput, with_modes
+from deflectometry.pipeline.stated_inputs import CURL_PROBABILITY, StatedInput, samples_of_modes, with_modes
+from deflectometry.setup.camera_and_screen import Setup
+from deflectometry.setup.setup_steps import SetupStep
+from deflectometry.shape.common_modes import modes_of_inputs, moved_input
+from deflectometry.shape.smooth_shape import Align
 from heliogauge.adjust.chi_square import chi_square_cdf
+from heliogauge.camera.model import PARAMETER_NAMES, Camera
 from heliogauge.doubts import Doubt
 from heliogauge.slopes.curl_moments import CurlMoments, curl_moments
 from heliogauge.validate import FloatArray
@@ -42,8 +47,8 @@ class SetupContradiction:
         for name, slope_map in evaluation.maps.items():
             single = [one.modes[name] for one in self.inputs]
             together = np.tensordot(self.amounts, np.concatenate([one.coefficients for one in single]), axes=1)
-            modes = [(CONTRADICTION, replace(single[0], coefficients=one[None]), 1.0) for one in together]
-            maps[name] = with_modes(slope_map, modes)
+            modes = replace(single[0], sources=(CONTRADICTION,) * len(together), coefficients=together)
+            maps[name] = with_modes(slope_map, [(CONTRADICTION, modes, 1.0)])
         return replace(evaluation, maps=maps)
 
 
@@ -62,6 +67,57 @@ class _Explanation:
 
     def __str__(self) -> str:
         return self.input.error.format(f"{self.amount:+.3g} +- {self.sigma:.2g}")
+
+
+def _camera_steps(camera: Camera, doubts: Sequence[Doubt]) -> Iterator[FloatArray]:
+    """Yield the changes of the camera's parameters that the outline in the image asks for, each with its sigma.
+
+    Sides that bend say by how many pixels the lens is off, not by which of its terms: each term is taken to be off by
+    as much at the point of the outline that is farthest from the principal point.
+    """
+
+    def found(doubt: Doubt, *names: str) -> float:
+        return float(np.linalg.norm([doubt.numbers[name] or 0 for name in names]))
+
+    focal_px = camera.focal_x_px
+    changes: dict[str, float] = {}
+    for doubt in doubts:
+        if doubt.code == "lens_contradicts_outline":
+            radius, angle = (
+                float(doubt.numbers["farthest_px"] or 0) / focal_px,
+                found(doubt, "distortion_missing_px", "sigma_distortion_px") / focal_px,
+            )
+            changes |= {"k1": angle / radius**3, "k2": angle / radius**5}
+            # A tangential term moves a point on its axis by 3 p r^2.
+            changes |= dict.fromkeys(("p1", "p2"), angle / (3 * radius**2))
+        elif doubt.code == "aspect_contradicts_outline":
+            changes["focal_x_px"] = found(doubt, "stretch_share", "sigma_stretch_share") * focal_px
+    for name, change in changes.items():
+        yield change * np.eye(len(PARAMETER_NAMES))[PARAMETER_NAMES.index(name)]
+
+
+def with_camera_contained(setup: Setup, evaluation: Evaluation) -> Evaluation:
+    """Return the evaluation with sigmas that contain the camera which the outline in the image asks for.
+
+    The camera stays as stated: the mirror's sides may be bent themselves. Pose and slopes follow the change, as in
+    `deflectometry.shape.common_modes`.
+    """
+    steps = [SetupStep(CONTRADICTION, camera=one) for one in _camera_steps(setup.camera, evaluation.doubts)]
+    if not steps:
+        return evaluation
+    few = samples_of_modes(evaluation)
+    modes = modes_of_inputs(
+        setup,
+        few,
+        evaluation.solution,
+        lambda cam_from_mirror: (moved_input(setup, cam_from_mirror, evaluation.located.pose, one) for one in steps),
+        align=evaluation.choices.align is Align.NORMAL,
+    )
+    maps = {
+        one.facet.name: with_modes(evaluation.maps[one.facet.name], [(CONTRADICTION, mode, 1.0)])
+        for one, mode in zip(few, modes, strict=True)
+    }
+    return replace(evaluation, maps=maps)
 
 
 def contradiction_of_setup(evaluation: Evaluation, inputs: Sequence[StatedInput]) -> SetupContradiction | None:

@@ -12,7 +12,7 @@ from deflectometry.pose.adjust_pose import MIN_PROBABILITY, MirrorPose
 from deflectometry.setup.camera_and_screen import Setup
 from deflectometry.setup.setup_steps import SetupStep, Warp, moved_setup
 from deflectometry.shape.common_modes import MovedInput, modes_of_inputs, moved_input
-from deflectometry.shape.facet_pixels import spread_indices, thinned, usable_facets
+from deflectometry.shape.facet_pixels import PixelSamples, spread_indices, thinned, usable_facets
 from deflectometry.shape.smooth_shape import Align
 from heliogauge.adjust.chi_square import chi_square_limit
 from heliogauge.camera.model import PARAMETER_NAMES
@@ -94,9 +94,7 @@ def stated_inputs(setup: Setup, evaluation: Evaluation) -> tuple[StatedInput, ..
     the images know comes from the two tests that hold inputs against each other: the measured distance against the
     one in the image, and the smooth curl of the slopes (of the largest facet, where there are several).
     """
-    located = evaluation.located
-    usable = usable_facets(located.facets, evaluation.screen_map, evaluation.facet_index)
-    few = [thinned(sample, max(MODE_PIXELS // len(usable.samples), 60)) for sample in usable.samples]
+    located, few = evaluation.located, samples_of_modes(evaluation)
     names = [one.facet.name for one in few]
     units: list[_Unit] = []
 
@@ -133,6 +131,12 @@ def stated_inputs(setup: Setup, evaluation: Evaluation) -> tuple[StatedInput, ..
             )
         )
     return tuple(found)
+
+
+def samples_of_modes(evaluation: Evaluation) -> list[PixelSamples]:
+    """Return some pixels of each measured facet, enough for what a wrong input does to it."""
+    usable = usable_facets(evaluation.located.facets, evaluation.screen_map, evaluation.facet_index)
+    return [thinned(sample, max(MODE_PIXELS // len(usable.samples), 60)) for sample in usable.samples]
 
 
 def unconfirmed_note(inputs: Sequence[StatedInput]) -> Doubt | None:
@@ -221,10 +225,10 @@ def with_sigmas_of_images(
 
 
 def with_modes(slope_map: SlopeMap, more: Sequence[tuple[str, CommonModes, float]]) -> SlopeMap:
-    """Return a map with further common modes: source, what a unit does, and the amount."""
+    """Return a map with further common modes: source, what units of it do, and the amount."""
     common = slope_map.common
     joined = CommonModes(
-        (*common.sources, *(source for source, _, _ in more)),
+        (*common.sources, *(source for source, modes, _ in more for _ in modes.coefficients)),
         np.concatenate([common.coefficients, *(amount * mode.coefficients for _, mode, amount in more)]),
         common.center_m,
         common.scale_m,

@@ -64,7 +64,11 @@ def check_lens(
             f"the sides of the mirror are bent in the image as by k1 = {k1 + bend.change:.3f} +- {bend.sigma:.3f}"
             f"{hint} where the camera has {k1:.3f}: check k1, k2, p1, p2 and distortion_direction of [camera]; a "
             "mirror whose sides are not straight needs the corners of its true outline in outline_m",
-            {"distortion_missing_px": bend.change * per_k1_px, "sigma_distortion_px": bend.sigma * per_k1_px},
+            {
+                "distortion_missing_px": bend.change * per_k1_px,
+                "sigma_distortion_px": bend.sigma * per_k1_px,
+                "farthest_px": farthest_px,
+            },
         )
     aspect = _estimate(outline, camera, pose, "focal_x_px", _STEP_PX)
     if aspect.probability < _MIN_PROBABILITY:
