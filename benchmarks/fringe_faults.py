@@ -634,8 +634,11 @@ class Outcome:
     unconfirmed: dict[str, float] = field(default_factory=dict)
 
     def beside(self, clean: "Outcome") -> dict[str, float]:
-        """Return the errors in sigma that the fault has brought: what the good measurement has is no part of it."""
-        return {name: abs(value - clean.errors.get(name, 0.0)) for name, value in self.errors.items()}
+        """Return the errors in sigma that the fault has brought: what the good measurement has is no part of it.
+
+        Nor is what another sigma makes of that: a result within its sigma of the truth is not wrong.
+        """
+        return {name: min(abs(value), abs(value - clean.errors.get(name, 0.0))) for name, value in self.errors.items()}
 
 
 def measure(folder: Folder, place: Path) -> Outcome:

@@ -40,6 +40,7 @@ class OddityKind(StrEnum):
     OFFSET = "offset"
     GAIN = "gain"
     DRIFT = "drift"
+    FLICKER = "flicker"
     STEP = "step"
     STEPS_OF_SET = "steps of a set"
     STEPS_OF_ALL = "steps of all sets"
@@ -49,7 +50,7 @@ class OddityKind(StrEnum):
     CONTRAST = "contrast"
 
 
-_LIGHT = (OddityKind.OFFSET, OddityKind.GAIN, OddityKind.DRIFT)
+_LIGHT = (OddityKind.OFFSET, OddityKind.GAIN, OddityKind.DRIFT, OddityKind.FLICKER)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,8 +58,9 @@ class Oddity:
     """One thing that the frames have beside their fringes.
 
     frames: Frames concerned, from 0.
-    value, sigma (c,): Offset [DN], gain, drift over the sequence, step [rad], relative change of steps, shift in x and
-        y [px], relative change of periods and place on the display [rad], or contrast.
+    value, sigma (c,): Offset [DN], gain, drift over the sequence, gains of all frames but the first, step [rad],
+        relative change of steps, shift in x and y [px], relative change of periods and place on the display [rad], or
+        contrast.
     chi_square: How much the misfit falls with it.
     """
 
@@ -194,6 +196,8 @@ def _candidates(pattern: FringePattern) -> list[_Candidate]:
             after = (np.arange(n) >= k).astype(np.float64)
             add(OddityKind.KNOCK, range(k, n), (3, after), (4, after))
     add(OddityKind.DRIFT, range(n), (1, np.linspace(0.0, 1.0, n)))
+    # A gain of all frames together is the pixels' own light.
+    add(OddityKind.FLICKER, range(n), *((1, one) for one in np.eye(n)[1:] - 1.0 / n))
     planned = np.concatenate([one.steps_rad for one in pattern.sets])
     add(OddityKind.STEPS_OF_ALL, range(n), (2, planned))
     for where in pattern.frame_slices:
@@ -396,7 +400,11 @@ class _Equations:
     def best(
         self, candidates: Sequence[_Candidate], chosen: Sequence[_Candidate], solution: _Solution
     ) -> _Candidate | None:
-        """Return the candidate with the most evidence, given those that were chosen; None where nothing has any."""
+        """Return the candidate with the most evidence, given those that were chosen; None where none matters.
+
+        As long as anything with evidence moves the phase, the clearest comes next, whether it does or not: periods of a
+        coarse set that are a little off are explained by those of the finest one nearly as well, with a larger effect.
+        """
         active = self._with_harmonics(chosen)
         frames = len(self.right) - _WAVES
         of_light = self._given(active, np.zeros(active.shape[1]), solution)
@@ -407,7 +415,7 @@ class _Equations:
         priors = np.concatenate([np.zeros(active.shape[1]), np.full(len(self.left), usual**-2)])
         of_rest = self._given(np.hstack([active, light]), priors, solution)
         per_value = np.log(self.left.size)
-        best, most = None, 0.0
+        best, most, matters = None, 0.0, False
         for one in candidates:
             if any(one is other for other in chosen):
                 continue
@@ -418,11 +426,14 @@ class _Equations:
             if (np.diag(information) < 1e-6 * np.diag(own)).any():
                 continue
             value = np.linalg.solve(information, along)
-            effect = np.abs((one.columns @ value).reshape(-1, _COLUMNS) * self.to_phase).sum(axis=1).max()
+            by_frame = np.abs((one.columns @ value).reshape(-1, _COLUMNS) * self.to_phase).sum(axis=1)
+            # Frames that flicker each for itself add up like noise, but no mean over pixels takes that away.
+            effect = np.linalg.norm(by_frame) if one.kind is OddityKind.FLICKER else by_frame.max()
             gain = float(value @ along) - per_value * len(value) - _SIGNIFICANT**2
-            if gain > most and effect > _LEAST_EFFECT:
+            matters = matters or bool(gain > 0 and effect > _LEAST_EFFECT)
+            if gain > most:
                 best, most = one, gain
-        return best
+        return best if matters else None
 
     def _given(self, active: FloatArray, priors: FloatArray, solution: _Solution) -> tuple[FloatArray, FloatArray]:
         """Return normal matrix and right side of the frames' parameters with other unknowns eliminated."""

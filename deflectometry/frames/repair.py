@@ -547,6 +547,10 @@ def _say(state: _State, one: Oddity) -> Doubt:
     if one.kind is OddityKind.DRIFT:
         text = f"{where}: the light drifts by {value[0]:+.2%} +- {sigma[0]:.2%}; divided out"
         return _light_doubt(f"{text}. For the next time: {_STEADY_LIGHT}", {"change_share": value[0]})
+    if one.kind is OddityKind.FLICKER:
+        rms = float(np.std([0.0, *value]))
+        text = f"{where}: the light differs by {rms:.2%} RMS from frame to frame; divided out"
+        return _light_doubt(f"{text}. For the next time: {_STEADY_LIGHT}", {"change_share": rms})
     if one.kind in (OddityKind.SHIFT, OddityKind.KNOCK):
         text = (
             f"{where}: moved by ({value[0]:+.3f} +- {sigma[0]:.3f}, {value[1]:+.3f} +- {sigma[1]:.3f}) px against the "

@@ -7,6 +7,7 @@ from deflectometry.frames.image_file_checks import check_compression, check_size
 from deflectometry.keys import DeflectometryMeasurement
 from deflectometry.pipeline.choices import Options, build_choices
 from deflectometry.pipeline.contradictions import refuse_contradictions
+from deflectometry.pipeline.curl_test import with_curl_contained
 from deflectometry.pipeline.evaluate import evaluate_frames
 from deflectometry.pipeline.headline import canting_numbers, curl_numbers, facet_numbers, numbers_of_maps, pose_numbers
 from deflectometry.pipeline.images import image_files, mend_frames, observe, pictures_of_frames
@@ -89,9 +90,11 @@ def run(
         evaluation = evaluate_frames(observation, setup, mirror, choices, progress)
     refuse_impossible(setup, evaluation.solution.cam_from_mirror)
     with progress.stage("stated inputs"):
+        # Curl is held against what was stated: sigmas enlarged for it would explain it away.
+        curls = {name: curl_numbers(one) for name, one in evaluation.maps.items()}
+        evaluation = with_curl_contained(evaluation, curls)
         inputs, unstated = stated_inputs(setup, evaluation), inputs_without_sigma(measurement, setup)
         contradiction = contradiction_of_setup(evaluation, inputs)
-        as_stated = evaluation.maps
         # Of several poses of one mirror the adjustment finds what the inputs are.
         if adjusted is None:
             evaluation = with_sigmas_of_images(evaluation, inputs, unstated)
@@ -107,11 +110,8 @@ def run(
         numbers = facet_numbers(assembled, as_measured) | pose_numbers(evaluation.located, evaluation)
         numbers |= canting_numbers(cantings)
         numbers_by_facet = numbers_of_maps(maps, evaluation.maps, cantings)
-        # Curl is held against what was stated: sigmas enlarged for a contradiction would explain it away.
-        if evaluation.maps is not as_stated:
-            curls = {name: curl_numbers(one) for name, one in as_stated.items()}
-            numbers |= next(iter(curls.values())) if len(facets) == 1 else {}
-            numbers_by_facet = {name: one | curls[name] for name, one in numbers_by_facet.items()}
+        numbers |= next(iter(curls.values())) if len(facets) == 1 else {}
+        numbers_by_facet = {name: one | curls[name] for name, one in numbers_by_facet.items()}
     doubts = gather_doubts(
         check_screen(measurement, setup.screen),
         frames.doubts,

@@ -8,6 +8,7 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 
 import numpy as np
 
+from deflectometry.pipeline.curl_test import curl_doubt
 from deflectometry.pipeline.evaluate import Evaluation
 from deflectometry.pipeline.headline import flag_words
 from deflectometry.pipeline.stated_inputs import StatedInput
@@ -21,13 +22,6 @@ Numbers = Mapping[str, float | int | None]
 
 #: Root mean square slope error that no mirror for sunlight has: its beam would be 40 mrad wide.
 _GROSS_MRAD = 10.0
-#: Curl against its expectation, and what it adds to the noise: below 0.1 mrad over a metre it spoils nothing. The
-#: reference facet has 1.2 times its expectation, a wrong setup 5 times and more.
-_CURL_RATIO = 3.0
-_CURL_EXCESS_PER_M = 1e-4
-#: Sigmas of single points that miss a third of what is there. Facets of drawn measurements of every preset, whose
-#: sigmas are true, have 0.98 to 1.04 times the expectation; the public facet has 2.5.
-_CURL_ABOVE_NOISE = 1.5
 #: Deviation whose cause is the curvature of the whole mirror: the best-fit quadratic takes away more than two thirds.
 _SHAPE_MRAD = 1.0
 _SHAPE_SHARE = 0.3
@@ -66,7 +60,7 @@ def implausible(numbers: Numbers, facets: Mapping[str, Numbers], evaluation: Eva
     """
     yield from _rejection_doubt(evaluation)
     yield from _turn_doubt(evaluation)
-    yield from _curl_doubt(facets or {"": numbers})
+    yield from curl_doubt(facets or {"": numbers})
     error, rest = (1e3 * _number(numbers, f"sd_{left}_rad") for left in ("tilt_removed", "best_quadratic"))
     # In curvatures, which a flat mirror has, too.
     lengths = ", ".join(f"1/f in {axis} {2 * _number(numbers, f'curvature_{axis}_per_m'):.4g} 1/m" for axis in "xy")
@@ -154,36 +148,3 @@ def _turn_doubt(evaluation: Evaluation) -> Iterator[Doubt]:
         "mirrored or turned the images",
         {"apart_rad": float(np.linalg.norm(turn)), "sigma_outline_rad": sigma},
     )
-
-
-def _curl_doubt(facets: Mapping[str, Numbers]) -> Iterator[Doubt]:
-    """Recognise slopes that no surface can have: the curl of a surface's slopes is zero."""
-    doubtful, noisy = [], []
-    for name, numbers in facets.items():
-        curl, expected = _number(numbers, "curl_rms_per_m"), _number(numbers, "curl_expected_rms_per_m")
-        excess = np.sqrt(max(curl**2 - expected**2, 0.0))
-        if curl > _CURL_RATIO * expected and excess > _CURL_EXCESS_PER_M:
-            doubtful.append((name, curl, expected))
-        elif curl > _CURL_ABOVE_NOISE * expected:
-            noisy.append((name, curl / expected))
-    if noisy and not doubtful:
-        name, ratio = max(noisy, key=lambda one: one[1])
-        where = f" (facet {name}, one of {len(noisy)})" if name else ""
-        yield Doubt(
-            "curl_above_noise",
-            f"the slopes have {ratio:.1f} times the curl that their noise explains{where}: sigmas of single points are "
-            "too small by about as much, those of averages over the mirror less; use more steps for each period, or a "
-            "response measured with the same exposure",
-            {"curl_ratio": ratio},
-        )
-    if doubtful:
-        name, curl, expected = max(doubtful, key=lambda one: one[1])
-        where = f" (facet {name}, one of {len(doubtful)})" if name else ""
-        yield Doubt(
-            "slopes_of_no_surface",
-            f"no surface has these slopes: their curl is {1e3 * curl:.3g} mrad/m RMS{where}, where noise makes "
-            f"{1e3 * expected:.3g}; check the shape and pose of the screen, the axes of [[pattern.set]], that the "
-            "images are neither mirrored nor strongly compressed, and that nothing moved",
-            {"curl_rms_per_m": curl, "curl_expected_rms_per_m": expected},
-            Severity.SERIOUS,
-        )

@@ -2,7 +2,7 @@
 
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
-from math import inf, isfinite, nan
+from math import hypot, inf, isfinite, nan
 from typing import Any
 
 import numpy as np
@@ -50,6 +50,7 @@ class StatedInput:
         screen's sag of its size, for its place of the distance to the mirror; 1 mrad for a turn.
     sigma: As stated; 0 where it counts as exact.
     sigma_images: How well the images and the other inputs know it; infinite where they know nothing.
+    off_by_images: By how much it is off according to them, all other inputs as stated; 0 where they know nothing.
     unnoticed: Error up to which no test finds it nine times of ten; infinite where no test sees it.
     modes: What one unit does to the slopes of each facet.
     changes (3,): What one unit does to the curvatures along x and y and to the twist [1/m].
@@ -68,6 +69,7 @@ class StatedInput:
     thousandth: float
     sigma: float
     sigma_images: float
+    off_by_images: float
     unnoticed: float
     modes: dict[str, CommonModes]
     changes: FloatArray
@@ -122,7 +124,7 @@ def stated_inputs(setup: Setup, evaluation: Evaluation) -> tuple[StatedInput, ..
                 one.unit,
                 one.thousandth,
                 one.sigma,
-                tests.sigma_images(one, single[largest]),
+                *tests.known_by_images(one, single[largest]),
                 tests.unnoticed(one, single[largest]),
                 single,
                 changes,
@@ -187,6 +189,7 @@ def inputs_table(inputs: Sequence[StatedInput]) -> dict[str, list[Any]]:
         "permille": thousandths,
         "sigma": [one.sigma for one in inputs],
         "sigma_from_images": [_or_empty(one.sigma_images) for one in inputs],
+        "off_by_images": [one.off_by_images for one in inputs],
         "unnoticed": [_or_empty(one.unnoticed) for one in inputs],
         "unnoticed_sigmas": [_or_empty(one.unnoticed_sigmas) for one in inputs],
     }
@@ -211,14 +214,16 @@ def with_sigmas_of_images(
     unstated: Their keys.
     Returns: The evaluation with one more common mode for each of them.
 
-    No sigma is no knowledge, not perfect knowledge: what is left to believe is what the measurement itself does not
-    contradict.
+    No sigma is no knowledge, not perfect knowledge: what is left to believe is what the measurement itself says, its
+    estimate with the sigma of that. The value stays as stated, so that the square of its distance counts as well.
     """
     chosen = [one for one in inputs if one.key in unstated and isfinite(one.sigma_images)]
     if not chosen:
         return evaluation
     maps = {
-        name: with_modes(one, [(UNSTATED, item.modes[name], item.sigma_images) for item in chosen])
+        name: with_modes(
+            one, [(UNSTATED, item.modes[name], hypot(item.sigma_images, item.off_by_images)) for item in chosen]
+        )
         for name, one in evaluation.maps.items()
     }
     return replace(evaluation, maps=maps)
@@ -388,17 +393,22 @@ class _Tests:
     moments: CurlMoments | None
     evidence: MirrorPose | None
 
-    def sigma_images(self, one: _Unit, mode: CommonModes) -> float:
-        """Return how well an input is known without its own sigma."""
-        seen = self._information_of_curl(mode)
+    def known_by_images(self, one: _Unit, mode: CommonModes) -> tuple[float, float]:
+        """Return how well an input is known without its own sigma, and by how much it is off then."""
+        seen, along = self._information_of_curl(mode)
         # The input's own errors are part of the curl's covariance.
-        information = seen / max(1 - one.sigma**2 * seen, 1e-6) + one.misclosure_m**2 / one.variance_m2
-        return inf if information <= 0 else float(information**-0.5)
+        share = 1.0 / max(1 - one.sigma**2 * seen, 1e-6)
+        information, along = share * seen, share * along
+        if self.evidence is not None and one.misclosure_m:
+            test = self.evidence.distance_tests[0]
+            information += one.misclosure_m**2 / one.variance_m2
+            along += one.misclosure_m * (test.image_only_m - test.measured_m) / one.variance_m2
+        return (inf, 0.0) if information <= 0 else (float(information**-0.5), float(along / information))
 
     def unnoticed(self, one: _Unit, mode: CommonModes) -> float:
         """Return the error that each test finds nine times of ten, the smaller of both."""
         found = [inf]
-        seen = self._information_of_curl(mode)
+        seen, _ = self._information_of_curl(mode)
         if seen > 0 and self.moments is not None:
             found.append((_found_beyond(CURL_PROBABILITY, len(self.moments.values_per_m)) / seen) ** 0.5)
         if one.misclosure_m and self.evidence is not None:
@@ -407,11 +417,13 @@ class _Tests:
             found.append((_found_beyond(MIN_PROBABILITY, 1) * variance) ** 0.5 / abs(one.misclosure_m))
         return min(found)
 
-    def _information_of_curl(self, mode: CommonModes) -> float:
+    def _information_of_curl(self, mode: CommonModes) -> tuple[float, float]:
+        """Return the inverse variance of an input from the curl, and its estimate times that."""
         if self.moments is None:
-            return 0.0
+            return 0.0, 0.0
         effect = self.moments.of_modes(mode)[:, 0]
-        return float(effect @ np.linalg.solve(self.moments.covariance, effect))
+        weights = np.linalg.solve(self.moments.covariance, effect)
+        return float(weights @ effect), float(weights @ self.moments.values_per_m)
 
 
 def _found_beyond(probability: float, freedom: int) -> float:

@@ -95,11 +95,16 @@ def _estimate(outline: _Sides, camera: Camera, pose: RigidTransform, name: str, 
     number = PARAMETER_NAMES.index(name)
     one = np.eye(len(PARAMETER_NAMES))[number]
     total, variance = 0.0, np.inf
+    # A focal length stays one, whatever an outline that is no outline asks for.
+    reach = np.array([-0.5, 0.5]) * max(abs(float(camera.parameters[number])), 1.0)
     for _ in range(_ROUNDS):
         changed = camera.with_parameters(camera.parameters + total * one)
         # What a side has in common is counted by itself.
         series = edges.along_sides(edges.rows(changed, pose)[0])
         seen = np.isfinite(series)
+        if not seen.any():
+            # The adjustment has left the outline: nothing is known.
+            return _Found(0.0, np.inf, 1.0)
         series -= (np.nansum(series, axis=1) / np.maximum(seen.sum(axis=1), 1))[:, None]
         scatter_px = max(robust_scale(series[seen], upper=True), edges.floor_px)
         sigma_px = scatter_px * float(np.sqrt(max(correlation_points(series), _SHARED_POINTS)))
@@ -116,7 +121,7 @@ def _estimate(outline: _Sides, camera: Camera, pose: RigidTransform, name: str, 
         scale[scale == 0] = 1.0
         inverse = np.linalg.pinv(matrix / scale, rcond=1e-9)
         solved = -(inverse @ whitened) / scale
-        pose, total = pose.moved(solved[:6]), total + float(solved[6])
+        pose, total = pose.moved(solved[:6]), total + float(np.clip(solved[6], *(reach - total)))
         variance = float((inverse[6] @ inverse[6]) / scale[6] ** 2)
     sigma = float(np.sqrt(variance + camera.covariance[number, number]))
     return _Found(total, sigma, 1.0 - chi_square_cdf((total / sigma) ** 2, 1.0))

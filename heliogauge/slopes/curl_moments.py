@@ -38,6 +38,11 @@ class CurlMoments:
         """Sum of the squared means over their covariance: k on average for the slopes of a surface."""
         return float(self.values_per_m @ np.linalg.solve(self.covariance, self.values_per_m))
 
+    @property
+    def smooth_rms_per_m(self) -> float:
+        """RMS over the map of the polynomial that fits the curl best [1/m]."""
+        return float(np.sqrt(self.values_per_m @ np.linalg.solve(self._weights.products(), self.values_per_m)))
+
     def of_modes(self, modes: CommonModes) -> FloatArray:
         """Return the same means of smooth slope errors, shape (k, number of modes) [1/m]."""
         return self._weights.of_modes(modes)
@@ -138,6 +143,13 @@ class _Weights:
             shared = shared_x[_square(j, n), i + m] + shared_y[j + n, _square(i, m)]
             random[row, column] = own[j + n, i + m] - shared
         return values, random
+
+    def products(self) -> FloatArray:
+        """Return the means of the products of two of the polynomials, shape (k, k)."""
+        found = np.empty((len(_POWERS),) * 2)
+        for (row, (i, j)), (column, (m, n)) in product(enumerate(_POWERS), repeat=2):
+            found[row, column] = (self.rows[j] * self.rows[n]) @ self.window @ (self.columns[i] * self.columns[m])
+        return found
 
     def of_modes(self, modes: CommonModes) -> FloatArray:
         """Return the means of smooth slope errors, shape (k, number of modes) [1/m]."""

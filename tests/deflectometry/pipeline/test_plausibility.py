@@ -2,7 +2,7 @@
 
 import pytest
 
-from deflectometry.pipeline.plausibility import _curl_doubt
+from deflectometry.pipeline.curl_test import curl_doubt
 
 
 @pytest.mark.parametrize(
@@ -17,4 +17,4 @@ from deflectometry.pipeline.plausibility import _curl_doubt
 )
 def test_curl_that_noise_does_not_explain_is_said(curl_per_m: float, expected_per_m: float, code: str | None) -> None:
     numbers = {"curl_rms_per_m": curl_per_m, "curl_expected_rms_per_m": expected_per_m}
-    assert [doubt.code for doubt in _curl_doubt({"": numbers})] == ([] if code is None else [code])
+    assert [doubt.code for doubt in curl_doubt({"": numbers})] == ([] if code is None else [code])
