@@ -46,6 +46,7 @@ class StatedInput:
     key: Its key in measurement.toml.
     words: What it is; error: what is wrong where it is, with "{}" for amount and sigma.
     unit: Of all amounts: "mm", "px" or "mrad".
+    stated: Its value; NaN for the sag and for directions of the screen's pose.
     thousandth: A permille of it: of a length or focal length; for the principal point of the focal length, for the
         screen's sag of its size, for its place of the distance to the mirror; 1 mrad for a turn.
     sigma: As stated; 0 where it counts as exact.
@@ -66,6 +67,7 @@ class StatedInput:
     words: str
     error: str
     unit: str
+    stated: float
     thousandth: float
     sigma: float
     sigma_images: float
@@ -122,6 +124,7 @@ def stated_inputs(setup: Setup, evaluation: Evaluation) -> tuple[StatedInput, ..
                 one.words,
                 one.error,
                 one.unit,
+                one.stated,
                 one.thousandth,
                 one.sigma,
                 *tests.known_by_images(one, single[largest]),
@@ -186,6 +189,7 @@ def inputs_table(inputs: Sequence[StatedInput]) -> dict[str, list[Any]]:
         "input": [one.words for one in inputs],
         "key": [one.key for one in inputs],
         "unit": [one.unit for one in inputs],
+        "stated": [_or_empty(one.stated) for one in inputs],
         "permille": thousandths,
         "sigma": [one.sigma for one in inputs],
         "sigma_from_images": [_or_empty(one.sigma_images) for one in inputs],
@@ -256,6 +260,7 @@ class _Unit:
     words: str
     error: str
     unit: str
+    stated: float
     thousandth: float
     sigma: float
     moved: MovedInput
@@ -268,10 +273,12 @@ def _units(setup: Setup, evaluation: Evaluation, cam_from_mirror: RigidTransform
     located = evaluation.located
     distance = _DistanceInImage.of(located.evidence, setup)
 
-    def unit(key: str, words: str, error: str, unit: str, size: float, sigma: float, step: SetupStep) -> _Unit:
+    def unit(
+        key: str, words: str, error: str, unit: str, sigma: float, step: SetupStep, size: float, stated: float = nan
+    ) -> _Unit:
         moved = moved_input(setup, cam_from_mirror, located.pose, step)
         closes, variance = (0.0, inf) if distance is None else (distance.change_m(setup, step), distance.variance_m2)
-        return _Unit(key, words, error, unit, size, sigma, moved, closes, variance)
+        return _Unit(key, words, error, unit, stated, size, sigma, moved, closes, variance)
 
     if distance is not None:
         yield distance.as_unit(setup, located.pose.cam_from_mirror, cam_from_mirror)
@@ -283,6 +290,7 @@ def _units(setup: Setup, evaluation: Evaluation, cam_from_mirror: RigidTransform
             "the mirror's distance from the camera",
             "the mirror moved away from the camera {} mm",
             "mm",
+            1e3 * float(np.linalg.norm(cam_from_mirror.translation_m)),
             float(np.linalg.norm(cam_from_mirror.translation_m)),
             1e3 * float(np.sqrt(along @ located.pose.covariance @ along)),
             MovedInput("mirror", setup, cam_from_mirror.moved(1e-3 * along)),
@@ -302,18 +310,20 @@ def _units(setup: Setup, evaluation: Evaluation, cam_from_mirror: RigidTransform
         error = f"{words} off by {{}} px"
         if name.startswith("center"):
             error = f"the camera's principal point moved along {words[-1]} {{}} px"
-        yield unit(f"camera.{name}", words, error, "px", thousandth, sigma, step)
+        stated = float(setup.camera.parameters[number])
+        yield unit(f"camera.{name}", words, error, "px", sigma, step, thousandth, stated)
     for axis, (side, order, sign) in enumerate((("width", (1, 0), 1.0), ("height", (0, 1), -1.0))):
         # As in `deflectometry.setup.setup_steps`: a width off by s is an RMS of s / sqrt(12).
         step = SetupStep(side, warp=Warp(axis, order, sign * 1e-3 / 12.0**0.5))
         words, sigma = f"the screen's {side}", 1e3 * float(setup.sigma_size_m[axis])
         error = f"{words} off by {{}} mm"
-        yield unit(f"screen.{side}_m", words, error, "mm", float(setup.size_m[axis]), sigma, step)
+        size_m = float(setup.size_m[axis])
+        yield unit(f"screen.{side}_m", words, error, "mm", sigma, step, size_m, 1e3 * size_m)
     for axis, (order, side) in enumerate((((2, 0), "width"), ((0, 2), "height"))):
         step = SetupStep("sag", warp=Warp(2, order, 1e-3 * 2.0 / (3.0 * 5.0**0.5)))
         words = f"the screen's sag over its {side}"
         thousandth, sigma = float(setup.size_m[axis]), 1e3 * setup.sigma_sag_m
-        yield unit("screen.sag", words, f"{words} {{}} mm", "mm", thousandth, sigma, step)
+        yield unit("screen.sag", words, f"{words} {{}} mm", "mm", sigma, step, thousandth)
     mirror_m = (setup.cam_from_screen.inverse() @ cam_from_mirror).translation_m
     for letter, direction in zip("xyz", setup.cam_from_screen.rotation.T, strict=True):
         for key, words, error, name, full in (
@@ -327,7 +337,7 @@ def _units(setup: Setup, evaluation: Evaluation, cam_from_mirror: RigidTransform
             )
             thousandth = 1.0 if name == "mrad" else float(np.linalg.norm(mirror_m))
             step = SetupStep(words, cam_from_screen=1e-3 * full)
-            yield unit(f"screen.{key}", words, error, name, thousandth, sigma, step)
+            yield unit(f"screen.{key}", words, error, name, sigma, step, thousandth)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -375,6 +385,7 @@ class _DistanceInImage:
             "the distance from mirror to screen",
             "the distance from mirror to screen off by {} mm",
             "mm",
+            1e3 * first.distance_m,
             first.distance_m,
             1e3 * first.sigma_m,
             MovedInput("distance", setup, longer.pose_with(setup, located) @ located.inverse() @ aligned),

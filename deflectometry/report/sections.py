@@ -5,6 +5,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from deflectometry.report.canting import canting_section
+from deflectometry.report.inputs import stated_table
 from deflectometry.report.light import light
 from deflectometry.report.maps import (
     distribution_chart,
@@ -55,6 +56,7 @@ __all__ = [
     "shape_view",
     "share_table",
     "slope_view",
+    "stated_table",
     "statistics_table",
     "text_table",
 ]

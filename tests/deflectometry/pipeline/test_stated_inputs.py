@@ -54,6 +54,11 @@ def test_effects_are_those_of_measuring_again_and_unconfirmed_inputs_are_noted(t
     found = 3.86 * np.hypot(sigma_mm, distance.sigma)
     assert 0.8 * found < distance.unnoticed < 1.01 * found
     width = measured(folder, ("sigma_width_mm", np.nan))
-    expected = inputs["screen.width_m"].sigma_images * abs(inputs["screen.width_m"].changes[0])
+    one = inputs["screen.width_m"]
+    expected = np.hypot(one.sigma_images, one.off_by_images) * abs(one.changes[0])
     together = np.hypot(expected, result.numbers["sigma_curvature_x_per_m"])
     assert width.numbers["sigma_curvature_x_per_m"] == pytest.approx(together, rel=0.05)
+    wide = {one.key: one for one in measured(folder, ("width_m", 0.1)).inputs}["screen.width_m"]
+    # The same noise in both; what is not linear in 1 % of the width is less than that.
+    assert abs(wide.off_by_images - one.off_by_images - 100.0) < wide.sigma_images
+    assert abs(wide.off_by_images - 100.0) < 3 * wide.sigma_images
