@@ -97,7 +97,7 @@ def run(
         contradiction = contradiction_of_setup(evaluation, inputs)
         # Of several poses of one mirror the adjustment finds what the inputs are.
         if adjusted is None:
-            evaluation = with_sigmas_of_images(evaluation, inputs, unstated)
+            evaluation = with_sigmas_of_images(evaluation, inputs, unstated, contradicted=contradiction is not None)
             evaluation = evaluation if contradiction is None else contradiction.contained(evaluation)
             evaluation = with_camera_contained(setup, evaluation)
     facets, align = evaluation.located.facets, choices.align

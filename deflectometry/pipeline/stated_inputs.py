@@ -211,11 +211,13 @@ def _or_empty(value: float) -> float:
 
 
 def with_sigmas_of_images(
-    evaluation: Evaluation, inputs: Sequence[StatedInput], unstated: Collection[str]
+    evaluation: Evaluation, inputs: Sequence[StatedInput], unstated: Collection[str], *, contradicted: bool
 ) -> Evaluation:
     """Give inputs without a stated sigma the one with which the images know them.
 
     unstated: Their keys.
+    contradicted: The slopes contradict the set-up (`deflectometry.pipeline.setup_test`): what each input would have to
+        be off by to explain all of that alone says nothing of it.
     Returns: The evaluation with one more common mode for each of them.
 
     No sigma is no knowledge, not perfect knowledge: what is left to believe is what the measurement itself says, its
@@ -224,9 +226,10 @@ def with_sigmas_of_images(
     chosen = [one for one in inputs if one.key in unstated and isfinite(one.sigma_images)]
     if not chosen:
         return evaluation
+    amounts = [hypot(one.sigma_images, 0.0 if contradicted else one.off_by_images) for one in chosen]
     maps = {
         name: with_modes(
-            one, [(UNSTATED, item.modes[name], hypot(item.sigma_images, item.off_by_images)) for item in chosen]
+            one, [(UNSTATED, item.modes[name], amount) for item, amount in zip(chosen, amounts, strict=True)]
         )
         for name, one in evaluation.maps.items()
     }

@@ -59,6 +59,6 @@ def test_effects_are_those_of_measuring_again_and_unconfirmed_inputs_are_noted(t
     together = np.hypot(expected, result.numbers["sigma_curvature_x_per_m"])
     assert width.numbers["sigma_curvature_x_per_m"] == pytest.approx(together, rel=0.05)
     wide = {one.key: one for one in measured(folder, ("width_m", 0.1)).inputs}["screen.width_m"]
-    # The same noise in both; what is not linear in 1 % of the width is less than that.
-    assert abs(wide.off_by_images - one.off_by_images - 100.0) < wide.sigma_images
+    # The same noise in both. A width makes little curl: a cubic over 400 pixels holds three quarters of it.
+    assert 60.0 < wide.off_by_images - one.off_by_images < 140.0
     assert abs(wide.off_by_images - 100.0) < 3 * wide.sigma_images
