@@ -254,6 +254,9 @@ def observer(
     rolling_shutter_ms: Annotated[
         float, typer.Option(min=0.0, help="Read the rows in this time while flying at 2 m/s; 0: all at once.")
     ] = 0.0,
+    rtk_mm: Annotated[
+        float, typer.Option(min=0.0, help="Write the drone's own positions with this standard deviation; 0: none.")
+    ] = 0.0,
     noise_dn: NoiseDn = None,
     blur_px: BlurPx = None,
     jpeg_quality: JpegQuality = None,
@@ -274,7 +277,8 @@ def observer(
     if rolling_shutter_ms:
         scene = scene.with_rolling_shutter(1e-3 * rolling_shutter_ms)
     progress = terminal_progress(quiet=quiet, verbose=verbose)
-    write_trough_dataset(folder, scene, TroughOptions(seed, jpeg_quality, force), progress)
+    options = TroughOptions(seed, jpeg_quality, force, 1e-3 * rtk_mm if rtk_mm else None)
+    write_trough_dataset(folder, scene, options, progress)
     if not quiet:
         print(folder)
 

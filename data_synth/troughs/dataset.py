@@ -24,6 +24,7 @@ from data_synth.troughs.receiver import TubeAxis
 from data_synth.troughs.scene import TroughScene, TroughView
 from heliogauge.errors import InputError
 from heliogauge.files.arrays import read_arrays
+from heliogauge.geometry.geodesy import geodetic_from_enu
 from heliogauge.images.photos import write_image
 from heliogauge.measurement.load import MEASUREMENT_FILE
 from heliogauge.measurement.writer import dump_toml, write_text
@@ -32,7 +33,7 @@ from heliogauge.results.slope_map_file import read_slope_map
 from heliogauge.results.tables import write_table_csv
 from heliogauge.results.whole_folder import WholeFolder
 from heliogauge.running.progress import Progress, SilentProgress
-from heliogauge.validate import FloatArray
+from heliogauge.validate import FloatArray, positive
 
 TARGETS_FILE = "targets.csv"
 #: Names and rough places of targets without a code.
@@ -41,6 +42,10 @@ UNCODED_FILE = "uncoded.csv"
 _MAP_STEP_M = 0.02
 #: Truths of several troughs, a folder for each, in its own frame; beside it the first one's in the common frame.
 TRUTHS_FOLDER = "truth"
+#: The drone's own positions; where on Earth the trough is, and how its rows run: latitude, longitude [deg], altitude
+#: [m], azimuth of +y [deg].
+POSITIONS_FILE = "positions.csv"
+_PLACE_ON_EARTH, _ROW_AZIMUTH_DEG = (37.0913, -2.3584, 494.0), 8.0
 _MAPS = ("slope_error_x", "slope_error_y", "theta_r_rad", "height_error_m")
 
 
@@ -51,14 +56,18 @@ class TroughOptions:
     seed: Seed of all noise; the same seed gives the same files.
     jpeg_quality: Write JPEG files of this quality, 1 to 100, instead of PNG.
     force: Replace an earlier synthetic measurement.
-    InputError: A quality JPEG does not have.
+    rtk_sigma_m: Standard deviation of the drone's own positions, east, north and up; None: it writes none [m].
+    InputError: A quality JPEG does not have, or a standard deviation that is not above 0.
     """
 
     seed: int = 0
     jpeg_quality: int | None = None
     force: bool = False
+    rtk_sigma_m: float | None = None
 
     def __post_init__(self) -> None:
+        if self.rtk_sigma_m is not None:
+            positive("rtk_sigma_m", self.rtk_sigma_m, "metres")
         if self.jpeg_quality is not None and not 1 <= self.jpeg_quality <= 100:
             raise InputError(f"jpeg_quality: 1 to 100 is needed, not {self.jpeg_quality}")
 
@@ -101,6 +110,8 @@ def write_trough_dataset(
     suffix = ".png" if chosen.jpeg_quality is None else ".jpg"
     if chosen.jpeg_quality is not None and scene.optics.sensor.bits != 8:
         raise InputError("JPEG holds 8 bit; leave the quality out for photos of more bits")
+    if chosen.rtk_sigma_m is not None and any(view.orientation_deg is not None for view in scene.views):
+        raise InputError("rtk_sigma_m: the camera stands still before a trough that turns; leave it out")
     with WholeFolder(folder, SYNTHETIC, force=chosen.force) as working:
         with progress.stage("prepare the scene"):
             photographer = Photographer(scene)
@@ -114,7 +125,7 @@ def write_trough_dataset(
             for _ in pool.map(shoot, scene.views, rngs):
                 stage.advance()
         with progress.stage("write truth"):
-            _write_knowledge(working, scene, suffix, chosen.seed)
+            _write_knowledge(working, scene, suffix, chosen)
             _write_truth(working, scene, photographer, suffix, chosen.seed)
 
 
@@ -246,7 +257,29 @@ def _long_distances(scene: TroughScene) -> list[dict[str, Any]]:
     return bars
 
 
-def _write_knowledge(working: Path, scene: TroughScene, suffix: str, seed: int) -> None:
+def _write_positions(path: Path, scene: TroughScene, suffix: str, seed: int, sigma_m: float) -> None:
+    """Write where the drone's receiver has the cameras."""
+    rng = np.random.default_rng([seed, len(scene.views), 1])
+    x, y, z = np.array([view.position_m for view in scene.views]).T
+    turn = np.radians(_ROW_AZIMUTH_DEG)
+    enu = np.stack([x * np.cos(turn) + y * np.sin(turn), y * np.cos(turn) - x * np.sin(turn), z], axis=1)
+    place = geodetic_from_enu(enu + sigma_m * rng.standard_normal(enu.shape), _PLACE_ON_EARTH)
+    columns: dict[str, Any] = {
+        "image": [view.name + suffix for view in scene.views],
+        "latitude_deg": [f"{value:.9f}" for value in place.latitude_deg],
+        "longitude_deg": [f"{value:.9f}" for value in place.longitude_deg],
+        "altitude_m": [f"{value:.4f}" for value in place.altitude_m],
+    }
+    for axis in ("east", "north", "up"):
+        columns[f"sigma_{axis}_mm"] = [f"{1e3 * sigma_m:g}"] * len(scene.views)
+    write_table_csv(path, columns)
+
+
+def _write_knowledge(working: Path, scene: TroughScene, suffix: str, options: TroughOptions) -> None:
+    content = observer_content(scene, suffix)
+    if options.rtk_sigma_m is not None:
+        _write_positions(working / POSITIONS_FILE, scene, suffix, options.seed, options.rtk_sigma_m)
+        content["positions"] = {"file": POSITIONS_FILE}
     stated = np.array([target.stated_m for target in scene.targets]).reshape(-1, 3)
     sigma_mm = 1e3 * np.array([target.sigma_m for target in scene.targets]).reshape(-1, 3)
     known = np.isfinite(sigma_mm)
@@ -266,8 +299,8 @@ def _write_knowledge(working: Path, scene: TroughScene, suffix: str, seed: int) 
     if scene.dictionary == UNCODED:
         rough = {"id": columns["target"], **{f"{axis}_m": columns[f"{axis}_m"] for axis in "xyz"}}
         write_table_csv(working / UNCODED_FILE, {**rough, "sigma_mm": ["5"] * len(scene.targets)})
-    comment = f"Synthetic measurement, seed {seed}; see {TRUTH_FILE}."
-    write_text(working / MEASUREMENT_FILE, f"# {comment}\n\n" + dump_toml(observer_content(scene, suffix)))
+    comment = f"Synthetic measurement, seed {options.seed}; see {TRUTH_FILE}."
+    write_text(working / MEASUREMENT_FILE, f"# {comment}\n\n" + dump_toml(content))
 
 
 def _write_truth(working: Path, scene: TroughScene, photographer: Photographer, suffix: str, seed: int) -> None:

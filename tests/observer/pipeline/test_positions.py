@@ -55,6 +55,18 @@ def test_positions_confirm_or_contradict_the_list(flight: Path) -> None:
 
 
 @pytest.mark.slow
+def test_a_drawn_flight_with_rtk_is_confirmed(tmp_path: Path) -> None:
+    scene = trough_scene("small", TroughChoice(4, n_photos=8))
+    write_trough_dataset(tmp_path / "rtk", scene, TroughOptions(4, rtk_sigma_m=0.02))
+    found = run(read_inputs(load(tmp_path / "rtk"), SilentProgress()).survey).positions
+    assert found is not None
+    assert found.photos == 8
+    assert abs(found.ratio - 1) < 3 * found.sigma_ratio < 0.03
+    # Three coordinates of eight photos less seven of a similarity: 0.84 of the positions' sigmas, +- 0.12.
+    assert 0.5 < found.misfit < 1.25
+
+
+@pytest.mark.slow
 def test_positions_that_are_not_there_are_named(flight: Path) -> None:
     (flight / "positions.csv").unlink(missing_ok=True)
     with pytest.raises(InputError, match=r"positions\.csv"):
