@@ -32,7 +32,6 @@ from heliogauge.doubts import Doubt
 from heliogauge.errors import InputError
 from heliogauge.files.regular import open_regular
 from heliogauge.files.texts import read_text
-from heliogauge.geometry.geodesy import enu_from_geodetic
 from heliogauge.geometry.sun import Site
 from heliogauge.results.json_file import read_json
 from heliogauge.results.tables import read_table_csv
@@ -350,5 +349,5 @@ def position_of(cells: dict[str, str], plant: Plant) -> FloatArray:
             cell = cells.get(name, "")
             raise InputError(f"table of heliostats: {name} = {cell!r}: a finite number is needed for its position")
     if names is _GEODETIC:
-        return enu_from_geodetic(values[0], values[1], values[2], plant.origin)
+        return plant.place_of(values[0], values[1], values[2], "table of heliostats: latitude_deg, longitude_deg")
     return np.array(values)

@@ -4,7 +4,7 @@ What is wrong with single rows makes them flagged rows; what is wrong with a who
 no number that comes of it would be true.
 """
 
-from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
@@ -151,30 +151,60 @@ def _convention(recorded: FloatArray, times: TimeArray, site: Site, median: floa
     """Find the convention by which the suns as recorded would be those of their times."""
     truth = sun_directions(times, site)
     azimuth, elevation = recorded.T
-    forms: dict[str, Callable[[], FloatArray]] = {
-        "the azimuth is 0 in the south and positive to the east: write 180 - azimuth": lambda: np.pi - azimuth,
-        "the azimuth is 0 in the south and positive to the west: write 180 + azimuth": lambda: np.pi + azimuth,
-        "the azimuth is counter-clockwise from the north: write -azimuth": lambda: -azimuth,
-        "the azimuth is counter-clockwise from the east: write 90 - azimuth": lambda: np.pi / 2 - azimuth,
+    azimuths = {
+        "the azimuth is 0 in the south and positive to the east: write 180 - azimuth": np.pi - azimuth,
+        "the azimuth is 0 in the south and positive to the west: write 180 + azimuth": np.pi + azimuth,
+        "the azimuth is counter-clockwise from the north: write -azimuth": -azimuth,
+        "the azimuth is counter-clockwise from the east: write 90 - azimuth": np.pi / 2 - azimuth,
     }
-    for text, form in forms.items():
-        if np.median(_angle(direction_from_angles(form(), elevation), truth)) < _CONVENTION_LIMIT_RAD:
+    for text, form in azimuths.items():
+        if _is_same(direction_from_angles(form, elevation), truth):
             return ColumnError("sun_convention", f"sun_azimuth_deg: {text}")
-    if np.median(_angle(direction_from_angles(azimuth, np.pi / 2 - elevation), truth)) < _CONVENTION_LIMIT_RAD:
+    if _is_same(direction_from_angles(azimuth, np.pi / 2 - elevation), truth):
         return ColumnError("sun_convention", "sun_elevation_deg: it is the zenith angle; write 90 - angle")
+    # Azimuths from the south were brought to the north as degrees before.
+    for half in (0.0, np.pi):
+        turned = np.rad2deg(azimuth - half) + half
+        if _is_same(direction_from_angles(turned, np.rad2deg(elevation)), truth):
+            return ColumnError("units", "sun_azimuth_deg, sun_elevation_deg: they are in radians; write degrees")
     suns = direction_from_angles(azimuth, elevation)
+    for text, other in _other_sites(site).items():
+        if _is_same(suns, sun_directions(times, other)):
+            place = f"{site.latitude_deg:g}, {site.longitude_deg:g} deg"
+            return ColumnError("site", f"site at {place}: the sun as recorded is that of {text}")
     for minutes in range(-14 * 60, 14 * 60 + 1, 15):
-        shifted = sun_directions(times - np.timedelta64(minutes, "m"), site)
-        if np.median(_angle(suns, shifted)) < _CONVENTION_LIMIT_RAD:
+        if _is_same(suns, sun_directions(times - np.timedelta64(minutes, "m"), site)):
             return ColumnError(
                 "time_offset",
                 f"time_utc: the recorded sun is that of a zone {minutes / 60:+.4g} h from UTC; write it with the times",
             )
     return ColumnError(
         "sun_convention",
-        f"the sun as recorded is {1e3 * median:.0f} mrad (median) from where its times put it, by no known convention; "
-        "azimuth must be 0 in the north and clockwise, elevation from the horizon; is the site's place right?",
+        f"the sun as recorded is {1e3 * median:.0f} mrad (median) from where its times put it; azimuths from the south "
+        "or the east or counter-clockwise, zenith angles, radians, signs and order of the site's latitude and "
+        "longitude, and zones of the times were tried, and none explains it; azimuth must be "
+        "0 in the north and clockwise, elevation from the horizon",
     )
+
+
+def _is_same(one: FloatArray, other: FloatArray) -> bool:
+    return bool(np.median(_angle(one, other)) < _CONVENTION_LIMIT_RAD)
+
+
+def _other_sites(site: Site) -> dict[str, Site]:
+    """Return the site with signs and order of its coordinates read otherwise."""
+    latitude, longitude = site.latitude_deg, site.longitude_deg
+    found = {
+        "a latitude of the other sign": (-latitude, longitude),
+        "a longitude of the other sign": (latitude, -longitude),
+        "a latitude and a longitude of the other sign": (-latitude, -longitude),
+        "latitude and longitude exchanged": (longitude, latitude),
+    }
+    return {
+        text: replace(site, latitude_deg=one, longitude_deg=other)
+        for text, (one, other) in found.items()
+        if abs(one) <= 90
+    }
 
 
 # --- repeats and constants --------------------------------------------------------------------------------------------
@@ -186,14 +216,19 @@ def refuse_repeats(rows: Rows, verdicts: Verdicts) -> None:
     verdicts: Takes the repeats.
     """
     numbers = np.column_stack([*rows.numbers.values(), np.zeros(len(rows))])
-    texts = list(zip(*(rows.texts[name] for name in rows.texts if name != "split"), strict=True))
-    seen: dict[bytes, int] = {}
-    for row in range(len(rows)):
+    texts = list(zip(*(rows.texts[name] for name in rows.texts if name not in ("split", "time_utc")), strict=True))
+    seen: dict[bytes, list[int]] = {}
+    # A row without a time is no other measurement for that, and the one to leave out.
+    for row in np.argsort(np.isnat(rows.times), kind="stable").tolist():
         if verdicts.flags[row] == "unreadable":
             continue
-        key = numbers[row].tobytes() + repr(texts[row] if texts else ()).encode() + rows.times[row].tobytes()
-        first = seen.setdefault(key, row)
-        if first != row:
+        key = numbers[row].tobytes() + repr(texts[row] if texts else ()).encode()
+        before, time = seen.setdefault(key, []), rows.times[row]
+        alike = (one for one in before if np.isnat(time) or rows.times[one] == time)
+        first = next(alike, None)
+        if first is None:
+            before.append(row)
+        else:
             verdicts.refuse(np.arange(len(rows)) == row, "duplicate", f"the same as {rows.ids[first]}")
 
 

@@ -22,7 +22,6 @@ from calibration.heliostat.kinematic_model.presets import (
 )
 from calibration.heliostat.observations.plant import Plant
 from heliogauge.errors import InputError
-from heliogauge.geometry.geodesy import enu_from_geodetic
 
 _POSITION_CELLS = frozenset({"e_m", "n_m", "u_m", "lat_deg", "lon_deg", "alt_m"})
 
@@ -68,7 +67,7 @@ def paint_design(properties: PaintProperties, name: str, plant: Plant) -> Helios
     latitude, longitude, altitude = properties.position.tolist()
     return linear_actuators(
         name,
-        enu_from_geodetic(latitude, longitude, altitude, plant.origin),
+        plant.place_of(latitude, longitude, altitude, f"heliostat_position of {name}"),
         (numbers[0], numbers[1]),
         concentrator_m=shifts["concentrator"],
         joints_m=(shifts["joint_1"], shifts["joint_2"]),

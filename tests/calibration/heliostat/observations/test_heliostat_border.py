@@ -16,6 +16,7 @@ from calibration.heliostat.observations.residuals import evaluate
 from calibration.heliostat.observations.rows import parse_rows
 from calibration.heliostat.pipeline.nominal_design import nominal_design
 from heliogauge.errors import InputError
+from heliogauge.measurement.writer import dump_toml
 from heliogauge.results.tables import read_table_csv, write_table_csv
 from tests.calibration.heliostat_folders import CONTENT, SIGMA_M, TARGET, properties, write_field, write_paint
 
@@ -118,6 +119,18 @@ class TestRows:
         assert seen.rows.reasons[12] == "the same as line 6"
         assert len(seen.observations) == 12
 
+    def test_a_repeat_without_a_time_counts_once(self, changed: Any) -> None:
+        """Which of both has the time does not matter: the other is left out."""
+
+        def change(table: Table) -> None:
+            with_suns(table, lambda azimuth, elevation: (azimuth, elevation))
+            repeat(table, 4)
+            put(table, "time_utc", 4, "")
+
+        seen = see(changed(change))
+        assert [row for row, flag in enumerate(seen.rows.flags) if flag == "duplicate"] == [4]
+        assert len(seen.observations) == 12
+
     def test_one_sun_that_contradicts_its_time(self, changed: Any) -> None:
         def change(table: Table) -> None:
             with_suns(table, lambda azimuth, elevation: (azimuth, elevation))
@@ -165,6 +178,25 @@ class TestColumns:
     ) -> None:
         with pytest.raises(InputError, match=wanted):
             see(changed(change))
+
+    @pytest.mark.parametrize(
+        ("change", "wanted"),
+        [
+            (lambda site: {"latitude_deg": -site["latitude_deg"]}, "that of a latitude of the other sign"),
+            (lambda site: {"longitude_deg": -site["longitude_deg"]}, "that of a longitude of the other sign"),
+            (
+                lambda site: {"latitude_deg": site["longitude_deg"], "longitude_deg": site["latitude_deg"]},
+                "that of latitude and longitude exchanged",
+            ),
+            (lambda site: {"longitude_deg": site["longitude_deg"] + 100, "latitude_deg": -20.0}, "none explains it"),
+        ],
+    )
+    def test_recorded_suns_tell_the_site(self, changed: Any, change: Callable[[Any], Any], wanted: str) -> None:
+        folder = changed(lambda table: with_suns(table, lambda azimuth, elevation: (azimuth, elevation)))
+        content = {**CONTENT, "site": {**CONTENT["site"], **change(CONTENT["site"])}}
+        (folder / "measurement.toml").write_text(dump_toml(content), encoding="utf-8")
+        with pytest.raises(InputError, match=wanted):
+            see(folder)
 
     def test_semicolons(self, tmp_path: Path) -> None:
         write_field(tmp_path, observations=12)
