@@ -49,7 +49,8 @@ def refuse_contradictions(
 
     doubts: What makes the result doubtful, by code.
     EstimationError: With one exchange put back nothing contradicts any more, or the reflection is more than 20 sigma
-        off the outline, or the slopes have 20 times the curl that noise makes.
+        off the outline, or contradicts an outline that is partly the display's, or the slopes have 20 times the curl
+        that noise makes.
 
     Images mirrored by a program and a mirrored or exchanged pattern leave frames and outline as good as ever. Each is
     tried, with everything that follows from it.
@@ -63,6 +64,10 @@ def refuse_contradictions(
             f"{seen[0].text.split(';')[0]}. Nothing contradicts once {' or '.join(explained)}: put that right and "
             "measure again"
         )
+    past = doubts.get("mirror_sees_past_display")
+    if past is not None and "reflection_contradicts_outline" in doubts:
+        # What was taken for the mirror's outline is that of the display.
+        raise EstimationError(f"{past.text}. ({doubts['reflection_contradicts_outline'].text.split(';')[0]})")
     turn = turn_in_sigmas(evaluation)
     curl = doubts.get("slopes_of_no_surface")
     ratio = 0.0 if curl is None else curl.numbers["curl_rms_per_m"] / curl.numbers["curl_expected_rms_per_m"]
