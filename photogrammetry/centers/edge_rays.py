@@ -25,12 +25,15 @@ class Outlines:
     shapes_px2 (n, 2, 2): Shape matrices [px^2].
     rms_px (n,): Rms distance of the edges from the ellipse [px].
     found (n,): Whether there is an ellipse.
+    cornered (n,): Share of that rms, as power, in the third and fourth harmonic of the outline: near 1 for triangles
+        and squares, and less for discs in the steps of a display's pixels.
     """
 
     centers_px: FloatArray
     shapes_px2: FloatArray
     rms_px: FloatArray
     found: BoolArray
+    cornered: FloatArray
 
 
 def outlines_along_rays(
@@ -47,6 +50,7 @@ def outlines_along_rays(
     """
     centers, shapes = centers_px.copy(), shapes_px2.copy()
     rms, found = np.full(len(centers), np.inf), np.ones(len(centers), dtype=np.bool_)
+    off = np.zeros((len(centers), _RAYS))
     angles = np.arange(_RAYS) * (2 * np.pi / _RAYS)
     circle = np.stack([np.cos(angles), np.sin(angles)], axis=1)
     for low, high, samples in _PASSES:
@@ -71,7 +75,9 @@ def outlines_along_rays(
         good = found[:, None, None]
         centers = np.where(good[:, 0], centers + np.einsum("nij,nj->ni", frames, np.nan_to_num(moved)), centers)
         shapes = np.where(good, frames @ np.nan_to_num(inner) @ frames, shapes)
-    return Outlines(centers, shapes, rms, found)
+    waves = np.exp(1j * np.multiply.outer(angles, (3, 4)))
+    power = (np.abs(off @ waves) ** 2).sum(axis=1) * (2 / _RAYS)
+    return Outlines(centers, shapes, rms, found, power / np.maximum((off**2).sum(axis=1), 1e-12))
 
 
 def _first_crossing(

@@ -50,8 +50,8 @@ _MOST_SIGMAS = 4.0
 #: Blur of a dot's edge from which a narrow ring has no half height of its own: a gap of one radius is four sigmas
 #: then, of which dot and ring fill two each.
 _BLURRED_RADII = 0.25
-#: Rings of different codes that make a family of radii beside the photo's first.
-_MEMBERS = 3
+#: Rings of different codes that make a family of radii beside the photo's first, and confirm doubtful dots.
+MEMBERS = 3
 #: Radius of the dot from which a single ring may have radii that no other ring of the photo has [px].
 _ALONE_PX = 5.0
 #: Rings divide otherwise than the dictionary says if the rms misfit is at least so many times smaller then; and of
@@ -398,7 +398,7 @@ def _families(
             believed = usual or len(words) > 1 or bool(sizes_px[members].max() >= _ALONE_PX)
         else:
             codes = (dictionary.read(tuple(own.bits[k].tolist())).code for k in members.tolist())
-            believed = len({code.name for code in codes if code is not None}) >= _MEMBERS
+            believed = len({code.name for code in codes if code is not None}) >= MEMBERS
         if not believed:
             break
         found.append(family)
@@ -448,7 +448,7 @@ def _fitting_bits(
         rows = _densest(profiles, rings, spread)[1]
     else:
         return None
-    if rows.size < _MEMBERS or np.sqrt(np.mean(own.misfit[rows] ** 2)) < 0.5 * limits.most_misfit:
+    if rows.size < MEMBERS or np.sqrt(np.mean(own.misfit[rows] ** 2)) < 0.5 * limits.most_misfit:
         return None
     part = profiles.chosen(rows)
     width = part.outer - part.inner

@@ -43,12 +43,18 @@ _LEAST_FILLED = 0.7
 #: middle), and two in the gap, for gaps that end at 1.8, 2 or 2.4 radii and more: a dot of a few pixels bleeds into a
 #: narrow gap, and its ring does.
 _RING_POINTS, _INNER_RADII, _OUTER_RADII = 16, (0.6, 0.75), ((1.35, 1.5), (1.5, 1.65), (1.65, 1.85))
+#: Where the gap of a spot is looked for as well that codes are to confirm: gaps that end at 1.6 radii.
+_NARROW_RADII = (1.22, 1.32)
 #: Share of ring points that must lie on their side of the middle level; the rest may be covered or in glare.
 _RIGHT_SIDE_SHARE = 0.8
 #: Mean deviation of the ring's grey values from their median, as a share of the contrast.
 _MOST_UNEVEN = 0.2
 #: Rms of the edges about the outline above which a spot is no ellipse: in radii, or in pixels for small spots.
 _MOST_EDGE_RADII, _MOST_EDGE_PX = 0.05, 0.3
+#: The same of a spot that codes are to confirm, in the steps of a display's pixels, and most share of that in the
+#: harmonics of triangles and squares. Drawn discs of 7 pixels of a display have 0.05 to 0.075 and 0.2 to 0.63; spots of
+#: photos of chessboards and square markers 0.06 to 0.12, and three quarters of them more than 0.65.
+_MOST_STEPPED_RADII, _MOST_CORNERED = 0.09, 0.65
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,6 +94,8 @@ class Candidate:
     inside_dn, outside_dn: Levels of the spot and of the ground round it, in grey values of 255 [DN].
     edge_rms_px: Rms distance of the edges along 24 rays from the outline [px].
     polarity: Dark or light.
+    is_clear: Whether its edge is an ellipse's and its ground even. Else it may be the stepped dot of a display or one
+        with a narrow or spoilt gap, which codes confirm.
     """
 
     ellipse: Ellipse
@@ -95,6 +103,7 @@ class Candidate:
     outside_dn: float
     edge_rms_px: float
     polarity: Polarity
+    is_clear: bool
 
 
 def find_candidates(image_dn: npt.NDArray[np.generic], limits: SearchLimits | None = None) -> tuple[Candidate, ...]:
@@ -155,6 +164,7 @@ class _Found:
     inside_dn: FloatArray
     outside_dn: FloatArray
     rms_px: FloatArray
+    is_clear: BoolArray
 
     @classmethod
     def joined(cls, parts: Sequence["_Found"]) -> "_Found":
@@ -163,7 +173,9 @@ class _Found:
             [part.outside_dn for part in parts],
             [one.rms_px for one in parts],
         ]
-        return cls(_joined([part.spots for part in parts]), *(np.concatenate([np.empty(0), *own]) for own in levels))
+        smooth = np.concatenate([np.empty(0, dtype=np.bool_), *(part.is_clear for part in parts)])
+        numbers = (np.concatenate([np.empty(0), *own]) for own in levels)
+        return cls(_joined([part.spots for part in parts]), *numbers, smooth)
 
     def candidates(self, rows: IntArray) -> tuple[Candidate, ...]:
         polarities = (Polarity.WHITE_ON_BLACK, Polarity.BLACK_ON_WHITE)
@@ -174,6 +186,7 @@ class _Found:
                 float(self.outside_dn[k]),
                 float(self.rms_px[k]),
                 polarities[int(self.spots.dark[k])],
+                bool(self.is_clear[k]),
             )
             for k in rows.tolist()
         )
@@ -224,7 +237,7 @@ def _ellipses_of_lines(
     width = 1 + np.maximum.reduceat(points, starts) - np.minimum.reduceat(points, starts)
     longest = width.max(axis=1)
     low = max(widths[0], 0.6 * asked.smallest_px / scale)
-    high = min(1.1 * asked.largest_px / scale + 1, widths[1])
+    high = min(1.1 * asked.largest_px / scale + 1, widths[1] / np.cos(asked.most_tilt_rad))
     chosen = (longest >= low) & (longest <= high)
     if not chosen.any():
         return np.empty((0, 2, 2)), np.empty((0, 2))
@@ -246,6 +259,7 @@ def _ellipses_of_lines(
     # Boxes of a few pixels give the axes to half a pixel each.
     slack = 0.6 * scale
     kept = filled & (smaller + slack > np.cos(asked.most_tilt_rad) * (larger - slack))
+    kept &= 2 * smaller <= widths[1] * scale
     return shapes[kept], ((origin[solid] + middle + 0.5) * scale - 0.5)[kept]
 
 
@@ -287,23 +301,24 @@ def _semi_axes(shapes: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 def _uniform(pyramid: Pyramid, spots: _Spots, asked: SearchLimits) -> _Found:
     """Keep the ellipses that are even inside, even in a ring around, differ from it, and have an elliptic edge."""
-    kept, inside, outside = _judge(pyramid, spots, asked, uneven=2 * _MOST_UNEVEN)
-    spots = spots.chosen(kept)
+    kept, clear, inside, outside = _judge(pyramid, spots, asked, uneven=2 * _MOST_UNEVEN)
+    spots, clear = spots.chosen(kept), clear[kept]
     lines = outlines_along_rays(pyramid, spots.centers, spots.shapes, 0.5 * (inside + outside)[kept], spots.dark)
     spots = _Spots(lines.shapes_px2, lines.centers_px, spots.dark).chosen(lines.found)
     rms = lines.rms_px[lines.found]
     larger, smaller = _semi_axes(spots.shapes)
-    pixel = 2.0 ** pyramid.level_for(spots.shapes)
+    radius, pixel = np.sqrt(larger * smaller), 2.0 ** pyramid.level_for(spots.shapes)
+    smooth = rms < np.maximum(_MOST_EDGE_RADII * radius, _MOST_EDGE_PX * pixel)
     fits = (
-        (rms < np.maximum(_MOST_EDGE_RADII * np.sqrt(larger * smaller), _MOST_EDGE_PX * pixel))
+        (smooth | ((rms < _MOST_STEPPED_RADII * radius) & (lines.cornered[lines.found] < _MOST_CORNERED)))
         & (smaller > 0.85 * np.cos(asked.most_tilt_rad) * larger)
         & (2 * larger > 0.8 * asked.smallest_px)
         & (2 * larger < 1.2 * asked.largest_px)
         & _inside(pyramid.size_px, spots.shapes, spots.centers)
     )
-    spots, rms = spots.chosen(fits), rms[fits]
-    kept, inside, outside = _judge(pyramid, spots, asked, uneven=_MOST_UNEVEN)
-    return _Found(spots.chosen(kept), inside[kept], outside[kept], rms[kept])
+    spots, rms, before = spots.chosen(fits), rms[fits], (smooth & clear[lines.found])[fits]
+    kept, clear, inside, outside = _judge(pyramid, spots, asked, uneven=_MOST_UNEVEN)
+    return _Found(spots.chosen(kept), inside[kept], outside[kept], rms[kept], (before & clear)[kept])
 
 
 def _inside(size_px: tuple[int, int], shapes: FloatArray, centers: FloatArray) -> BoolArray:
@@ -313,29 +328,51 @@ def _inside(size_px: tuple[int, int], shapes: FloatArray, centers: FloatArray) -
 
 
 class _Levels(NamedTuple):
-    """Which ellipses are even inside and in a ring around, and differ from it; levels inside and outside [DN]."""
+    """Which ellipses are even inside and in a ring around, and differ from it; levels inside and outside [DN].
+
+    clear: Which are so where their ground is farthest from their own level, not merely where it is most even.
+    """
 
     kept: BoolArray
+    clear: BoolArray
     inside_dn: FloatArray
     outside_dn: FloatArray
 
 
 def _judge(pyramid: Pyramid, spots: _Spots, asked: SearchLimits, *, uneven: float) -> _Levels:
     """Compare ellipses with a ring around each."""
-    values = _on_rings(pyramid, spots, (*_INNER_RADII, *(radius for pair in _OUTER_RADII for radius in pair)))
+    around = (*_OUTER_RADII, _NARROW_RADII)
+    values = _on_rings(pyramid, spots, (*_INNER_RADII, *(radius for pair in around for radius in pair)))
     inner = values[:, : 2 * _RING_POINTS]
     inside = np.asarray(np.median(inner, axis=1), dtype=np.float64)
-    sign = np.where(spots.dark, 1.0, -1.0)
-    # The gap is where the ground is farthest from the dot.
-    pairs = values[:, 2 * _RING_POINTS :].reshape(len(inside), len(_OUTER_RADII), 2 * _RING_POINTS)
+    pairs = values[:, 2 * _RING_POINTS :].reshape(len(inside), len(around), 2 * _RING_POINTS)
     levels = np.median(pairs, axis=2)
-    best = (sign[:, None] * levels).argmax(axis=1)
+    sign = np.where(spots.dark, 1.0, -1.0)[:, None]
+    # The gap is where the ground is farthest from the dot; or, in the second place, where it is even as well.
+    farthest = (sign * levels[:, : len(_OUTER_RADII)]).argmax(axis=1)
+    evenest = (sign * levels - np.abs(pairs - levels[..., None]).mean(axis=2)).argmax(axis=1)
+    clear, outside = _differs(inside, inner, pairs, levels, farthest, spots.dark, asked, uneven)
+    other, beside = _differs(inside, inner, pairs, levels, evenest, spots.dark, asked, uneven)
+    return _Levels(clear | other, clear, inside, np.where(clear | ~other, outside, beside))
+
+
+def _differs(
+    inside: FloatArray,
+    inner: Float32Array,
+    pairs: Float32Array,
+    levels: Float32Array,
+    best: IntArray,
+    dark: BoolArray,
+    asked: SearchLimits,
+    uneven: float,
+) -> tuple[BoolArray, FloatArray]:
+    """Return which ellipses are even inside and in the ring `best` around, and differ from it; its level [DN]."""
     outer = np.take_along_axis(pairs, best[:, None, None], axis=1)[:, 0]
     outside = np.asarray(np.take_along_axis(levels, best[:, None], axis=1)[:, 0], dtype=np.float64)
-    contrast = sign * (outside - inside)
+    contrast = np.where(dark, 1.0, -1.0) * (outside - inside)
     middle = 0.5 * (inside + outside)[:, None]
-    right_inside = np.mean((inner < middle) == spots.dark[:, None], axis=1)
-    right_outside = np.mean((outer > middle) == spots.dark[:, None], axis=1)
+    right_inside = np.mean((inner < middle) == dark[:, None], axis=1)
+    right_outside = np.mean((outer > middle) == dark[:, None], axis=1)
     unevenness = np.maximum(
         np.abs(inner - inside[:, None]).mean(axis=1), np.abs(outer - outside[:, None]).mean(axis=1)
     ) / np.maximum(contrast, 1e-6)
@@ -345,7 +382,7 @@ def _judge(pyramid: Pyramid, spots: _Spots, asked: SearchLimits, *, uneven: floa
         & (right_outside >= _RIGHT_SIDE_SHARE)
         & (unevenness < uneven)
     )
-    return _Levels(kept, inside, outside)
+    return kept, outside
 
 
 def _on_rings(pyramid: Pyramid, spots: _Spots, radii: Sequence[float]) -> Float32Array:

@@ -16,7 +16,14 @@ from photogrammetry.centers.measured_centers import centers_near, measure_center
 from photogrammetry.centers.pyramid import make_pyramid
 from photogrammetry.centers.ring_light import InkedRing, ring_disturbs, without_rings
 from photogrammetry.centers.target_center import REACH, TargetCenter
-from photogrammetry.detection.decode import RingLimits, RingReading, RingReadings, read_rings, ring_outline
+from photogrammetry.detection.decode import (
+    MEMBERS,
+    RingLimits,
+    RingReading,
+    RingReadings,
+    read_rings,
+    ring_outline,
+)
 from photogrammetry.detection.detect import Candidate, SearchLimits, find_in_pyramid
 from photogrammetry.detection.detections import Detections
 from photogrammetry.detection.repeated_codes import implausible_repeats
@@ -117,7 +124,7 @@ def measure_targets(image_dn: npt.NDArray[np.generic], photo: str, search: Targe
     if search.dictionary is not None:
         rings = read_rings(pyramid, dots, search.dictionary, search.ring_limits, search.radii, search.other_radii)
     unused = [_no_code(dots[k], why) for k, why in rings.refused.items()]
-    ringed = [(k, reading) for k, reading in enumerate(rings.rings) if reading is not None]
+    ringed = _confirmed([(k, one) for k, one in enumerate(rings.rings) if one is not None], candidates)
     taken = [dots[k] for k, _ in ringed]
     if rings.fitting_bits is not None:
         why = f"the photo's code rings divide into {rings.fitting_bits} sectors, the dictionary's into "
@@ -133,7 +140,11 @@ def measure_targets(image_dn: npt.NDArray[np.generic], photo: str, search: Targe
     coded = _without_implausible(coded, search.ring_limits, unused)
     uncoded: list[TargetCenter] = []
     if search.with_uncoded:
-        rest = [dot for k, dot in enumerate(dots) if rings.rings[k] is None and k not in rings.refused]
+        rest = [
+            one.ellipse
+            for k, one in enumerate(candidates)
+            if one.is_clear and rings.rings[k] is None and k not in rings.refused
+        ]
         uncoded, cut = _measure_uncoded(image_dn, rest, taken, radii, search)
         unused += cut
     named = [(center, reading) for center, reading in coded if reading.code is not None]
@@ -157,6 +168,12 @@ def measure_targets(image_dn: npt.NDArray[np.generic], photo: str, search: Targe
         rings.fitting_bits,
         len(rings.refused),
     )
+
+
+def _confirmed(ringed: list[tuple[int, RingReading]], candidates: Sequence[Candidate]) -> list[tuple[int, RingReading]]:
+    """Leave out rings round doubtful dots unless several codes of the photo agree that they are prints."""
+    codes = {one.code.name for _, one in ringed if one.code is not None}
+    return [(k, one) for k, one in ringed if candidates[k].is_clear or len(codes) >= MEMBERS]
 
 
 def measure_at(

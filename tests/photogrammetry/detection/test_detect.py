@@ -5,6 +5,7 @@ import pytest
 
 from heliogauge.errors import InputError
 from heliogauge.validate import FloatArray
+from photogrammetry.detection import detect
 from photogrammetry.detection.detect import SearchLimits, find_candidates
 from photogrammetry.targets.ring_codes import Polarity
 from tests.photogrammetry.drawing import blurred_coverage, tilted
@@ -71,3 +72,14 @@ def test_limits_that_no_target_has_are_refused() -> None:
         SearchLimits(most_tilt_rad=1.6)
     with pytest.raises(InputError, match="grey image"):
         find_candidates(np.zeros((50, 50, 3), dtype=np.uint8))
+
+
+def test_flat_spots_are_searched_where_their_narrow_side_suits() -> None:
+    # Half as fine, a dot of 30 x 10 px merges with its code ring: the gap is five pixels wide.
+    angles = np.arange(90) * (2 * np.pi / 90)
+    line = np.rint(np.stack([40 + 15 * np.cos(angles), 40 - 5 * np.sin(angles)], axis=1)).astype(np.int32)
+    shapes, centers = detect._ellipses_of_lines([line], 1, SearchLimits(), (2.0, 16.0))
+    assert len(shapes) == 1
+    assert np.allclose(centers, 40, atol=0.2)
+    wide = np.rint(np.stack([40 + 15 * np.cos(angles), 40 - 12 * np.sin(angles)], axis=1)).astype(np.int32)
+    assert len(detect._ellipses_of_lines([wide], 1, SearchLimits(), (2.0, 16.0))[0]) == 0
