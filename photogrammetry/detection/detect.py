@@ -168,14 +168,14 @@ class _Found:
 
     @classmethod
     def joined(cls, parts: Sequence["_Found"]) -> "_Found":
-        levels = [
-            [part.inside_dn for part in parts],
-            [part.outside_dn for part in parts],
-            [one.rms_px for one in parts],
-        ]
-        smooth = np.concatenate([np.empty(0, dtype=np.bool_), *(part.is_clear for part in parts)])
-        numbers = (np.concatenate([np.empty(0), *own]) for own in levels)
-        return cls(_joined([part.spots for part in parts]), *numbers, smooth)
+        none = np.empty(0)
+        return cls(
+            _joined([part.spots for part in parts]),
+            np.concatenate([none, *(part.inside_dn for part in parts)]),
+            np.concatenate([none, *(part.outside_dn for part in parts)]),
+            np.concatenate([none, *(part.rms_px for part in parts)]),
+            np.concatenate([np.empty(0, dtype=np.bool_), *(part.is_clear for part in parts)]),
+        )
 
     def candidates(self, rows: IntArray) -> tuple[Candidate, ...]:
         polarities = (Polarity.WHITE_ON_BLACK, Polarity.BLACK_ON_WHITE)
