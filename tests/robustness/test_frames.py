@@ -11,6 +11,7 @@ from data_synth.fringes.faults import Fault
 from data_synth.fringes.knowledge import Knowledge
 from data_synth.fringes.presets import preset_scene
 from deflectometry import Options, load_deflectometry, run
+from deflectometry.setup import make_pattern
 from heliogauge.errors import MetrologyError
 from heliogauge.slopes.statistics import fit_quadratic
 
@@ -143,3 +144,17 @@ def test_size_of_the_screen_without_a_sigma_is_a_doubt_and_with_one_a_mode(folde
     assert numbers["sigma_focal_length_x_m"] == pytest.approx(90.0**2 * curvature, rel=0.1)
     rewrite(folder, ("sigma_width_mm = .*\n", ""), ("sigma_height_mm = .*\n", ""))
     assert "screen_size_exact" in {one.code for one in run(load_deflectometry(folder)).doubts}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("noise_dn", [1.0, 6.0])
+def test_whole_periods_four_times_finer_each_are_unwrapped(tmp_path, noise_dn):
+    """1, 4, 16 and 64 periods: only at the display's very edges the order is open; it is decided by odds of 1e6."""
+    scene = preset_scene("small")
+    scene = replace(
+        scene,
+        pattern=make_pattern((1, 4, 16, 64), (1, 4, 16, 64)),
+        sensor=replace(scene.sensor, read_noise_dn=noise_dn),
+    )
+    write_dataset(tmp_path / "m", scene, DatasetOptions(0, Knowledge(), force=True))
+    assert mended(tmp_path / "m") == ()
