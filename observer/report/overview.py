@@ -193,17 +193,17 @@ def loops(results: OverviewResults) -> Html:
     columns = read_table_csv(path, ("loop", "modules_count"))
     shown = [TableColumn(one, columns[one.replace("modules", "modules_count")]) for one in ("loop", "modules")]
     for key, title, unit in (
-        ("rms_theta_r_rad", "theta_r, RMS of modules", "rad"),
-        ("rms_theta_ra_rad", "theta_ra, RMS of modules", "rad"),
-        ("intercept_ratio", "intercept factor, mean", ""),
+        ("rms_theta_r_rad", "theta_r RMS", "rad"),
+        ("rms_theta_ra_rad", "theta_ra RMS", "rad"),
+        ("intercept_ratio", "intercept factor", ""),
         ("lowest_intercept_ratio", "lowest", ""),
-        ("intercept_gain_panels_turned_ratio", "mean gain by turning panels", ""),
+        ("intercept_gain_panels_turned_ratio", "gain by turning panels", ""),
     ):
         values = [float(cell) if cell else np.nan for cell in columns[key]]
         texts = [number_text(one, None, unit, key) if np.isfinite(one) else "-" for one in values]
         shown.append(TableColumn(title, texts, values))
     shown.append(TableColumn("panels to turn", columns["panels_to_turn_count"]))
-    return join(Html("<h2>Loops</h2>"), TableView("loops", tuple(shown)))
+    return join(Html("<h2>Loops</h2><p>RMS of the angles over the modules, means of the others.</p>"), TableView("loops", tuple(shown)))
 
 
 def _link(results: OverviewResults, name: str) -> str:
