@@ -203,7 +203,10 @@ def loops(results: OverviewResults) -> Html:
         texts = [number_text(one, None, unit, key) if np.isfinite(one) else "-" for one in values]
         shown.append(TableColumn(title, texts, values))
     shown.append(TableColumn("panels to turn", columns["panels_to_turn_count"]))
-    return join(Html("<h2>Loops</h2><p>RMS of the angles over the modules, means of the others.</p>"), TableView("loops", tuple(shown)))
+    return join(
+        Html("<h2>Loops</h2><p>RMS of the angles over the modules, means of the others.</p>"),
+        TableView("loops", tuple(shown)),
+    )
 
 
 def _link(results: OverviewResults, name: str) -> str:
