@@ -1,5 +1,6 @@
 """A photo's pose from the targets of the list, with codes or without: where the list predicts them, dots get names."""
 
+from contextlib import suppress
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -27,17 +28,24 @@ class PlacedPhoto(NamedTuple):
     by_list: bool = False
 
 
-def place_photo(one: OnePhoto, known: KnownTargets, camera: Camera) -> PlacedPhoto:
+def place_photo(one: OnePhoto, known: KnownTargets, plain: frozenset[str], camera: Camera) -> PlacedPhoto:
     """Find a photo's pose, and which of its dots are listed targets, coded ones that cannot be read among them.
 
     one: Targets with names by their codes, and all dots.
     known: Listed coordinates.
+    plain: Names of listed dots without a code.
+
+    The places of dots alone determine no pose where all listed targets have codes, or several codes are read that are
+    not in the list: the next trough of a field has targets in the same places.
     """
     pose = provisional_pose(one.detections, known, camera)
     row = {name: number for number, name in enumerate(known.names)}
-    # What reads like a code that is not in the list may be a plain dot beside something that looks like a ring.
     round_ones = np.isfinite(one.ellipses_px2).all(axis=(1, 2))
     strange = np.array([name not in row for name in one.detections.names], dtype=np.bool_) & round_ones
+    # Plain dots in what looks like an empty ring all read like one code; several codes belong to something else.
+    codes = {name for name, one_is in zip(one.detections.names, strange.tolist(), strict=True) if one_is}
+    may_be_plain = bool(plain) and len(codes) <= 1
+    strange &= may_be_plain
     nameless = one.detections.chosen(strange).joined(one.dots)
     shapes = np.concatenate([one.ellipses_px2[strange], one.dot_ellipses_px2])
     free = np.flatnonzero(nameless.usable)
@@ -50,17 +58,16 @@ def place_photo(one: OnePhoto, known: KnownTargets, camera: Camera) -> PlacedPho
     target = np.full(len(pixels), -1, dtype=np.intp)
     target[: len(read)] = [row[one.detections.names[k]] for k in read]
     by_list = pose is None
-    if pose is not None:
-        found = assign_near(camera, pixels, covariance, listed, pose, read=target)
-    else:
-        try:
+    found = None if pose is None else assign_near(camera, pixels, covariance, listed, pose, read=target)
+    if pose is None and (read or may_be_plain):
+        with suppress(EstimationError):
             found = assign_targets(camera, pixels, covariance, listed, read=target)
             pose = found.cam_from_list
-        except EstimationError:
-            found = None
     if found is None:
         return PlacedPhoto(one, pose)
-    which = found.target_of_dot[len(read) :]
+    which = found.target_of_dot[len(read) :].copy()
+    is_plain = np.array([name in plain for name in known.names], dtype=np.bool_)
+    which[(free < np.count_nonzero(strange)) & ~is_plain[which]] = -1
     own, left = free[which >= 0], np.setdiff1d(np.arange(len(nameless)), free[which >= 0])
     named = nameless.chosen(own).renamed([known.names[number] for number in which[which >= 0].tolist()])
     # Codes that are not listed stay what they were read as.

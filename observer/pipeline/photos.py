@@ -122,13 +122,13 @@ class Finder:
         if self.section.is_listed:
             # Dots of a list of their own are matched through the poses.
             return PlacedPhoto(one, provisional_pose(one.detections, self.known, camera))
-        placed = place_photo(one, self.known, camera)
+        placed = place_photo(one, self.known, self.kinds.plain, camera)
         listed = set(self.known.names).intersection(one.detections.names)
         if placed.pose is None and listed and not self.search.with_uncoded:
             # Codes that look too flat to be read are dots still.
             name = one.detections.photo
             found = measure_photo(image, name, self.section, replace(self.search, with_uncoded=True))
-            again = place_photo(self.kinds.named(found), self.known, camera)
+            again = place_photo(self.kinds.named(found), self.known, self.kinds.plain, camera)
             placed = again._replace(photo=again.photo.with_thumbnail(one.thumbnail))
         if self.wants_loose:
             return placed

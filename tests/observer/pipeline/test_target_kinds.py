@@ -93,7 +93,9 @@ def test_pose_where_few_codes_or_none_are_read(codes):
     rest = np.concatenate([np.delete(pixels, read, axis=0), false])[order[order < 24 - codes]]
     one = photo_of(pixels[read], [str(k) for k in read], rest)
     assert provisional_pose(one.detections, known, CAMERA) is None
-    found = place_photo(one, known, CAMERA)
+    # Where all targets have codes, places alone are no evidence: one at least is to be read.
+    plain = frozenset(known.names[:6]) if codes == 0 else frozenset[str]()
+    found = place_photo(one, known, plain, CAMERA)
     assert found.by_list
     assert found.pose is not None
     # Twelve places of 1 mm hold a camera 10 m away to millimetres.
@@ -110,13 +112,27 @@ def test_plain_dots_get_names_where_codes_say_the_pose():
     coded = [0, 3, 5, 7, 10]
     # One of the others reads like a code that no list has; another one is a false dot.
     one = photo_of(pixels[[*coded, 8]], [*map(str, coded), "143"], np.array([*pixels[[1, 2, 4, 6, 9]], [50.0, 60.0]]))
-    found = place_photo(one, known, CAMERA)
+    plain = frozenset(name for name in known.names if int(name) not in coded)
+    found = place_photo(one, known, plain, CAMERA)
     assert not found.by_list
     names = dict(zip(found.photo.detections.names, found.photo.detections.pixels_px, strict=True))
     assert set(names) == {str(k) for k in range(11)}
     for name, pixel in names.items():
         np.testing.assert_array_equal(pixel, pixels[int(name)])
     assert len(found.photo.dots) == 1
+
+
+@pytest.mark.parametrize("plain", [frozenset(), frozenset({"11"})], ids=["all coded", "one plain"])
+def test_the_next_trough_is_not_taken_for_this_one(plain):
+    """Its targets stand in the same places, with codes of its own: a field's rows are built alike."""
+    pixels = CAMERA.project(from_beside().apply(PLACES))
+    known = KnownTargets(tuple(str(k) for k in range(12)), PLACES, np.full(12, 1e-3))
+    none = np.zeros((0, 2))
+    for named, dots in ((range(12), none), (range(4), pixels[4:])):
+        one = photo_of(pixels[: len(named)], [str(k + 12) for k in named], dots)
+        found = place_photo(one, known, plain, CAMERA)
+        assert found.pose is None
+        assert set(found.photo.detections.names) == {str(k + 12) for k in named}
 
 
 def test_targets_of_large_sigma_do_not_turn_the_pose():
