@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from calibration.heliostat.fitting.fit_result import FitOptions
+from calibration.heliostat.fitting.linear_descent import LinearBasis, LinearObservations, descend_linear
 from calibration.heliostat.fitting.observability import plausible_scales
 from calibration.heliostat.kinematic_model.design import HeliostatDesign
 from calibration.heliostat.observations.observations import Observations
@@ -33,27 +34,6 @@ _LEAST_FACTOR = 1e-6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class LinearObservations:
-    """Observations that are linear in the free parameters, about some values: as good as the others, and much faster.
-
-    columns (k,): Positions of the free parameters.
-    values (p,): About which numbers.
-    found: Residuals and derivatives there.
-    owners (m,): Row of each component.
-    """
-
-    columns: IntArray
-    values: FloatArray
-    found: Whitened
-    owners: IntArray
-
-    def whitened(self, values: FloatArray) -> Whitened:
-        """Return the residuals at some numbers."""
-        residuals, jacobian, computable = self.found
-        return Whitened(residuals + jacobian @ (values - self.values)[self.columns], jacobian, computable)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class FitModel:
     """The heliostat, its observations, and how to fit.
 
@@ -61,6 +41,11 @@ class FitModel:
     observations: All rows.
     fallback: Free parameters that are held within what could be wrong at all.
     reach: Factor on what could be wrong at all.
+    columns (k,): Positions of the free parameters.
+    kinds (n,), components (n,): Kind of each row, and number of its components.
+    scales (k,): How far each free parameter could be wrong at all.
+    priors (k,): Prior sigmas of the free parameters in force, inf where there is none.
+    seen: The observations, ready to be evaluated.
     """
 
     design: HeliostatDesign
@@ -71,6 +56,8 @@ class FitModel:
     columns: IntArray = field(init=False)
     kinds: npt.NDArray[np.str_] = field(init=False)
     components: IntArray = field(init=False)
+    scales: FloatArray = field(init=False)
+    priors: FloatArray = field(init=False)
     seen: ObservationModel | LinearObservations = field(init=False)
 
     def __post_init__(self) -> None:
@@ -79,6 +66,12 @@ class FitModel:
         object.__setattr__(self, "seen", ObservationModel(self.design, self.observations, columns))
         object.__setattr__(self, "kinds", np.array(self.observations.kind, dtype=np.str_))
         object.__setattr__(self, "components", self.observations.n_components)
+        units = [self.design.parameters.units[i] for i in columns]
+        scales = self.reach * plausible_scales(self.start, self.names, units)
+        own = self.design.parameters.sigmas[columns]
+        weak = np.array([name in self.fallback for name in self.names], dtype=np.bool_)
+        object.__setattr__(self, "scales", scales)
+        object.__setattr__(self, "priors", np.where(np.isinf(own) & weak, scales, own))
 
     @property
     def owners(self) -> IntArray:
@@ -94,20 +87,6 @@ class FitModel:
     def start(self) -> FloatArray:
         """Values of the free parameters in the design."""
         return np.asarray(self.design.parameters.values[self.columns])
-
-    @property
-    def scales(self) -> FloatArray:
-        """How far each free parameter could be wrong at all."""
-        return self.reach * plausible_scales(
-            self.start, self.names, [self.design.parameters.units[i] for i in self.columns]
-        )
-
-    @property
-    def priors(self) -> FloatArray:
-        """Prior sigmas of the free parameters in force, inf where there is none."""
-        own = self.design.parameters.sigmas[self.columns]
-        weak = np.array([name in self.fallback for name in self.names], dtype=np.bool_)
-        return np.where(np.isinf(own) & weak, self.scales, own)
 
     def full(self, free: FloatArray) -> FloatArray:
         """Return all numbers with the free ones replaced."""
@@ -128,7 +107,9 @@ class FitModel:
     def linear_about(self, free: FloatArray) -> "FitModel":
         """Return the same model with its observations linear about some values of the free parameters."""
         values, found = self.full(free), copy(self)
-        linear = LinearObservations(self.columns, values, self.seen.whitened(values), self.owners)
+        seen = self.seen.whitened(values)
+        basis = LinearBasis.of(seen.jacobian, self.priors, free - self.start)
+        linear = LinearObservations(self.columns, values, seen, self.owners, basis)
         object.__setattr__(found, "seen", linear)
         return found
 
@@ -293,14 +274,22 @@ def descend(
         # Leaving the geometry of an actuator must not pay: such a step is refused.
         return residuals if computable[used].all() else np.full_like(residuals, np.nan), jacobian
 
-    known = zip(model.names, model.start, model.priors, strict=True)
-    extra = tuple(Prior(name, float(value), float(sigma)) for name, value, sigma in known if np.isfinite(sigma))
-    problem = Problem(model.names, residuals_at, VECTOR, extra=extra)
     block = model.block(used)
     # On the way, while scale and rows still move, a long valley is not worth following to its end.
     most = model.options.max_iterations if tolerance < _ON_THE_WAY else min(model.options.max_iterations, _FEW_STEPS)
     options = Options(max_iterations=most, tolerance=tolerance, rank_tolerance=1e-10)
-    solution = solve(problem, start, loss=model.loss(block), block_size=block, options=options)
+    solution = None
+    if isinstance(model.seen, LinearObservations) and model.seen.basis is not None:
+        seen, about = model.seen, model.seen.values[model.columns]
+        residuals = seen.found.residuals[chosen] * per_component
+        observed = seen.basis.observed[chosen] * per_component[:, None]
+        loss, names = model.loss(block), model.names
+        solution = descend_linear(seen.basis, residuals, observed, loss, block, names, about, start, options)
+    if solution is None:
+        known = zip(model.names, model.start, model.priors, strict=True)
+        extra = tuple(Prior(name, float(value), float(sigma)) for name, value, sigma in known if np.isfinite(sigma))
+        problem = Problem(model.names, residuals_at, VECTOR, extra=extra)
+        solution = solve(problem, start, loss=model.loss(block), block_size=block, options=options)
     stated = np.abs(solution.residuals[: per_component.size] / per_component)
     if not solution.converged and stated.max(initial=0.0) < _ZERO:
         solution = replace(solution, converged=True, reason="the residuals are zero to rounding")

@@ -27,6 +27,8 @@ _WIDE_REACH = 10.0
 _SCALE_EFFICIENCY = 0.55
 # While rows and scale still move a tenth of a sigma is near enough; a thousandth at the end.
 _ON_THE_WAY, _AT_THE_END = 0.1, 1e-3
+# Where observations are linear a hundredth costs nothing: rows and scale settle in one go.
+_WHERE_LINEAR = 0.01
 # Observations are linear enough where the answer with them differs by less than so many sigmas; else they are made
 # linear anew, so often at most.
 _BENT, _MOST_LINEAR = 0.5, 3
@@ -107,19 +109,16 @@ def _settled(end: Descended) -> Descended:
 
     Near the answer all of that is done with the observations made linear, and tested with the observations themselves.
     """
-    decided = None
     if end.solution.converged and _far_rad(end) < _FAR_RAD:
         for _ in range(_MOST_LINEAR):
-            near = _decided(replace(end, model=end.model.linear_about(end.values)), _AT_THE_END)
+            near = _decided(replace(end, model=end.model.linear_about(end.values)), _WHERE_LINEAR)
             if not end.model.whitened(near.end.values).computable[near.end.used].all():
                 break
             end = descend(end.model, near.end.values, near.end.factors, near.end.used, _AT_THE_END)
             sigmas = np.sqrt(np.diag(near.end.solution.covariance))
             if not (np.abs(end.values - near.end.values) > _BENT * sigmas).any():
-                decided = _Decided(_rounds(end, near.estimated, _AT_THE_END), near.estimated)
-                break
-    decided = decided or _decided(end, _ON_THE_WAY)
-    end = decided.end
+                return _rounds(end, near.estimated, _AT_THE_END)
+    end = _decided(end, _ON_THE_WAY).end
     return descend(end.model, end.values, end.factors, end.used, _AT_THE_END)
 
 

@@ -1,0 +1,156 @@
+"""Fits of observations that are linear in the parameters: one factorisation for all scales, weights and rows."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from calibration.heliostat.observations.residuals import Whitened
+from heliogauge.adjust.gauss_newton import Options
+from heliogauge.adjust.robust_loss import Loss, LossMoments, Squares, block_lengths, normal_moments
+from heliogauge.adjust.solution import CovarianceScale, Solution
+from heliogauge.validate import FloatArray, IntArray
+
+# Below this share of the largest column of the triangle a direction is held by nothing.
+_HELD = 1e-9
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LinearObservations:
+    """Observations that are linear in the free parameters, about some values: as good as the others, and much faster.
+
+    columns (k,): Positions of the free parameters.
+    values (p,): About which numbers.
+    found: Residuals and derivatives there.
+    owners (m,): Row of each component.
+    basis: Of observations and priors; None where these do not hold all parameters.
+    """
+
+    columns: IntArray
+    values: FloatArray
+    found: Whitened
+    owners: IntArray
+    basis: "LinearBasis | None"
+
+    def whitened(self, values: FloatArray) -> Whitened:
+        """Return the residuals at some numbers."""
+        residuals, jacobian, computable = self.found
+        return Whitened(residuals + jacobian @ (values - self.values)[self.columns], jacobian, computable)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LinearBasis:
+    """Derivatives of observations and priors with orthonormal columns, so that normal equations lose no digits.
+
+    observed (m, k), known (q, k): Derivatives by t of the residuals in stated sigma, and of the priors' pulls.
+    pulls (q,): Of the priors, where t is zero.
+    inverse (k, k): Free parameters less those about which all is linear, over t.
+    triangle (k, k): Its inverse.
+    """
+
+    observed: FloatArray
+    known: FloatArray
+    pulls: FloatArray
+    inverse: FloatArray
+    triangle: FloatArray
+
+    @classmethod
+    def of(cls, jacobian: FloatArray, sigmas: FloatArray, offsets: FloatArray) -> "LinearBasis | None":
+        """Factorise.
+
+        jacobian (m, k): Derivatives of the residuals, in stated sigma.
+        sigmas (k,): Prior sigmas of the parameters, inf where there is none.
+        offsets (k,): How far the parameters are from what the priors expect.
+        Returns: None where something is held by neither.
+        """
+        held = np.flatnonzero(np.isfinite(sigmas))
+        priors = np.zeros((held.size, sigmas.size))
+        priors[np.arange(held.size), held] = 1.0 / sigmas[held]
+        both = np.concatenate([jacobian, priors])
+        scale = np.sqrt(np.einsum("ij,ij->j", both, both))
+        if not sigmas.size or not (scale > 0).all() or not np.isfinite(scale).all():
+            return None
+        orthonormal, triangle = np.linalg.qr(both / scale)
+        diagonal = np.abs(np.diag(triangle))
+        if diagonal.size < sigmas.size or diagonal.min() < _HELD * diagonal.max():
+            return None
+        count = len(jacobian)
+        return cls(
+            orthonormal[:count],
+            orthonormal[count:],
+            offsets[held] / sigmas[held],
+            np.linalg.inv(triangle) / scale[:, None],
+            triangle * scale,
+        )
+
+
+def descend_linear(
+    basis: LinearBasis,
+    residuals: FloatArray,
+    observed: FloatArray,
+    loss: Loss,
+    block: int,
+    names: tuple[str, ...],
+    about: FloatArray,
+    start: FloatArray,
+    options: Options,
+) -> Solution[FloatArray] | None:
+    """Adjust parameters to observations that are linear in them by iterated weights.
+
+    residuals (m,), observed (m, k): Of the rows in use where t is zero, and their derivatives by t, in the sigmas in
+        force.
+    about, start (k,): Parameters where t is zero, and where to start.
+    Returns: As `heliogauge.adjust.least_squares.solve` does, with the covariance for normal errors of the sigmas in
+        force and no variance factor; None where the rows in use do not hold all parameters.
+    """
+    size = basis.triangle.shape[0]
+    known = basis.known.T @ basis.known
+    freedom = residuals.size + basis.pulls.size - size
+    t = basis.triangle @ (start - about)
+    converged, offset, weights = False, float("inf"), np.ones(residuals.size)
+    rest, pulls = residuals, basis.pulls
+    for _ in range(options.max_iterations):
+        rest, pulls = residuals + observed @ t, basis.pulls + basis.known @ t
+        weights = np.repeat(loss.weight(block_lengths(rest, block)), block)
+        weighted = observed * weights[:, None]
+        gradient = rest @ weighted + pulls @ basis.known
+        try:
+            step = -np.linalg.solve(weighted.T @ observed + known, gradient)
+        except np.linalg.LinAlgError:
+            return None
+        # As `relative_offset`: the remaining step in units of the parameters' own standard deviations.
+        removed = -float(gradient @ step)
+        left = max(float(weights @ rest**2 + pulls @ pulls) - removed, 0.0)
+        offset = np.sqrt(removed / size / (left / freedom)) if freedom > 0 and left > 0 else float(removed > 0)
+        if offset <= options.tolerance:
+            converged = True
+            break
+        t = t + step
+    plain = isinstance(loss, Squares)
+    expected = LossMoments(1.0, 1.0, 0.0) if plain else normal_moments(loss, block)
+    normal = observed.T @ observed
+    cofactor = np.linalg.inv(expected.slope * normal + known)
+    spread = cofactor @ (expected.influence * normal + known) @ cofactor
+    followed = np.concatenate(
+        [
+            expected.slope * np.einsum("ij,ij->i", observed @ cofactor, observed),
+            np.einsum("ij,ij->i", basis.known @ cofactor, basis.known),
+        ]
+    )
+    parameters = about + basis.inverse @ t
+    return Solution(
+        state=parameters,
+        parameters=parameters.copy(),
+        names=names,
+        covariance=basis.inverse @ spread @ basis.inverse.T,
+        covariance_scale=CovarianceScale.PRIOR,
+        converged=converged,
+        reason=f"the remaining step is {offset:.1e} sigma",
+        iterations=options.max_iterations,
+        rank=size,
+        null_space=np.zeros((size, 0)),
+        residuals=np.concatenate([rest, pulls]),
+        weights=np.concatenate([weights, np.ones(pulls.size)]),
+        redundancy_numbers=np.clip(1.0 - followed, 0.0, 1.0),
+        redundancy=freedom,
+        variance_factor=float("nan"),
+    )
