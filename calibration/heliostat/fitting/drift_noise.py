@@ -1,6 +1,6 @@
 """Noise of a heliostat's observations: each row's own, what days share, what repeats where the mirror stands alike."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -28,6 +28,14 @@ class Occasions(ShortRepr):
 
     days: FloatArray
     normals: FloatArray
+    _kept: "list[_Runs]" = field(init=False, default_factory=list)
+
+    @property
+    def runs(self) -> "_Runs":
+        """Rows that have one occasion, found once: every noise that is tried needs them."""
+        if not self._kept:
+            self._kept.append(_in_runs(self))
+        return self._kept[0]
 
     def select(self, rows: BoolArray | IntArray) -> "Occasions":
         """Return some of them."""
@@ -155,26 +163,51 @@ class LinearRows(ShortRepr):
         return self.solved(noise).equations
 
     def solved(self, noise: NoiseShape) -> "SolvedRows":
-        """Return the normal equations under a noise, and what they take of the drives' zeros.
+        """Return the normal equations under a noise, and what they take of the drives' zeros."""
+        return self.weighing(noise).solved(self.jacobian, self.residuals)
 
-        With ``K = D + Z C Z'`` (D the rows' own noise, Z from drives and occasions to components, C the covariance
-        above) and ``G = Z' D^-1 Z = H H'``, two by two for each occasion, Woodbury's identity gives
-        ``Z' K^-1 = (1 - H (1 + H' C H)^-1 H' C) Z' D^-1`` and ``K^-1 = D^-1 - D^-1 Z C Z' K^-1``: matrices as large
-        as the number of occasions.
-        """
-        from scipy.linalg import cho_factor, cho_solve
+    def weighing(self, noise: NoiseShape) -> "Weighing":
+        """Return the inverse of a noise's covariance, for any residuals and derivatives of these rows."""
+        return Weighing.of(self, noise)
 
-        over = self.weight / noise.white**2
-        both = np.column_stack([self.jacobian, self.residuals])
-        weighted = both * over[:, None]
-        square, log_white = both.T @ weighted, -float(np.log(over).sum())
-        runs = _in_runs(self.occasions)
-        q, count = runs.occasions.days.size, self.residuals.size
-        by_drive = np.stack([runs.sums(self.drives[:, [drive]] * weighted) for drive in (0, 1)])
-        if noise.drive_variance_rad2 == 0:
-            return SolvedRows(_equations(square, log_white, count), runs.occasions, by_drive[:, :, :-1])
-        pairs = runs.sums((self.drives[:, :, None] * self.drives[:, None] * over[:, None, None]).reshape(-1, 4))
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Weighing(ShortRepr):
+    """The inverse of the covariance of some rows' noise, factorised.
+
+    With ``K = D + Z C Z'`` (D the rows' own noise, Z from drives and occasions to components, C the covariance of the
+    drives' zeros) and ``G = Z' D^-1 Z = H H'``, two by two for each occasion, Woodbury's identity gives ``Z' K^-1 = (1
+    - H (1 + H' C H)^-1 H' C) Z' D^-1`` and ``K^-1 = D^-1 - D^-1 Z C Z' K^-1``: matrices as large as the number of
+    occasions.
+
+    over (m,): Diagonal of ``D^-1``.
+    drives (m, 2): Z.
+    runs: Components of each occasion.
+    kernel (q, q): C of one drive; None where the drives do not move.
+    half (q, 2, 2): H.
+    factor (2 q, 2 q): Lower triangle of ``1 + H' C H``.
+    log_determinant: Of K.
+    """
+
+    over: FloatArray
+    drives: FloatArray
+    runs: "_Runs"
+    kernel: FloatArray | None
+    half: FloatArray
+    factor: FloatArray
+    log_determinant: float
+
+    @classmethod
+    def of(cls, rows: LinearRows, noise: NoiseShape) -> "Weighing":
+        """Factorise the covariance of some rows."""
+        from scipy.linalg import cho_factor
+
+        over, runs, drives = rows.weight / noise.white**2, rows.occasions.runs, rows.drives
+        q, log_white = runs.occasions.days.size, -float(np.log(over).sum())
+        pairs = runs.sums((drives[:, :, None] * drives[:, None] * over[:, None, None]).reshape(-1, 4))
         half = _root(pairs.reshape(-1, 2, 2))
+        if noise.drive_variance_rad2 == 0:
+            return cls(over, drives, runs, None, half, np.eye(2 * q), log_white)
         kernel = noise.covariance(runs.occasions, runs.occasions)
         # The lower triangle is enough.
         whole = np.zeros((2, q, 2, q))
@@ -182,13 +215,34 @@ class LinearRows(ShortRepr):
             whole[one, :, other] = kernel * (half[:, :, one] @ half[:, :, other].T)
         inner = whole.reshape(2 * q, 2 * q)
         inner[np.diag_indices(2 * q)] += 1.0
-        factor = cho_factor(inner, lower=True, overwrite_a=True, check_finite=False)
-        moved = np.einsum("iba,bik->aik", half, kernel @ by_drive).reshape(2 * q, -1)
-        taken = cho_solve(factor, moved, check_finite=False).reshape(2, q, -1)
-        link = by_drive - np.einsum("iab,bik->aik", half, taken)
-        log_all = log_white + 2 * float(np.log(np.diag(factor[0])).sum())
-        shared = np.einsum("aik,ail->kl", by_drive, kernel @ link)
-        return SolvedRows(_equations(square - shared, log_all, count), runs.occasions, link[:, :, :-1])
+        factor, _ = cho_factor(inner, lower=True, overwrite_a=True, check_finite=False)
+        log_all = log_white + 2 * float(np.log(np.diag(factor)).sum())
+        return cls(over, drives, runs, kernel, half, factor, log_all)
+
+    def solved(self, jacobian: FloatArray, residuals: FloatArray) -> "SolvedRows":
+        """Return the normal equations of residuals (m,) with derivatives (m, p)."""
+        from scipy.linalg import cho_solve
+
+        both = np.column_stack([jacobian, residuals])
+        weighted = both * self.over[:, None]
+        square, count = both.T @ weighted, residuals.size
+        by_drive = np.stack([self.runs.sums(self.drives[:, [drive]] * weighted) for drive in (0, 1)])
+        if self.kernel is None:
+            equations = _equations(square, self.log_determinant, count)
+            return SolvedRows(equations, self.runs.occasions, by_drive[:, :, :-1])
+        q, columns = self.half.shape[0], both.shape[1]
+        moved = _along(self.half.transpose(0, 2, 1), self.kernel @ by_drive).reshape(2 * q, columns)
+        taken = cho_solve((self.factor, True), moved, check_finite=False).reshape(2, q, columns)
+        link = by_drive - _along(self.half, taken)
+        reached = (self.kernel @ link).reshape(2 * q, columns)
+        shared = by_drive.reshape(2 * q, columns).T @ reached
+        equations = _equations(square - shared, self.log_determinant, count)
+        return SolvedRows(equations, self.runs.occasions, link[:, :, :-1])
+
+
+def _along(matrices: FloatArray, vectors: FloatArray) -> FloatArray:
+    """Return matrices (q, 2, 2) times the pairs of vectors (2, q, k), shape (2, q, k)."""
+    return np.stack([matrices[:, [row], 0] * vectors[0] + matrices[:, [row], 1] * vectors[1] for row in (0, 1)])
 
 
 class SolvedRows(NamedTuple):

@@ -175,13 +175,19 @@ def fit_with_field(found: HeliostatFit, prior: FieldPrior) -> HeliostatFit:
     values = found.values.copy()
     linearising = _Linearising.of(found, known.names)
     rows = linearising.at(values).rows
-    solved = rows.solved(prior.noise)
-    settled = settle(solved.equations, known)
+    settled = settle(rows.solved(prior.noise).equations, known)
+    # How noise is weighed hardly depends on where the rows are made linear: once, at the robust fit.
+    weighing = rows.weighing(prior.noise.followed)
+    solved = weighing.solved(rows.jacobian, rows.residuals)
     converged = False
     for _ in range(_MOST_STEPS):
-        step = _posterior(solved, known, settled)
+        step = _step(solved, known, settled)
         moved = values.copy()
         moved[place] = design.parameters.values[place] + step.offsets
+        change = np.abs(moved - values)[place] / step.sigmas
+        if change.max() < _NEAR:
+            values, converged = moved, True
+            break
         again = linearising.at(moved)
         if not again.complete:
             # Beyond the geometry of an actuator nothing can be predicted: half of the way.
@@ -189,12 +195,8 @@ def fit_with_field(found: HeliostatFit, prior: FieldPrior) -> HeliostatFit:
             again = linearising.at(moved)
             if not again.complete:
                 break
-        change = np.abs(moved - values)[place] / np.sqrt(np.diag(step.covariance))
         values, rows = moved, again.rows
-        solved = rows.solved(prior.noise.followed)
-        if change.max() < _NEAR:
-            converged = True
-            break
+        solved = weighing.solved(rows.jacobian, rows.residuals)
     final = _posterior(solved, known, settled)
     return _result(found, known.names, values, rows, final, np.sqrt(np.diag(settled.spread)), converged)
 
@@ -238,32 +240,47 @@ def _surveyed_sigma(design: HeliostatDesign, name: str) -> float | None:
     return own if 0 < own < float("inf") and own != PRIORS[name].of(value) else None
 
 
-class _Posterior(NamedTuple):
-    """Offsets (p,), their covariance (p, p), and what they have to do with the drives' zeros."""
+class _Step(NamedTuple):
+    """Most probable offsets (p,) and their sigmas (p,), as rows made linear give them.
+
+    gain (p, p): Of the pull of observations and prior: covariance of normal errors.
+    inverse (p, p): Of the prior's covariance.
+    """
 
     offsets: FloatArray
+    sigmas: FloatArray
+    gain: FloatArray
+    inverse: FloatArray
+
+
+def _step(solved: SolvedRows, known: FieldPrior, settled: Settled) -> _Step:
+    covariance, over = settled.covariance, settled.noise**-2
+    # About the prior's own size of each parameter: metres and radians in one matrix.
+    size = np.sqrt(np.diag(covariance))
+    units = size[:, None] * size
+    inverse = np.linalg.inv(covariance / units)
+    gain = np.linalg.inv(over * solved.equations.matrix * units + inverse)
+    pull = over * solved.equations.rhs * size + inverse @ (known.mean / size)
+    return _Step(size * (gain @ pull), size * np.sqrt(np.diag(gain)), gain * units, inverse / units)
+
+
+class _Posterior(NamedTuple):
+    """Covariance (p, p) of the offsets' errors, and what they have to do with the drives' zeros."""
+
     covariance: FloatArray
     drift: Drift
 
 
 def _posterior(solved: SolvedRows, known: FieldPrior, settled: Settled) -> _Posterior:
-    noise, covariance, over = known.noise.times(settled.noise), settled.covariance, settled.noise**-2
-    # About the prior's own size of each parameter: metres and radians in one matrix.
-    size = np.sqrt(np.diag(covariance))
-    inverse = np.linalg.inv(covariance / size[:, None] / size)
-    observed = over * solved.equations.matrix * size[:, None] * size
-    after = np.linalg.inv(observed + inverse)
-    pull = over * solved.equations.rhs * size + inverse @ (known.mean / size)
-    link = over * solved.link * size
+    noise, over, step = known.noise.times(settled.noise), settled.noise**-2, _step(solved, known, settled)
+    link = over * solved.link
     # The estimate takes the prior for normal and the misfit for kinematics; what it may be wrong by has the tails of
     # Student's t, and the misfit's pull.
-    spread = inverse @ (settled.spread / size[:, None] / size) @ inverse
-    misfit = np.einsum("aik,ij,ajl->kl", link, noise.misfit.covariance(*2 * (solved.occasions,)), link, optimize=True)
-    wrong = after @ (observed + spread + misfit) @ after * size[:, None] * size
-    gain = after * size[:, None] * size
-    return _Posterior(
-        size * (after @ pull), 0.5 * (wrong + wrong.T), Drift(noise, solved.occasions, over * (solved.link @ gain))
-    )
+    spread = step.inverse @ settled.spread @ step.inverse
+    kernel = noise.misfit.covariance(solved.occasions, solved.occasions)
+    misfit = sum(own.T @ (kernel @ own) for own in link)
+    wrong = step.gain @ (over * solved.equations.matrix + spread + misfit) @ step.gain
+    return _Posterior(0.5 * (wrong + wrong.T), Drift(noise, solved.occasions, link @ step.gain))
 
 
 def _result(
