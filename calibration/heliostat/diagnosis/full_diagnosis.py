@@ -116,10 +116,7 @@ def _diagnosed(
         return Diagnosis(ordered([*findings, *numbers]), (), significance)
     explained_findings, explained = explained_rows(fit, known)
     looked = residual_findings(fit, known, site, significance / 2, explained)
-    usable = fit.residuals.computable & ~explained
-    mirrored = (
-        mirrored_finding(fit, known, usable, ODDS_OF_A_FAULT * significance / 2, looked.findings) if known else None
-    )
+    mirrored = mirrored_finding(fit, known, looked, ODDS_OF_A_FAULT * significance / 2) if known else None
     of_time = next((one for one in looked.findings if (one.kind, one.severity) == ("time_offset", "fault")), None)
     elsewhere = None if mirrored is not None or of_time is None or site is None else site_finding(fit, site, of_time)
     whole = mirrored or elsewhere

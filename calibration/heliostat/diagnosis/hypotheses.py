@@ -10,6 +10,7 @@ import numpy as np
 from calibration.heliostat.diagnosis.findings import Finding, coefficients_of
 from calibration.heliostat.diagnosis.linear_model import linear_fit
 from calibration.heliostat.diagnosis.misfit import criterion, effective_components
+from calibration.heliostat.diagnosis.residual_terms import Looked
 from calibration.heliostat.diagnosis.terms import SPOTS, Terms, turned_sky, with_suns
 from calibration.heliostat.fitting.fit_result import FitOptions, HeliostatFit
 from calibration.heliostat.fitting.robust_fit import fit as fit_heliostat
@@ -25,7 +26,7 @@ from calibration.heliostat.observations.beam_observations import BeamSpots, SunI
 from calibration.heliostat.observations.observations import Group, Observations, Pointings
 from heliogauge.errors import EstimationError, InputError
 from heliogauge.geometry.sun import Site, sun_directions
-from heliogauge.validate import BoolArray, FloatArray
+from heliogauge.validate import FloatArray
 
 #: Median angle between beams and fit beyond which no heliostat with its numbers is explained [rad of the beam].
 FAR_RAD = 0.010
@@ -390,16 +391,13 @@ def mirrored(fit: HeliostatFit, targets: Mapping[str, PlaneTarget]) -> Iterator[
 def mirrored_finding(
     fit: HeliostatFit,
     targets: Mapping[str, PlaneTarget],
-    rows: BoolArray,
+    looked: Looked,
     level: float,
-    terms_found: Sequence[Finding],
 ) -> tuple[Finding, HeliostatFit] | None:
     """Ask whether the spots fit better with one coordinate on the targets of the other sign.
 
-    Shapes: rows (n,).
-    rows: Those that are looked at.
+    looked: What else the residuals of the same rows show: it may be the better explanation.
     level: Chance from which on it is no fault.
-    terms_found: What else the residuals show, significant or not: it may be the better explanation.
     Returns: The fault and the fit without it, or None.
 
     Both readings have the same numbers: their likelihood ratio is that of what they leave, with two independent
@@ -407,8 +405,8 @@ def mirrored_finding(
     """
     if not any(set(group.target) & set(targets) for group in fit.observations.groups if isinstance(group, BeamSpots)):
         return None
-    model, terms = linear_fit(fit, rows), Terms(fit, rows)
-    days = fit.observations.time[rows].astype("datetime64[D]")
+    model, terms = looked.model, looked.terms
+    days = fit.observations.time[terms.rows].astype("datetime64[D]")
     independent = 2 * (np.unique(days[~np.isnat(days)]).size + int(np.isnat(days).sum()))
     for one in mirrored(fit, targets):
         other = model.shifted(terms.moved(one.change(fit.observations), 1.0))
@@ -416,7 +414,7 @@ def mirrored_finding(
         chance = min(1.0, 2 * ratio ** (0.5 * independent))
         others = (
             criterion(1 - found.evidence["explained_share"], coefficients_of(found), independent)
-            for found in terms_found
+            for found in looked.findings
             # A scale of -1 is what mirrored spots look like.
             if found.kind != "target_scale"
         )

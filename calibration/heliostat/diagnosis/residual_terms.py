@@ -72,11 +72,15 @@ class Looked:
     checks: All looks of the first round.
     lengths (n,): Length of each row's residual once faults and hint are explained [sigma]; NaN for rows that were
         not looked at.
+    model: What was left of the rows before anything was explained.
+    terms: Makes terms of the same rows.
     """
 
     findings: tuple[Finding, ...]
     checks: tuple[Check, ...]
     lengths: FloatArray
+    model: LinearFit
+    terms: Terms
 
 
 def residual_findings(
@@ -89,6 +93,7 @@ def residual_findings(
     excluded (n,): Rows that are known to be wrong.
     """
     groups = _candidates(fit, targets, site, fit.residuals.computable & ~excluded)
+    first = groups[0]
     count = max(sum(len(group.terms) for group in groups), 1)
     findings: list[Finding] = []
     checks: list[Check] = []
@@ -123,7 +128,7 @@ def residual_findings(
             continue
         # Where rows without a time stand apart the others no longer speak for the same heliostat.
         groups = [replace(found.group, model=found.extension.model)]
-    return Looked(tuple(findings), tuple(checks), _lengths(fit, groups))
+    return Looked(tuple(findings), tuple(checks), _lengths(fit, groups), first.model, first.maker)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

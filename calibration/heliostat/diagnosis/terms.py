@@ -16,9 +16,10 @@ from calibration.heliostat.kinematic_model.design import (
     PlaneTarget,
     RotaryDrive,
 )
+from calibration.heliostat.kinematic_model.kinematics import MirrorPoses, mirror_poses
 from calibration.heliostat.observations.beam_observations import BeamSpots, SunInCamera
 from calibration.heliostat.observations.observations import Group, Observations
-from calibration.heliostat.observations.residuals import evaluate, predicted_spots
+from calibration.heliostat.observations.residuals import predicted_spots, whitened_at
 from heliogauge.geometry.rigid import rotation_from_vector
 from heliogauge.geometry.sun import Site
 from heliogauge.short_repr import ShortRepr
@@ -81,6 +82,7 @@ class Terms(ShortRepr):
     chosen: BoolArray = field(init=False)
     owner: IntArray = field(init=False)
     factor: FloatArray = field(init=False)
+    _poses: list[MirrorPoses] = field(init=False, default_factory=list)
 
     def __post_init__(self) -> None:
         chosen = self.rows[self.fit.residuals.owner]
@@ -109,10 +111,12 @@ class Terms(ShortRepr):
         return np.asarray(angles[self.owner])
 
     def moved(self, observations: Observations, step: float) -> FloatArray:
-        """Return the derivative by what changed the observations, shape (m,)."""
+        """Return the derivative by what changed the observations, but not their readings, shape (m,)."""
         # With the nominal design, as the fit did it: its numbers choose axes and weights.
-        other = evaluate(self.fit.nominal, self.fit.values, observations, columns=[0])
-        difference = other.whitened - self.fit.residuals.whitened
+        nominal, values, seen = self.fit.nominal, self.fit.values, self.fit.observations
+        if not self._poses:
+            self._poses.append(mirror_poses(nominal, values, seen.readings, seen.approach, outside="nan"))
+        difference = whitened_at(nominal, values, observations, self._poses[0]) - self.fit.residuals.whitened
         return np.asarray(difference[self.chosen] / self.factor / step)
 
     # --- drives -------------------------------------------------------------------------------------------------------

@@ -252,9 +252,11 @@ def _median(values: FloatArray) -> float:
 def _plain(value: npt.ArrayLike) -> Any:
     """Return numbers as JSON has them: lists, and None for what is not finite."""
     array = np.asarray(value, dtype=np.float64)
+    if np.isfinite(array).all():
+        return array.tolist()
     if array.ndim:
         return [_plain(one) for one in array]
-    return float(array) if np.isfinite(array) else None
+    return None
 
 
 # --- summaries --------------------------------------------------------------------------------------------------------

@@ -39,7 +39,8 @@ def residual_columns(result: HeliostatResult, shared: Shared) -> dict[str, Seque
     count, place = len(rows), fit.observations.row
     main = result.main
     trained = fit if main is None else main.fit
-    residuals = _evaluated(trained, fit)
+    tried_on_all = main is not None and (main.split.train | main.split.test).all()
+    residuals = main.residuals if main is not None and tried_on_all else _evaluated(trained, fit)
     flags, reasons = final_flags(result)
     azimuth, elevation = angles_from_direction(seen.suns)
     measured, predicted = _on_targets(result, shared, trained, count)
@@ -110,10 +111,10 @@ def _on_targets(
 ) -> tuple[FloatArray, FloatArray]:
     """Return where each beam was, and where the trained model puts it, on its target (n, 2) [m]."""
     measured, predicted = np.full((count, 2), np.nan), np.full((count, 2), np.nan)
-    targets = shared.plant.targets
-    for row, name in enumerate(result.seen.rows.text("target")):
-        if name in targets:
-            measured[row] = targets[name].coordinates(result.seen.spots_m[row : row + 1])[0]
+    targets, named = shared.plant.targets, np.array(result.seen.rows.text("target"), dtype=np.str_)
+    for name in set(named.tolist()) & set(targets):
+        mine = named == name
+        measured[mine] = targets[name].coordinates(result.seen.spots_m[mine])
     for group in result.fit.observations.groups:
         if isinstance(group, BeamSpots) and len(group):
             predicted[group.pointings.row] = predicted_spots(

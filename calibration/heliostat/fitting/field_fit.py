@@ -91,8 +91,14 @@ class _Linearising:
     def at(self, values: FloatArray) -> _Linearised:
         """Linearise about values of all parameters, shape (p,)."""
         k = len(self.names)
-        whitened, jacobian, computable = self.model.whitened(values)
-        own = jacobian[np.ix_(self.chosen, self.place)]
+        found = self.found.residuals
+        if found.jacobian.shape[1] == values.size and (values == self.found.values).all():
+            # The fit itself has been differentiated.
+            whitened, computable, jacobian, place = found.whitened, found.computable, found.jacobian, self.columns
+        else:
+            whitened, jacobian, computable = self.model.whitened(values)
+            place = self.place
+        own = jacobian[np.ix_(self.chosen, place)]
         offsets = (values - self.found.nominal.parameters.values)[self.columns[:k]]
         residuals = whitened[self.chosen] - own[:, :k] @ offsets
         rows = LinearRows(self.names, residuals, own[:, :k], own[:, k:], self.occasions, self.weight)

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from calibration.heliostat.fitting.fit_result import FitOptions
-from calibration.heliostat.fitting.linear_descent import LinearBasis, LinearObservations, descend_linear
+from calibration.heliostat.fitting.linear_descent import LinearBasis, descend_linear
 from calibration.heliostat.fitting.observability import plausible_scales
 from calibration.heliostat.kinematic_model.design import HeliostatDesign
 from calibration.heliostat.observations.observations import Observations
@@ -31,6 +31,31 @@ _ON_THE_WAY, _FEW_STEPS = 0.05, 12
 _ZERO = 1e-6
 # There a sigma below a millionth of the stated one is rounding.
 _LEAST_FACTOR = 1e-6
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LinearObservations:
+    """Observations that are linear in the free parameters, about some values: as good as the others, and much faster.
+
+    columns (k,): Positions of the free parameters.
+    values (p,): About which numbers.
+    found: Residuals and derivatives there.
+    owners (m,): Row of each component.
+    basis: Of observations and priors; None where these do not hold all parameters.
+    exact: The model with the observations themselves.
+    """
+
+    columns: IntArray
+    values: FloatArray
+    found: Whitened
+    owners: IntArray
+    basis: LinearBasis | None
+    exact: "FitModel"
+
+    def whitened(self, values: FloatArray) -> Whitened:
+        """Return the residuals at some numbers."""
+        residuals, jacobian, computable = self.found
+        return Whitened(residuals + jacobian @ (values - self.values)[self.columns], jacobian, computable)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -109,9 +134,19 @@ class FitModel:
         values, found = self.full(free), copy(self)
         seen = self.seen.whitened(values)
         basis = LinearBasis.of(seen.jacobian, self.priors, free - self.start)
-        linear = LinearObservations(self.columns, values, seen, self.owners, basis)
+        linear = LinearObservations(self.columns, values, seen, self.owners, basis, self)
         object.__setattr__(found, "seen", linear)
         return found
+
+    @property
+    def is_linear(self) -> bool:
+        """Whether the observations were made linear."""
+        return isinstance(self.seen, LinearObservations)
+
+    @property
+    def exact(self) -> "FitModel":
+        """The same model with the observations themselves."""
+        return self.seen.exact if isinstance(self.seen, LinearObservations) else self
 
     def row_factors(self, factors: Mapping[str, float]) -> FloatArray:
         """Return the factor on the stated sigma of each row."""

@@ -4,37 +4,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calibration.heliostat.observations.residuals import Whitened
 from heliogauge.adjust.gauss_newton import Options
 from heliogauge.adjust.robust_loss import Loss, LossMoments, Squares, block_lengths, normal_moments
 from heliogauge.adjust.solution import CovarianceScale, Solution
-from heliogauge.validate import FloatArray, IntArray
+from heliogauge.validate import FloatArray
 
 # Below this share of the largest column of the triangle a direction is held by nothing.
 _HELD = 1e-9
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class LinearObservations:
-    """Observations that are linear in the free parameters, about some values: as good as the others, and much faster.
-
-    columns (k,): Positions of the free parameters.
-    values (p,): About which numbers.
-    found: Residuals and derivatives there.
-    owners (m,): Row of each component.
-    basis: Of observations and priors; None where these do not hold all parameters.
-    """
-
-    columns: IntArray
-    values: FloatArray
-    found: Whitened
-    owners: IntArray
-    basis: "LinearBasis | None"
-
-    def whitened(self, values: FloatArray) -> Whitened:
-        """Return the residuals at some numbers."""
-        residuals, jacobian, computable = self.found
-        return Whitened(residuals + jacobian @ (values - self.values)[self.columns], jacobian, computable)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -34,11 +34,19 @@ _WHERE_LINEAR = 0.01
 _BENT, _MOST_LINEAR = 0.5, 3
 
 
-def fit(design: HeliostatDesign, observations: Observations, options: FitOptions | None = None) -> HeliostatFit:
+def fit(
+    design: HeliostatDesign,
+    observations: Observations,
+    options: FitOptions | None = None,
+    *,
+    near: HeliostatFit | None = None,
+) -> HeliostatFit:
     """Fit a heliostat's free parameters to observations.
 
     design: The heliostat; the sigmas of its parameters: held (0), known before (prior) and free (inf).
     observations: Any mixture of kinds.
+    near: A fit of the same heliostat to more rows, about which these are made linear at first. The answer is that of
+        these rows alone, to a thousandth of a sigma; it saves the way from the design's numbers.
     Returns: Estimates with covariance, residuals of all rows, what was rejected and why, what was not observable.
     InputError: Observations and design do not fit each other.
     EstimationError: No reading can be computed, or a free parameter is determined by nothing.
@@ -53,19 +61,19 @@ def fit(design: HeliostatDesign, observations: Observations, options: FitOptions
     extended = design.with_parameters(design.parameters.extended(observations.extra_parameters(design)))
     # Weak priors on all that is free keep the first steps in range; they stay only where nothing else holds.
     model = FitModel(extended, observations, options, frozenset(extended.parameters.names))
-    end, tried = _from(model, model.start), 1
+    end, tried = _from(model, model.start, near), 1
     if _far_rad(end) > _FAR_RAD:
         end, tried = _restarted(end)
     end.solution.require(design.name) if end.solution.null_space.size else None
     return _result(end.with_own_covariance(), tried)
 
 
-def _from(model: FitModel, start: FloatArray) -> Descended:
+def _from(model: FitModel, start: FloatArray, near: HeliostatFit | None = None) -> Descended:
     """Fit from one start."""
-    first = _first(model, start)
     if np.isfinite(model.design.parameters.sigmas[model.columns]).all():
         # Nothing but priors holds what is not observed.
-        return _settled(first)
+        return _settled(_first(model, start) if near is None else _first_near(model, near))
+    first = _first(model, start)
     weak = _held_by_nothing(first)
     end = _settled(_again(first, replace(model, fallback=weak)))
     # At the scale of a start that may be degrees off nothing looks observed: decide anew at the settled one.
@@ -86,6 +94,17 @@ def _first(model: FitModel, start: FloatArray) -> Descended:
             "check their numbers and the unit of the readings"
         )
     return descend(model, start, _medians(model, residuals, usable), usable, _ON_THE_WAY)
+
+
+def _first_near(model: FitModel, near: HeliostatFit) -> Descended:
+    """Descend from the design's numbers as the observations are about another fit, all of them in use."""
+    known = dict(zip(near.names, near.values.tolist(), strict=True))
+    about = np.array([known.get(name, value) for name, value in zip(model.names, model.start.tolist(), strict=True)])
+    residuals = model.evaluate(about)
+    usable = residuals.computable
+    if not usable.any() or _median_angle(residuals) > _FAR_RAD:
+        return _first(model, model.start)
+    return descend(model.linear_about(about), model.start, _medians(model, residuals, usable), usable, _ON_THE_WAY)
 
 
 def _medians(model: FitModel, residuals: Residuals, used: BoolArray) -> dict[str, float]:
@@ -109,16 +128,18 @@ def _settled(end: Descended) -> Descended:
 
     Near the answer all of that is done with the observations made linear, and tested with the observations themselves.
     """
-    if end.solution.converged and _far_rad(end) < _FAR_RAD:
+    if end.solution.converged and (end.model.is_linear or _far_rad(end) < _FAR_RAD):
         for _ in range(_MOST_LINEAR):
-            near = _decided(replace(end, model=end.model.linear_about(end.values)), _WHERE_LINEAR)
+            about = end.model if end.model.is_linear else end.model.linear_about(end.values)
+            near = _decided(replace(end, model=about), _WHERE_LINEAR)
+            end = replace(end, model=end.model.exact)
             if not end.model.whitened(near.end.values).computable[near.end.used].all():
                 break
             end = descend(end.model, near.end.values, near.end.factors, near.end.used, _AT_THE_END)
             sigmas = np.sqrt(np.diag(near.end.solution.covariance))
             if not (np.abs(end.values - near.end.values) > _BENT * sigmas).any():
                 return _rounds(end, near.estimated, _AT_THE_END)
-    end = _decided(end, _ON_THE_WAY).end
+    end = _decided(replace(end, model=end.model.exact), _ON_THE_WAY).end
     return descend(end.model, end.values, end.factors, end.used, _AT_THE_END)
 
 
@@ -176,7 +197,10 @@ def _refuted(end: Descended, kind: str) -> bool:
 
 def _far_rad(end: Descended) -> float:
     """Median angle between observation and prediction [rad], of the beam or the normal."""
-    residuals = end.model.evaluate(end.values)
+    return _median_angle(end.model.exact.evaluate(end.values))
+
+
+def _median_angle(residuals: Residuals) -> float:
     angles = np.where(np.isfinite(residuals.beam_angle_rad), residuals.beam_angle_rad, residuals.normal_angle_rad)
     angles = angles[residuals.computable & np.isfinite(angles)]
     return float(np.median(angles)) if angles.size else 0.0

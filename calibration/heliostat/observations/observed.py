@@ -209,9 +209,10 @@ def _beams(building: _Building, plant: Plant, sigma_m: float) -> BeamSpots | Non
     if not chosen.any():
         return None
     names = building.names("target", chosen)
-    flat = np.array(
-        [plant.targets[name].coordinates(spot) for name, spot in zip(names, building.spots_m[chosen], strict=True)]
-    )
+    spots, named = building.spots_m[chosen], np.array(names, dtype=np.str_)
+    flat = np.empty((len(spots), 2))
+    for name in set(names):
+        flat[named == name] = plant.targets[name].coordinates(spots[named == name])
     return BeamSpots.on_targets(
         building.pointings(chosen), building.suns[chosen], plant.targets, names, flat, sigma[chosen]
     )

@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from calibration.heliostat.kinematic_model.design import HeliostatDesign, PlaneTarget
 from calibration.heliostat.kinematic_model.directions import Sights, unit_with_length
-from calibration.heliostat.kinematic_model.kinematics import mirror_poses, pose_derivatives
+from calibration.heliostat.kinematic_model.kinematics import MirrorPoses, mirror_poses, pose_derivatives
 from calibration.heliostat.observations.observations import BeamSpots, Observations
 from calibration.heliostat.observations.residual_kinds import Equations, Posed, Prepared, equations, in_metres, prepare
 from heliogauge.errors import InputError
@@ -76,11 +76,12 @@ class Whitened(NamedTuple):
 
 
 class _Evaluated(NamedTuple):
-    """Whitened residuals, and for each group its equations and normals."""
+    """Whitened residuals, for each group its equations and normals, and all in radians once that was asked for."""
 
     whitened: Whitened
     parts: list[Equations]
     normals: list[FloatArray]
+    in_radians: list["Residuals"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -117,10 +118,13 @@ class ObservationModel(ShortRepr):
     def evaluate(self, values: FloatArray) -> "Residuals":
         """Return the residuals at some numbers, also in radians."""
         found = self._evaluated(values)
-        whitened, jacobian, computable = found.whitened
-        angles = [_in_radians(*one) for one in zip(self.prepared, found.parts, found.normals, strict=True)]
-        beam, normal, sigma, distance = (np.concatenate(one) for one in zip(*angles, strict=True))
-        return Residuals(whitened, jacobian, self.owners, beam, normal, sigma, distance, computable)
+        if not found.in_radians:
+            whitened, jacobian, computable = found.whitened
+            angles = [_in_radians(*one) for one in zip(self.prepared, found.parts, found.normals, strict=True)]
+            beam, normal, sigma, distance = (np.concatenate(one) for one in zip(*angles, strict=True))
+            known = Residuals(whitened, jacobian, self.owners, beam, normal, sigma, distance, computable)
+            found.in_radians.append(known)
+        return found.in_radians[0]
 
     def _evaluated(self, values: FloatArray) -> "_Evaluated":
         """Evaluate, or give the last answer again: a fit asks two or three times at the same numbers."""
@@ -158,7 +162,7 @@ class ObservationModel(ShortRepr):
         if not computable.all():
             lost = ~computable[self.owners]
             residuals[lost], derivatives[lost] = 0.0, 0.0
-        return _Evaluated(Whitened(freeze(residuals), freeze(derivatives), computable), parts, own_normals)
+        return _Evaluated(Whitened(freeze(residuals), freeze(derivatives), computable), parts, own_normals, [])
 
 
 def _prepared(design: HeliostatDesign, seen: Observations) -> tuple[Prepared, ...]:
@@ -215,6 +219,27 @@ def evaluate(
         raise InputError(f"parameters {', '.join(missing)} of the observations are missing in {design.name}")
     chosen = None if columns is None else np.asarray(columns, dtype=np.intp)
     return ObservationModel(design, observations, chosen).evaluate(np.asarray(values, dtype=np.float64))
+
+
+def whitened_at(
+    design: HeliostatDesign, values: FloatArray, observations: Observations, poses: MirrorPoses
+) -> FloatArray:
+    """Return the whitened residuals (m,) alone, of observations of poses that are known.
+
+    values (p,): Numbers in the order of ``design.parameters``.
+    observations: What was seen; the design's parameters hold what they bring with them.
+    poses: At their readings.
+    """
+    numbers, normals = dict(zip(design.parameters.names, values.tolist(), strict=True)), poses.normals(design)
+    parts, first = [], 0
+    for group, prepared in zip(observations.groups, _prepared(design, observations), strict=True):
+        rows = slice(first, first + len(group))
+        first += len(group)
+        here = Posed(poses.rotation[rows], poses.centre_m[rows], normals[rows], numbers)
+        part = in_metres(equations(here, group, prepared), prepared)
+        whitened = (prepared.root @ part.residual[..., None])[..., 0]
+        parts.append(np.where(np.isfinite(normals[rows]).all(axis=1)[:, None], whitened, 0.0).ravel())
+    return np.concatenate(parts)
 
 
 def predicted_spots(

@@ -68,7 +68,7 @@ def calibrate_one(shared: Shared, task: HeliostatTask) -> HeliostatResult:
     hopeless = is_hopeless(first)
     within = WithinField(first, False) if hopeless else free.within(first)
     result = within.fit
-    trials = try_out(nominal, free, observations, rows, shared, options, hopeless=hopeless)
+    trials = try_out(nominal, free, observations, rows, shared, options, hopeless=hopeless, near=first)
     sky = map_sky(result, shared.plant)
     found = gather_doubts(diagnosis.doubts, collect_doubts(task, seen, within, free.field, trials, shared))
     return HeliostatResult(

@@ -3,7 +3,7 @@
 from dataclasses import dataclass, replace
 
 from calibration.heliostat.files.result import Shared
-from calibration.heliostat.fitting.fit_result import FitOptions
+from calibration.heliostat.fitting.fit_result import FitOptions, HeliostatFit
 from calibration.heliostat.fitting.model_choice import choose_model
 from calibration.heliostat.fitting.splits import SPLIT_NAMES, HeldOut, held_out, make_split
 from calibration.heliostat.kinematic_model.design import HeliostatDesign
@@ -34,11 +34,13 @@ def try_out(
     options: FitOptions,
     *,
     hopeless: bool,
+    near: HeliostatFit,
 ) -> Trials:
     """Try the model out on the split that is reported; thorough runs on every split.
 
     nominal: The heliostat as it is known before.
     rows: All rows, whose column "split" may name the parts.
+    near: Robust fit to all rows.
     hopeless: Something is wrong with heliostat or records; the other splits would only take time.
     """
     # The choice is part of what is tried out: it is made again from the training rows alone.
@@ -54,7 +56,13 @@ def try_out(
         try:
             split = make_split(observations, name, seed=shared.model.evaluation.random_seed, column=column)
             trials.held[name] = held_out(
-                design, observations, split, options, chooser=chooser, refine=None if hopeless else free.refine
+                design,
+                observations,
+                split,
+                options,
+                chooser=chooser,
+                refine=None if hopeless else free.refine,
+                near=None if hopeless else near,
             )
         except (EstimationError, InputError) as error:
             trials.not_made[name] = str(error)
