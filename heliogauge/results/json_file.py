@@ -43,7 +43,7 @@ def _laid_out(value: Any, line: str) -> str:
     if isinstance(value, Mapping) and value:
         inside = (f"{_CODER.encode(_key(key))}: {_laid_out(one, deeper)}" for key, one in value.items())
         return "{" + deeper + f",{deeper}".join(inside) + line + "}"
-    if isinstance(value, list | tuple) and any(isinstance(one, Mapping) for one in value):
+    if isinstance(value, list | tuple) and any(issubclass(kind, Mapping) for kind in set(map(type, value))):
         return "[" + deeper + f",{deeper}".join(_laid_out(one, deeper) for one in value) + line + "]"
     return _CODER.encode(dict(value) if isinstance(value, Mapping) else value)
 

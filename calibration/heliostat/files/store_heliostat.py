@@ -254,9 +254,9 @@ def _plain(value: npt.ArrayLike) -> Any:
     array = np.asarray(value, dtype=np.float64)
     if np.isfinite(array).all():
         return array.tolist()
-    if array.ndim:
-        return [_plain(one) for one in array]
-    return None
+    plain = array.astype(object)
+    plain[~np.isfinite(array)] = None
+    return plain.tolist()
 
 
 # --- summaries --------------------------------------------------------------------------------------------------------

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from calibration.heliostat.fitting.fit_result import FitOptions
-from calibration.heliostat.fitting.linear_descent import LinearBasis, descend_linear
+from calibration.heliostat.fitting.linear_descent import LinearBasis, LinearProblem, descend_linear
 from calibration.heliostat.fitting.observability import plausible_scales
 from calibration.heliostat.kinematic_model.design import HeliostatDesign
 from calibration.heliostat.observations.observations import Observations
@@ -313,13 +313,12 @@ def descend(
     # On the way, while scale and rows still move, a long valley is not worth following to its end.
     most = model.options.max_iterations if tolerance < _ON_THE_WAY else min(model.options.max_iterations, _FEW_STEPS)
     options = Options(max_iterations=most, tolerance=tolerance, rank_tolerance=1e-10)
-    solution = None
-    if isinstance(model.seen, LinearObservations) and model.seen.basis is not None:
-        seen, about = model.seen, model.seen.values[model.columns]
+    solution, seen = None, model.seen
+    if isinstance(seen, LinearObservations) and seen.basis is not None:
         residuals = seen.found.residuals[chosen] * per_component
         observed = seen.basis.observed[chosen] * per_component[:, None]
-        loss, names = model.loss(block), model.names
-        solution = descend_linear(seen.basis, residuals, observed, loss, block, names, about, start, options)
+        linear = LinearProblem(seen.basis, residuals, observed, seen.values[model.columns], model.names)
+        solution = descend_linear(linear, start, model.loss(block), block, options)
     if solution is None:
         known = zip(model.names, model.start, model.priors, strict=True)
         extra = tuple(Prior(name, float(value), float(sigma)) for name, value, sigma in known if np.isfinite(sigma))

@@ -1,6 +1,7 @@
 """Fits of observations that are linear in the parameters: one factorisation for all scales, weights and rows."""
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -59,25 +60,34 @@ class LinearBasis:
         )
 
 
+class LinearProblem(NamedTuple):
+    """What is observed of parameters that observations are linear in.
+
+    basis: Of all rows, and of the priors.
+    residuals (m,), observed (m, k): Of the rows in use where t is zero, and their derivatives by t, in the sigmas in
+        force.
+    about (k,): Parameters where t is zero.
+    names length k: Of the parameters.
+    """
+
+    basis: LinearBasis
+    residuals: FloatArray
+    observed: FloatArray
+    about: FloatArray
+    names: tuple[str, ...]
+
+
 def descend_linear(
-    basis: LinearBasis,
-    residuals: FloatArray,
-    observed: FloatArray,
-    loss: Loss,
-    block: int,
-    names: tuple[str, ...],
-    about: FloatArray,
-    start: FloatArray,
-    options: Options,
+    problem: LinearProblem, start: FloatArray, loss: Loss, block: int, options: Options
 ) -> Solution[FloatArray] | None:
     """Adjust parameters to observations that are linear in them by iterated weights.
 
-    residuals (m,), observed (m, k): Of the rows in use where t is zero, and their derivatives by t, in the sigmas in
-        force.
-    about, start (k,): Parameters where t is zero, and where to start.
+    start (k,): Parameters to start from.
+    block: Components that the loss weakens together.
     Returns: As `heliogauge.adjust.least_squares.solve` does, with the covariance for normal errors of the sigmas in
         force and no variance factor; None where the rows in use do not hold all parameters.
     """
+    basis, residuals, observed, about, names = problem
     size = basis.triangle.shape[0]
     known = basis.known.T @ basis.known
     freedom = residuals.size + basis.pulls.size - size

@@ -245,7 +245,9 @@ def _result(end: Descended, tried: int) -> HeliostatFit:
     values = model.full(end.values)
     covariance = np.zeros((values.size, values.size))
     covariance[np.ix_(model.columns, model.columns)] = end.solution.covariance
-    residuals = evaluate(model.design, values, model.observations)
+    # With everything free the last evaluation has all derivatives.
+    complete = model.columns.size == values.size
+    residuals = model.evaluate(end.values) if complete else evaluate(model.design, values, model.observations)
     combinations = _unobserved(end)
     weight, leverage = _per_row(end)
     return HeliostatFit(

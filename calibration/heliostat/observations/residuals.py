@@ -238,7 +238,8 @@ def whitened_at(
         here = Posed(poses.rotation[rows], poses.centre_m[rows], normals[rows], numbers)
         part = in_metres(equations(here, group, prepared), prepared)
         whitened = (prepared.root @ part.residual[..., None])[..., 0]
-        parts.append(np.where(np.isfinite(normals[rows]).all(axis=1)[:, None], whitened, 0.0).ravel())
+        whitened[~np.isfinite(normals[rows].sum(axis=1))] = 0.0
+        parts.append(whitened.ravel())
     return np.concatenate(parts)
 
 
