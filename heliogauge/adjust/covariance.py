@@ -83,7 +83,7 @@ class Facts:
 
 
 @dataclass(frozen=True, slots=True)
-class _Factors:
+class CovarianceFactors:
     """Factors of the covariance ``A^-1 B A^-1``: ``A = slope N + P`` and ``B = influence N + prior P``.
 
     N is the observations' share of the normal matrix, P that of priors and constraints.
@@ -124,7 +124,7 @@ def assemble(
     squares = rows.n_observations * measured.influence / expected.influence + float(known @ known)
     variance_factor = squares / redundancy if redundancy > 0 else float("nan")
     share = float(controlled[observed].mean()) if lengths.size else 1.0
-    factors = _factors((expected, measured), share, variance_factor, plain=plain, scale=covariance_scale)
+    factors = covariance_factors((expected, measured), share, variance_factor, plain=plain, scale=covariance_scale)
     if factors.slope != expected.slope:
         system = rows.factorised(np.where(observed, np.sqrt(factors.slope), 1.0))
     covariance, null_space = _in_all_parameters(facts.free, _covariance(system, rows.extra_jacobian, factors), system)
@@ -147,25 +147,30 @@ def assemble(
     )
 
 
-def _factors(
+def covariance_factors(
     moments: tuple[LossMoments, LossMoments], share: float, factor: float, *, plain: bool, scale: CovarianceScale
-) -> _Factors:
-    """Choose the factors of the covariance; ``share`` is the mean redundancy number of the observations."""
+) -> CovarianceFactors:
+    """Choose the factors of the covariance: those of normal errors, or of the residuals where these say less.
+
+    moments: Of the loss for normal errors, and over the residuals.
+    share: Mean redundancy number of the observations.
+    factor: Variance factor, which scales the covariance a posteriori.
+    """
     posterior = scale is CovarianceScale.POSTERIOR
     prior = factor if posterior else 1.0
     if plain:
-        return _Factors(1.0, prior, prior)
+        return CovarianceFactors(1.0, prior, prior)
     expected, measured = moments
     # A redescending loss far from normal errors can have a mean slope near zero: 0.1 bounds the inflation at 100.
     slope = max(measured.slope, 0.1)
     correction = 1.0 + (1.0 - share) * measured.slope_variance / slope**2
     influence = measured.influence / share * correction**2 if share > 1e-8 else float("nan")
     if posterior or influence / slope**2 > expected.influence / expected.slope**2:
-        return _Factors(slope, influence, prior)
-    return _Factors(expected.slope, expected.influence, prior)
+        return CovarianceFactors(slope, influence, prior)
+    return CovarianceFactors(expected.slope, expected.influence, prior)
 
 
-def _covariance(system: Factorised, extra_jacobian: FloatArray, factors: _Factors) -> FloatArray:
+def _covariance(system: Factorised, extra_jacobian: FloatArray, factors: CovarianceFactors) -> FloatArray:
     """``Q B Q`` with ``B = b (Q^-1 - P) + prior P``: only the few rows of priors and constraints are needed again."""
     cofactor, share = system.cofactor(), factors.influence / factors.slope
     covariance = share * cofactor

@@ -5,8 +5,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from heliogauge.adjust.gauss_newton import Options
-from heliogauge.adjust.robust_loss import Loss, LossMoments, Squares, block_lengths, normal_moments
+from heliogauge.adjust.covariance import covariance_factors
+from heliogauge.adjust.gauss_newton import EPSILON, Options
+from heliogauge.adjust.robust_loss import Loss, LossMoments, Squares, block_lengths, loss_moments, normal_moments
 from heliogauge.adjust.solution import CovarianceScale, Solution
 from heliogauge.validate import FloatArray
 
@@ -76,6 +77,11 @@ class LinearProblem(NamedTuple):
     about: FloatArray
     names: tuple[str, ...]
 
+    @property
+    def freedom(self) -> int:
+        """Residuals and priors less parameters."""
+        return self.residuals.size + self.basis.pulls.size - len(self.names)
+
 
 def descend_linear(
     problem: LinearProblem, start: FloatArray, loss: Loss, block: int, options: Options
@@ -84,16 +90,16 @@ def descend_linear(
 
     start (k,): Parameters to start from.
     block: Components that the loss weakens together.
-    Returns: As `heliogauge.adjust.least_squares.solve` does, with the covariance for normal errors of the sigmas in
-        force and no variance factor; None where the rows in use do not hold all parameters.
+    Returns: As `heliogauge.adjust.least_squares.solve` does, but without a variance factor and the count of
+        iterations; None where the rows in use do not hold all parameters.
     """
-    basis, residuals, observed, about, names = problem
-    size = basis.triangle.shape[0]
+    basis, residuals, observed, about, _ = problem
+    size, freedom = basis.triangle.shape[0], problem.freedom
     known = basis.known.T @ basis.known
-    freedom = residuals.size + basis.pulls.size - size
     t = basis.triangle @ (start - about)
-    converged, offset, weights = False, float("inf"), np.ones(residuals.size)
-    rest, pulls = residuals, basis.pulls
+    # Squares below this are rounding.
+    nothing = (16 * EPSILON) ** 2 * float(residuals @ residuals + basis.pulls @ basis.pulls)
+    converged, offset = False, float("inf")
     for _ in range(options.max_iterations):
         rest, pulls = residuals + observed @ t, basis.pulls + basis.known @ t
         weights = np.repeat(loss.weight(block_lengths(rest, block)), block)
@@ -106,22 +112,36 @@ def descend_linear(
         # As `relative_offset`: the remaining step in units of the parameters' own standard deviations.
         removed = -float(gradient @ step)
         left = max(float(weights @ rest**2 + pulls @ pulls) - removed, 0.0)
-        offset = np.sqrt(removed / size / (left / freedom)) if freedom > 0 and left > 0 else float(removed > 0)
-        if offset <= options.tolerance:
-            converged = True
+        offset = float(np.sqrt(max(removed, 0.0) / size / (left / freedom))) if freedom > 0 and left > 0 else offset
+        converged = removed <= nothing or offset <= options.tolerance
+        if converged:
             break
         t = t + step
-    plain = isinstance(loss, Squares)
+    reason = f"the remaining step is {offset:.1e} sigma"
+    return _solution(problem, t, loss, block, converged=converged, reason=reason)
+
+
+def _solution(
+    problem: LinearProblem, t: FloatArray, loss: Loss, block: int, *, converged: bool, reason: str
+) -> Solution[FloatArray]:
+    """Return covariance and redundancy at t (k,)."""
+    basis, residuals, observed, about, names = problem
+    rest, pulls, known = residuals + observed @ t, basis.pulls + basis.known @ t, basis.known.T @ basis.known
+    lengths, plain = block_lengths(rest, block), isinstance(loss, Squares)
     expected = LossMoments(1.0, 1.0, 0.0) if plain else normal_moments(loss, block)
     normal = observed.T @ observed
     cofactor = np.linalg.inv(expected.slope * normal + known)
-    spread = cofactor @ (expected.influence * normal + known) @ cofactor
     followed = np.concatenate(
         [
             expected.slope * np.einsum("ij,ij->i", observed @ cofactor, observed),
             np.einsum("ij,ij->i", basis.known @ cofactor, basis.known),
         ]
     )
+    measured = loss_moments(loss, lengths, block) if rest.size else expected
+    share = float(np.mean(1.0 - followed[: rest.size])) if rest.size else 1.0
+    factors = covariance_factors((expected, measured), share, 1.0, plain=plain, scale=CovarianceScale.PRIOR)
+    bread = cofactor if factors.slope == expected.slope else np.linalg.inv(factors.slope * normal + known)
+    spread = bread @ (factors.influence * normal + known) @ bread
     parameters = about + basis.inverse @ t
     return Solution(
         state=parameters,
@@ -130,13 +150,13 @@ def descend_linear(
         covariance=basis.inverse @ spread @ basis.inverse.T,
         covariance_scale=CovarianceScale.PRIOR,
         converged=converged,
-        reason=f"the remaining step is {offset:.1e} sigma",
-        iterations=options.max_iterations,
-        rank=size,
-        null_space=np.zeros((size, 0)),
+        reason=reason,
+        iterations=0,
+        rank=t.size,
+        null_space=np.zeros((t.size, 0)),
         residuals=np.concatenate([rest, pulls]),
-        weights=np.concatenate([weights, np.ones(pulls.size)]),
+        weights=np.concatenate([np.repeat(loss.weight(lengths), block), np.ones(pulls.size)]),
         redundancy_numbers=np.clip(1.0 - followed, 0.0, 1.0),
-        redundancy=freedom,
+        redundancy=problem.freedom,
         variance_factor=float("nan"),
     )
