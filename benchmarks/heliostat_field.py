@@ -202,6 +202,11 @@ def real(folder: Path) -> None:
     for one in sound:
         cells = [f"{figures(one.held[split])[0]:10.2f}" if split in one.held else f"{'-':>10}" for split in SPLITS]
         print(f"{one.name:>10} " + " ".join(cells))
+    for one in result.heliostats:
+        if one not in sound:
+            print(f"\n{one.name}, {one.free}: RMS of rows left aside [mrad], all and those that the fit to all uses")
+            for split in SPLITS:
+                print(f"  {split:18}" + "".join(f"{value:>8.2f}" for value in with_and_without(one, split)))
     for model in STATED:
         stated = {one.name: one for one in run(load(folder), Options(thorough=True, model=model)).heliostats}
         print(f"\nmodel {model}, stated")
@@ -220,6 +225,17 @@ def told(whole: list[Any], sound: list[Any]) -> None:
                 f"  {split:18}{ASKED_MRAD.get(split, ''):>7}{np.median(rms):>8.2f}{rms.max():>8.2f}"
                 f"{np.median(ratio):>8.2f}{ratio.max():>8.2f}{100 * np.sum(inside) / np.sum(count):>8.0f}%"
             )
+
+
+def with_and_without(one: Any, split: str) -> tuple[float, float]:
+    """Return the RMS of a heliostat's test rows, and without those that the fit to all rows refuses [mrad]."""
+    held = one.held[split]
+    both = held.split.train | held.split.test
+    angles = np.full(both.size, np.nan)
+    angles[both] = 1e3 * held.residuals.beam_angle_rad
+    chosen = (held.split.test, held.split.test & one.fit.used)
+    with_all, without = (float(np.sqrt(np.nanmean(angles[rows] ** 2))) for rows in chosen)
+    return with_all, without
 
 
 def figures(held: Any) -> tuple[float, float, float, int]:

@@ -77,6 +77,23 @@ class TestOneHeliostat:
         assert "sigma from the fit" in rows[11]["reason"]
         assert all(row["flag"] == "" for place, row in enumerate(rows) if place not in {7, 11})
 
+    def test_a_trial_says_what_its_refused_test_rows_do_to_it(self, tmp_path: Path) -> None:
+        """The last rows are those that are predicted: one of them lies 3 m off."""
+        write_field(tmp_path, observations=60)
+        table = read_table_csv(tmp_path / "observations.csv")
+        clean = run(load_heliostat(tmp_path), QUICK).heliostats[0]
+        last = int(np.argmax(np.array(table["time_utc"])))
+        table["x_m"][last] = "3.5"
+        write_table_csv(tmp_path / "observations.csv", table)
+        (one,) = run(load_heliostat(tmp_path), QUICK).heliostats
+        (note,) = [said for said in one.notes if said.code == "test_rows_rejected"]
+        assert note.numbers["rejected_count"] == 1
+        assert clean.main is not None
+        assert one.main is not None
+        assert note.numbers["without_rejected_rad"] == pytest.approx(clean.main.test.beam_rms_rad, rel=0.15)
+        assert one.main.test.beam_rms_rad > 3 * clean.main.test.beam_rms_rad
+        assert not [said for said in clean.notes if said.code == "test_rows_rejected"]
+
     def test_residuals_are_measured_minus_predicted_on_the_target(self, calibrated: tuple[Path, Any]) -> None:
         """The target faces the field: to the right as seen from the mirror is to the right on the target."""
         rows = [row for row in rows_of(calibrated[0] / "residuals.csv") if row["flag"] == ""]
