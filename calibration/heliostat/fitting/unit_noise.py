@@ -7,10 +7,10 @@ import numpy as np
 from calibration.heliostat.fitting.drift_noise import NormalEquations
 from heliogauge.validate import FloatArray
 
-#: A heliostat's noise differs from the usual one by a factor of e^0.35 (one sigma): the most probable for 17 real ones
-#: (marginal likelihood, each within what the others know; 0.2 to 0.7 are within a factor of e^4 of it). More would let
-#: seven rows that lie well by chance promise half of the error that then comes.
-_LOG_SIGMA = 0.35
+#: A heliostat's noise differs from the usual one by a factor of e^0.5 (one sigma): that of 17 real ones lies between
+#: 0.5 and 2 times their middle, and by marginal likelihood 0.2 to 0.7 are within a factor of e^4 of the most probable
+#: e^0.37. A narrower one overstates the errors of records that are better than usual.
+_LOG_SIGMA = 0.5
 _LOGS = np.linspace(-1.6, 3.0, 93)
 
 

@@ -160,13 +160,13 @@ def test_evidence_is_the_density_of_the_observations():
     mean, root = rng.normal(size=3), rng.normal(size=(3, 3))
     covariance = root @ root.T
     found = unit_noise(rows.equations(NOISE), mean, covariance)
-    # The noise's own prior: one sigma is a factor of e^0.35.
+    # The noise's own prior: one sigma is a factor of e^0.5.
     logs = np.linspace(-1.5, 2.5, 201)
     densities = []
     for log in logs.tolist():
         whole = np.exp(2 * log) * dense_covariance(rows, NOISE) + rows.jacobian @ covariance @ rows.jacobian.T
         density = multivariate_normal(-rows.jacobian @ mean, whole).logpdf(rows.residuals)
-        densities.append(np.exp(density + 0.5 * rows.residuals.size * np.log(2 * np.pi)) * norm.pdf(log, 0, 0.35))
+        densities.append(np.exp(density + 0.5 * rows.residuals.size * np.log(2 * np.pi)) * norm.pdf(log, 0, 0.5))
     assert found.log_evidence == pytest.approx(np.log(trapezoid(densities, logs)), abs=1e-4)
     square = trapezoid(np.exp(2 * logs) * densities, logs) / trapezoid(densities, logs)
     assert found.factor == pytest.approx(np.sqrt(square), rel=1e-4)
