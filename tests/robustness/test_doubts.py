@@ -102,6 +102,7 @@ def test_camera_behind_the_mirror(tmp_path, rewrite):
     assert "behind the mirror" in refused(tmp_path / "m")
 
 
+@pytest.mark.slow
 def test_pose_beside_the_mirror(tmp_path, rewrite):
     write_dataset(tmp_path / "m", preset_scene("small"), DatasetOptions(0, Knowledge(pose_known=True)))
     rewrite(tmp_path / "m", (r"(mirror.pose\]\n.*\ntranslation_m = ).*", r"\g<1>[0.25, 0.08, 9.65]"))
@@ -115,6 +116,7 @@ def test_full_well_of_12_bits_in_16_is_found(folder, rewrite):
     assert "reach 4095 DN" in refused(folder)
 
 
+@pytest.mark.slow
 def test_jpeg_is_doubtful(folder, rewrite):
     for file in folder.glob("*.png"):
         cv2.imwrite(str(file.with_suffix(".jpg")), cv2.imread(str(file), cv2.IMREAD_UNCHANGED))

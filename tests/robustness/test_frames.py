@@ -127,12 +127,14 @@ def test_single_frames_are_named_and_mended(tmp_path, fault, code):
     assert mended(tmp_path / "m") == (code,)
 
 
+@pytest.mark.slow
 def test_periods_that_one_set_has_otherwise_are_found(folder, rewrite):
     """64 declared, 63.9 shown: the focus was wrong by 16 sigma without a word."""
     rewrite(folder, ("periods = 63.9", "periods = 64.0"))
     assert set(mended(folder)) == {"fringe_periods_corrected"}
 
 
+@pytest.mark.slow
 def test_size_of_the_screen_without_a_sigma_is_a_doubt_and_with_one_a_mode(folder, rewrite):
     """1 % of width is 15 m of 90 m focal length; neither could be said."""
     rewrite(folder, ("sigma_width_mm = .*", "sigma_width_mm = 8.0"))

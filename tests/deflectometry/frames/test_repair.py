@@ -174,6 +174,7 @@ def test_a_blurred_frame_is_left_out_with_a_response_too(gamma: float) -> None:
     assert repaired.pattern.n_frames == 31
 
 
+@pytest.mark.slow
 def test_so_many_kinds_of_faults_are_refused() -> None:
     frames = Scene(cover=0.5, noise_dn=2.0).readings(PATTERN, np.random.default_rng(3))
     frames = np.stack([ndimage.gaussian_filter(one, 0.7) for one in frames])

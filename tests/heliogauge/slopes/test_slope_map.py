@@ -133,6 +133,7 @@ def test_resampling_bridges_no_gap_and_reaches_nowhere_beyond():
         resample(holed, [0.1, 0.0], [0.0])
 
 
+@pytest.mark.slow
 def test_the_mean_over_the_mirror_keeps_its_sigma_on_a_finer_grid():
     rng = np.random.default_rng(8)
     fine_x, fine_y = np.linspace(-0.59, 0.59, 119), np.linspace(-0.39, 0.39, 79)

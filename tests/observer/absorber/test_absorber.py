@@ -113,6 +113,7 @@ def test_derivatives_of_bearings() -> None:
             np.testing.assert_allclose(pose[k, column], -(ends[0] - ends[1]) / 2e-6, atol=1e-8)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("tones", [(20.0, 180.0), (200.0, 60.0)])
 def test_a_drawn_tube_is_found_where_it_is(tones: tuple[float, float]) -> None:
     # 5 mm a pixel: 0.02 px are 0.1 mm; the tube is dark before sky, or bright before dark ground.
@@ -129,6 +130,7 @@ def test_a_drawn_tube_is_found_where_it_is(tones: tuple[float, float]) -> None:
     np.testing.assert_allclose(solution.diameter_m, 0.070, atol=4e-4)
 
 
+@pytest.mark.slow
 def test_scatter_is_the_sigma_stated() -> None:
     photos = photos_at([-5.0, -2.0, 0.0, 2.0, 5.0])
     axis = line(3e-3, -5e-3, 1e-3, 4e-3)
@@ -148,6 +150,7 @@ def test_scatter_is_the_sigma_stated() -> None:
     assert 0.65 * 4 < np.mean(normalised) < 1.27 * 4
 
 
+@pytest.mark.slow
 def test_what_photos_of_one_side_have_in_common_is_in_the_sigma_of_the_height() -> None:
     photos = photos_at([*np.linspace(-3, -1.5, 20), *np.linspace(1.5, 3, 20)], height_m=14.0, sigma=1e-5)
     axis, shared = line(0.0, 0.0), 1e-5

@@ -126,7 +126,8 @@ def test_prediction_sigma_is_the_scatter_within_five_percent():
         squares.append((error**2).sum(axis=1))
         expected.append(prediction.sigma_beam_rad**2)
     assert aimed.converged.all()
-    assert np.sqrt(np.mean(squares) / np.mean(expected)) == pytest.approx(1.0, abs=0.05)
+    # Each over its own: of 400 draws a few refute the model by chance, and their sigmas are much larger.
+    assert np.sqrt(np.mean(np.array(squares) / np.array(expected))) == pytest.approx(1.0, abs=0.05)
 
 
 def test_leverage_and_distance_tell_where_nothing_was_measured():

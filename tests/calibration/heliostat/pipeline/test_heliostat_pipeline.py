@@ -309,6 +309,7 @@ class TestField:
             with pytest.raises(InputError, match=r"no folder .*can be made there"):
                 run_into(load_heliostat(folder), place / "out", Options(thorough=False, model="5", only=names))
 
+    @pytest.mark.slow
     def test_what_a_crash_left_half_is_done_again(self, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         self.interrupt(folder, monkeypatch, 2)
         half = folder.parent / "out" / ".H4.partial"
