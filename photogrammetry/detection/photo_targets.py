@@ -171,8 +171,8 @@ def measure_targets(image_dn: npt.NDArray[np.generic], photo: str, search: Targe
 
 
 def _confirmed(ringed: list[tuple[int, RingReading]], candidates: Sequence[Candidate]) -> list[tuple[int, RingReading]]:
-    """Leave out rings round doubtful dots unless several codes of the photo agree that they are prints."""
-    codes = {one.code.name for _, one in ringed if one.code is not None}
+    """Leave out rings round doubtful dots unless several of them have codes: what spoils one dot spoils others."""
+    codes = {one.code.name for k, one in ringed if one.code is not None and not candidates[k].is_clear}
     return [(k, one) for k, one in ringed if candidates[k].is_clear or len(codes) >= MEMBERS]
 
 
