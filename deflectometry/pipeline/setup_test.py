@@ -6,7 +6,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from deflectometry.pipeline.evaluate import Evaluation
-from deflectometry.pipeline.stated_inputs import CURL_PROBABILITY, StatedInput, samples_of_modes, with_modes
+from deflectometry.pipeline.stated_inputs import (
+    CURL_PROBABILITY,
+    NOT_THE_CAUSE,
+    StatedInput,
+    samples_of_modes,
+    with_modes,
+)
 from deflectometry.setup.camera_and_screen import Setup
 from deflectometry.setup.setup_steps import SetupStep
 from deflectometry.shape.common_modes import modes_of_inputs, moved_input
@@ -20,8 +26,6 @@ from heliogauge.validate import FloatArray
 #: Explanations that leave so little more chi-square than the best one are named beside it: three sigma.
 _AS_GOOD = 9.0
 _MOST_NAMED = 3
-#: An input is named only where it leaves the means within so many of their sigmas, RMS; else none explains the curl.
-_EXPLAINED = 3.0
 #: And only where it takes most of the chi-square away, as the doubt says.
 _MOST = 0.5
 #: Where the modes come from that contain what was found.
@@ -145,7 +149,7 @@ def contradiction_of_setup(evaluation: Evaluation, inputs: Sequence[StatedInput]
         "surface has. "
     )
     numbers = {"curl_ratio": ratio, "unexplained_ratio": left}
-    alone = left < _EXPLAINED and best.chi_square < (1.0 - _MOST) * chi_square
+    alone = left < NOT_THE_CAUSE and best.chi_square < (1.0 - _MOST) * chi_square
     if alone:
         # What not even the best one explains is no measure of the others.
         as_good = _AS_GOOD * max(1.0, best.chi_square / (len(moments.values_per_m) - 1))

@@ -31,6 +31,8 @@ _MISSED = 0.1
 #: A number that is off by more of its sigmas counts as wrong.
 _WRONG_SIGMAS = 3.0
 _MOST_NAMED = 3
+#: An input that leaves so many sigmas, RMS, when it is off as the images have it is not the cause, or not alone.
+NOT_THE_CAUSE = 3.0
 #: Nodes on which changes are evaluated: they are smooth.
 _NODES = 4000
 #: Where the modes of inputs without a sigma come from.
@@ -52,6 +54,8 @@ class StatedInput:
     sigma: As stated; 0 where it counts as exact.
     sigma_images: How well the images and the other inputs know it; infinite where they know nothing.
     off_by_images: By how much it is off according to them, all other inputs as stated; 0 where they know nothing.
+    left_by_images: RMS of what both tests leave with it off by so much, in their sigmas: about 1 where it can be the
+        cause, many where something else is wrong as well.
     unnoticed: Error up to which no test finds it nine times of ten; infinite where no test sees it.
     modes: What one unit does to the slopes of each facet.
     changes (3,): What one unit does to the curvatures along x and y and to the twist [1/m].
@@ -72,6 +76,7 @@ class StatedInput:
     sigma: float
     sigma_images: float
     off_by_images: float
+    left_by_images: float
     unnoticed: float
     modes: dict[str, CommonModes]
     changes: FloatArray
@@ -82,6 +87,11 @@ class StatedInput:
         """Return how SDx and SDy change by an amount, shape (2,) [rad]."""
         square, cross, own = self.sd.T
         return np.asarray(np.sqrt(np.maximum(square + 2 * amount * cross + amount**2 * own, 0.0)) - np.sqrt(square))
+
+    @property
+    def sigma_with_misfit(self) -> float:
+        """Sigma of the images for this input, larger where they do not fit to it: by the ratio of Birge (1932)."""
+        return self.sigma_images * max(1.0, self.left_by_images)
 
     @property
     def unnoticed_sigmas(self) -> float:
@@ -172,7 +182,7 @@ def _short(value: float) -> str:
 def _words(one: StatedInput) -> str:
     """Say what an input is believed to, what the images know, and what an unnoticed error does."""
     stated = f"stated to {_short(one.sigma)} {one.unit}" if one.sigma > 0 else "taken as exact"
-    alone = f"the images know it to {_short(one.sigma_images)} {one.unit}"
+    alone = f"the images know it to {_short(one.sigma_with_misfit)} {one.unit}"
     if not isfinite(one.unnoticed):
         return f"{one.words} ({stated}; the images know nothing of it)"
     of = ("1/f in x", "1/f in y", "twist")[int(np.argmax(np.abs(one.changes) / np.maximum(one.sigma_changes, 1e-300)))]
@@ -194,6 +204,7 @@ def inputs_table(inputs: Sequence[StatedInput]) -> dict[str, list[Any]]:
         "sigma": [one.sigma for one in inputs],
         "sigma_from_images": [_or_empty(one.sigma_images) for one in inputs],
         "off_by_images": [one.off_by_images for one in inputs],
+        "left_by_images": [one.left_by_images for one in inputs],
         "unnoticed": [_or_empty(one.unnoticed) for one in inputs],
         "unnoticed_sigmas": [_or_empty(one.unnoticed_sigmas) for one in inputs],
     }
@@ -407,17 +418,27 @@ class _Tests:
     moments: CurlMoments | None
     evidence: MirrorPose | None
 
-    def known_by_images(self, one: _Unit, mode: CommonModes) -> tuple[float, float]:
-        """Return how well an input is known without its own sigma, and by how much it is off then."""
+    def known_by_images(self, one: _Unit, mode: CommonModes) -> tuple[float, float, float]:
+        """Return how well an input is known without its own sigma, by how much it is off then, and what that leaves."""
         seen, along = self._information_of_curl(mode)
         # The input's own errors are part of the curl's covariance.
         share = 1.0 / max(1 - one.sigma**2 * seen, 1e-6)
-        information, along = share * seen, share * along
+        information, along, freedom = share * seen, share * along, 0
+        chi_square = 0.0
+        if self.moments is not None:
+            chi_square = self.moments.chi_square + one.sigma**2 * along**2 / share
+            freedom = len(self.moments.values_per_m)
         if self.evidence is not None and one.misclosure_m:
             test = self.evidence.distance_tests[0]
+            off_m = test.image_only_m - test.measured_m
             information += one.misclosure_m**2 / one.variance_m2
-            along += one.misclosure_m * (test.image_only_m - test.measured_m) / one.variance_m2
-        return (inf, 0.0) if information <= 0 else (float(information**-0.5), float(along / information))
+            along += one.misclosure_m * off_m / one.variance_m2
+            chi_square += off_m**2 / one.variance_m2
+            freedom += 1
+        if information <= 0:
+            return inf, 0.0, nan
+        left = max(chi_square - along**2 / information, 0.0)
+        return float(information**-0.5), float(along / information), float((left / max(freedom - 1, 1)) ** 0.5)
 
     def unnoticed(self, one: _Unit, mode: CommonModes) -> float:
         """Return the error that each test finds nine times of ten, the smaller of both."""

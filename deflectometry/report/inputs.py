@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from deflectometry.pipeline.stated_inputs import INPUTS_FILE
+from deflectometry.pipeline.stated_inputs import INPUTS_FILE, NOT_THE_CAUSE
 from heliogauge.reporting.html import Html, table
 from heliogauge.reporting.notation import number_text
 from heliogauge.reporting.results import Results
@@ -16,6 +16,7 @@ _NUMBERS = (
     "sigma",
     "sigma_from_images",
     "off_by_images",
+    "left_by_images",
     "permille",
     "curvature_x_per_permille_per_m",
     "curvature_y_per_permille_per_m",
@@ -25,7 +26,8 @@ _NUMBERS = (
 def stated_table(results: Results) -> Html:
     """Return each stated input beside what the images say of it, and what it does to the focus; nothing without them.
 
-    Directions of the screen's pose have no value of their own: what the images say is how far they are off.
+    Directions of the screen's pose have no value of their own: what the images say is how far they are off. Where an
+    input off by so much would still leave the images in contradiction, what they say of it alone means nothing.
     """
     path = results.folder / INPUTS_FILE
     if not path.exists():
@@ -33,7 +35,7 @@ def stated_table(results: Results) -> Html:
     columns = read_table_csv(path, (*_TEXTS, *_NUMBERS))
     rows = []
     for name, unit, *texts in zip(*(columns[one] for one in (*_TEXTS, *_NUMBERS)), strict=True):
-        stated, sigma, sigma_images, off, permille, by_x, by_y = (
+        stated, sigma, sigma_images, off, left, permille, by_x, by_y = (
             float(one) if one not in ("", None) else math.nan for one in texts
         )
         has_value = math.isfinite(stated)
@@ -41,8 +43,10 @@ def stated_table(results: Results) -> Html:
         if has_value and not sigma > 0:
             believed = f"{stated:.7g} {unit}, no sigma"
         seen = "nothing"
-        if math.isfinite(sigma_images):
-            shown = number_text(stated - off if has_value else -off, sigma_images, unit)
+        if left > NOT_THE_CAUSE:
+            seen = f"cannot be told: would leave {left:.2g} sigma"
+        elif math.isfinite(sigma_images):
+            shown = number_text(stated - off if has_value else -off, sigma_images * max(1.0, left), unit)
             seen = shown if has_value else f"off by {shown}"
         by_unit = [f"{2e3 * one / permille:+.2g}" for one in (by_x, by_y)]
         # In one line: a narrow screen scrolls the table.

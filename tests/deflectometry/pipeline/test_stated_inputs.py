@@ -62,3 +62,9 @@ def test_effects_are_those_of_measuring_again_and_unconfirmed_inputs_are_noted(t
     # The same noise in both. A width makes little curl: a cubic over 400 pixels holds three quarters of it.
     assert 60.0 < wide.off_by_images - one.off_by_images < 140.0
     assert abs(wide.off_by_images - 100.0) < 3 * wide.sigma_images
+    tall = {one.key: one for one in measured(folder, ("height_m", 0.05)).inputs}
+    assert abs(tall["screen.height_m"].off_by_images - 50.0) < 3 * tall["screen.height_m"].sigma_with_misfit
+    assert tall["screen.height_m"].left_by_images < 1.5
+    # Whatever width is assumed, most of that curl stays.
+    assert tall["screen.width_m"].left_by_images > 3.0
+    assert tall["screen.width_m"].sigma_with_misfit > 3.0 * tall["screen.width_m"].sigma_images
