@@ -95,8 +95,8 @@ def size_doubt(inputs: Sequence[StatedInput], unstated: Collection[str]) -> Doub
     return Doubt(
         "screen_size_exact",
         "no sigma is given for width, height or sag of the screen ([screen] sigma_width_mm, sigma_height_mm, "
-        f"sigma_sag_mm): counted as known no better than the images know them ({width.sigma_with_misfit:.2g} and "
-        f"{height.sigma_with_misfit:.2g} mm); 1 mm changes 1/f by {per_mm[0]:.2g} (width, x) and {per_mm[1]:.2g} "
+        f"sigma_sag_mm): counted as known no better than the images know them ({width.sigma_images:.2g} and "
+        f"{height.sigma_images:.2g} mm); 1 mm changes 1/f by {per_mm[0]:.2g} (width, x) and {per_mm[1]:.2g} "
         f"(height, y) per metre, at f = 100 m the focal length by {1e4 * per_mm[0]:.2g} and {1e4 * per_mm[1]:.2g} m",
         {"curvature_x_per_mm_per_m": 0.5 * per_mm[0], "curvature_y_per_mm_per_m": 0.5 * per_mm[1]},
     )
