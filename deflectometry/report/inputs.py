@@ -44,7 +44,7 @@ def stated_table(results: Results) -> Html:
             believed = f"{stated:.7g} {unit}, no sigma"
         seen = "nothing"
         if left > NOT_THE_CAUSE:
-            seen = f"cannot be told: would leave {left:.2g} sigma"
+            seen = f"not alone: would leave {left:.2g} sigma"
         elif math.isfinite(sigma_images):
             shown = number_text(stated - off if has_value else -off, sigma_images * max(1.0, left), unit)
             seen = shown if has_value else f"off by {shown}"
