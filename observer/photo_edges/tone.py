@@ -66,6 +66,11 @@ class ToneEvidence:
     lopsided: _Pair
     edges: int
 
+    @property
+    def tells_something(self) -> bool:
+        """Whether it shows a target of a stated diameter, or edges enough."""
+        return self.sizes.size > 0 or self.edges > 0
+
 
 def full_scale(image: AnyImage) -> float:
     """Return the largest number that a photo of this depth can hold [DN].

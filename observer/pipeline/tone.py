@@ -25,6 +25,9 @@ _PHOTOS = 3
 _INNER = (0.2, 0.8)
 #: Odds at which no further photo is looked at.
 _CERTAIN = math.log(100.0)
+#: Odds that twice as many photos change by less than this factor are not made clearer by further ones: what is left is
+#: common to all photos of a flight (`observer.photo_edges.tone.log_odds_of_linear`).
+_SETTLED = math.log(2.0)
 #: Odds below which the encoding is doubtful, and from which a single photo contradicts the others.
 _CLEAR = math.log(20.0)
 #: Odds that a JPEG file is encoded for the eye: cameras write no others, programs may.
@@ -193,8 +196,9 @@ def find_encodings(files: Sequence[Path], evidence_of: Callable[[Path], ToneEvid
 def _encoding(kind: str, files: Sequence[Path], evidence_of: Callable[[Path], ToneEvidence | None]) -> Encoding:
     prior = -_JPEG_ODDS if kind in (".jpg", ".jpeg") else 0.0
     seen: dict[str, ToneEvidence] = {}
+    before: float | None = None
     alone: dict[str, float] = {}
-    odds = prior
+    odds, telling, check_at = prior, 0, _PHOTOS
     for count, file in enumerate(_in_turn(files), start=1):
         one = evidence_of(file)
         if one is not None:
@@ -203,13 +207,18 @@ def _encoding(kind: str, files: Sequence[Path], evidence_of: Callable[[Path], To
         agree = min(alone.values(), default=0.0) > -_CLEAR or max(alone.values(), default=0.0) < _CLEAR
         if count >= _PHOTOS and agree and abs(odds) > _CERTAIN:
             break
+        telling += one is not None and one.tells_something
+        if telling >= check_at:
+            if before is not None and agree and abs(odds - before) < _SETTLED:
+                break
+            before, check_at = odds, 2 * telling
     tone = Tone.SRGB if odds < 0 else Tone.LINEAR
     differing = {
         name: Tone.LINEAR if own > 0 else Tone.SRGB
         for name, own in alone.items()
         if abs(own) > _CLEAR and (own > 0) is not (tone is Tone.LINEAR)
     }
-    used = [one for one in seen.values() if one.sizes.size or one.edges]
+    used = [one for one in seen.values() if one.tells_something]
     targets, edges = sum(one.sizes.shape[1] for one in used), sum(one.edges for one in used)
     return Encoding(kind, tone, abs(odds), len(used), targets, edges, differing)
 

@@ -51,6 +51,13 @@ def test_three_clear_photos_are_enough() -> None:
     assert encodings.text().endswith("from 36 sizes of targets and 0 edges of the reflection in 3 photos)")
 
 
+def test_photos_that_stay_unclear_are_not_all_looked_at() -> None:
+    # As unlikely under one encoding as under the other: a wrong diameter, say.
+    encodings, looked = found({f"{k:03d}.png": (0.96, 1.04) for k in range(400)})
+    assert 6 <= len(looked) <= 24
+    assert codes(encodings) == ["encoding_unclear"]
+
+
 def test_all_photos_are_looked_at_where_the_first_say_nothing() -> None:
     photos = {f"{k:03d}.png": NOTHING for k in range(60)} | {"057.png": SRGB}
     encodings, looked = found(photos)
