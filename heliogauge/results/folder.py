@@ -153,12 +153,20 @@ def write_summary(path: Path, summary: Summary) -> None:
     InputError: A key without a unit; a number that is missing or not finite without a reason; the file cannot be
         written.
     """
+    write_json(path, summary_content(summary))
+
+
+def summary_content(summary: Summary) -> dict[str, Any]:
+    """Return the content of ``summary.json``.
+
+    InputError: A key without a unit; a number that is missing or not finite without a reason.
+    """
     numbers = {key: _finite_or_reason(key, value, summary) for key, value in summary.numbers.items()}
     facets = {
         name: {key: _finite_or_reason(key, value, summary, name) for key, value in facet.items()}
         for name, facet in summary.facets.items()
     }
-    content = {
+    return {
         "schema_version": SUMMARY_SCHEMA,
         "kind": summary.kind,
         "name": summary.name,
@@ -173,7 +181,6 @@ def write_summary(path: Path, summary: Summary) -> None:
         "durations_s": {stage: round(float(seconds), 4) for stage, seconds in summary.durations_s.items()},
         "input_sha256": dict(summary.input_sha256),
     }
-    write_json(path, content)
 
 
 def read_summary(path: Path) -> Summary:

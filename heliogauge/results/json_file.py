@@ -9,19 +9,25 @@ from heliogauge.errors import InputError
 from heliogauge.files import texts
 
 
+def json_text(name: str, content: Mapping[str, Any]) -> str:
+    """Return what a JSON file of some name holds, readable, never with NaN.
+
+    InputError: A number is not finite.
+    """
+    try:
+        return _laid_out(content, "\n") + "\n"
+    except ValueError as error:
+        raise InputError(f"{name}: NaN or infinity cannot be written as JSON; null and a reason are needed") from error
+
+
 def write_json(path: Path, content: Mapping[str, Any]) -> None:
     """Write a JSON file, readable, UTF-8, never with NaN.
 
     InputError: A number is not finite, or the file cannot be written.
     """
+    text = json_text(path.name, content)
     try:
-        text = _laid_out(content, "\n")
-    except ValueError as error:
-        raise InputError(
-            f"{path.name}: NaN or infinity cannot be written as JSON; null and a reason are needed"
-        ) from error
-    try:
-        path.write_text(text + "\n", encoding="utf-8")
+        path.write_text(text, encoding="utf-8")
     except OSError as error:
         raise InputError(f"{path}: cannot be written ({error})") from error
 

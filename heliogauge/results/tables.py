@@ -1,8 +1,9 @@
 """Points, cameras and poses on disk: ``points.csv``, ``camera.json``, ``cameras.json`` and other small tables."""
 
 import operator
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -116,20 +117,29 @@ def write_table_csv(path: Path, columns: Mapping[str, Sequence[Any] | npt.NDArra
     columns: Columns by name, units in the names.
     InputError: Lengths differ, or the file cannot be written.
     """
-    lists = [_as_list(column) for column in columns.values()]
-    if len({len(column) for column in lists}) > 1:
-        sizes = ", ".join(f"{name} {len(column)}" for name, column in zip(columns, lists, strict=True))
-        raise InputError(f"{path.name}: columns of one length are needed, not {sizes}")
-    # One format for whole rows: a third of the time that the csv module takes.
-    row = ",".join(["%s"] * len(lists)) + "\n"
-    header = row % tuple(_csv_cell(str(name)) for name in columns)
-    cells = [_csv_cells(column, alone=len(lists) == 1) for column in lists]
+    lines = table_lines(path.name, columns)
     try:
         with path.open("w", encoding="utf-8", newline="") as file:
-            file.write(header)
-            file.writelines(map(row.__mod__, zip(*cells, strict=True)))
+            file.writelines(lines)
     except OSError as error:
         raise InputError(f"{path}: cannot be written ({error})") from error
+
+
+def table_lines(name: str, columns: Mapping[str, Sequence[Any] | npt.NDArray[Any]]) -> Iterator[str]:
+    """Return the lines of a CSV file of some name, as `write_table_csv` writes them.
+
+    columns: Columns by name, units in the names.
+    InputError: Lengths differ.
+    """
+    lists = [_as_list(column) for column in columns.values()]
+    if len({len(column) for column in lists}) > 1:
+        sizes = ", ".join(f"{title} {len(column)}" for title, column in zip(columns, lists, strict=True))
+        raise InputError(f"{name}: columns of one length are needed, not {sizes}")
+    # One format for whole rows: a third of the time that the csv module takes.
+    row = ",".join(["%s"] * len(lists)) + "\n"
+    header = row % tuple(_csv_cell(str(title)) for title in columns)
+    cells = [_csv_cells(column, alone=len(lists) == 1) for column in lists]
+    return chain((header,), map(row.__mod__, zip(*cells, strict=True)))
 
 
 def _as_list(column: Sequence[Any] | npt.NDArray[Any]) -> list[Any]:

@@ -176,9 +176,13 @@ class Terms(ShortRepr):
         cycles = np.arange(_FEWEST_CYCLES, max(most, _FEWEST_CYCLES + 0.1), 1 / 3)
         numbers = cycles / span * turn
 
+        # Components of a row share its phase.
+        first, row = np.unique(self.owner, return_index=True, return_inverse=True)[1:]
+        centred = (phase - phase.mean())[first]
+
         def columns_at(numbers: FloatArray) -> FloatArray:
-            waves = 2 * np.pi / turn * numbers[:, None] * (phase - phase.mean())
-            return np.stack([np.cos(waves), np.sin(waves)], axis=2) * by_axis[None, :, None]
+            waves = 2 * np.pi / turn * numbers[:, None] * centred
+            return np.stack([np.cos(waves), np.sin(waves)], axis=2)[:, row] * by_axis[None, :, None]
 
         name = f"axis {axis + 1}"
         return Term("worm_gear", name, columns_at(numbers), ("cos_rad", "sin_rad"), numbers, columns_at)
@@ -306,7 +310,10 @@ def with_suns(observations: Observations, change: Callable[[FloatArray], FloatAr
             groups.append(replace(group, sun=change(group.sun)))
         else:
             groups.append(group)
-    return Observations(tuple(groups))
+    changed = Observations(tuple(groups))
+    # Axes and weights rest on what was seen, not on the sun.
+    changed.kept.update(observations.kept)
+    return changed
 
 
 def _with_spots(observations: Observations, targets: Mapping[str, PlaneTarget], axis: int) -> Observations:

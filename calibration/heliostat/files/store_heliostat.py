@@ -17,8 +17,9 @@ from calibration.heliostat.kinematic_model.store_design import design_content
 from heliogauge.doubts import doubt_content
 from heliogauge.errors import InputError
 from heliogauge.geometry.sun import Site
-from heliogauge.results.folder import Summary, write_json, write_table_csv
-from heliogauge.results.json_file import read_json
+from heliogauge.results.folder import Summary
+from heliogauge.results.json_file import json_text, read_json
+from heliogauge.results.tables import table_lines
 from heliogauge.validate import FloatArray
 
 HELIOSTAT_FILE = "heliostat.json"
@@ -30,14 +31,14 @@ KIND = "heliostat"
 SCHEMA = 1
 
 
-def write_heliostat(result: HeliostatResult, shared: Shared, folder: Path) -> None:
-    """Write ``heliostat.json`` and ``residuals.csv`` of one heliostat into an existing folder."""
-    write_json(folder / HELIOSTAT_FILE, heliostat_content(result, shared))
+def heliostat_texts(result: HeliostatResult, shared: Shared) -> dict[str, str]:
+    """Return what ``heliostat.json`` and ``residuals.csv`` of one heliostat hold, by the names of the files."""
+    texts = {HELIOSTAT_FILE: json_text(HELIOSTAT_FILE, heliostat_content(result, shared))}
     if result.as_stated is not None:
         # Nothing was tried out with what is known to be wrong.
         stated = replace(result, fit=result.as_stated, free=AS_STATED, held={}, not_split={}, choice=None, sky=None)
-        write_json(folder / AS_STATED_FILE, heliostat_content(stated, shared))
-    write_table_csv(folder / RESIDUALS_FILE, residual_columns(result, shared))
+        texts[AS_STATED_FILE] = json_text(AS_STATED_FILE, heliostat_content(stated, shared))
+    return texts | {RESIDUALS_FILE: "".join(table_lines(RESIDUALS_FILE, residual_columns(result, shared)))}
 
 
 def heliostat_content(result: HeliostatResult, shared: Shared) -> dict[str, Any]:

@@ -100,13 +100,15 @@ class NoiseShape:
         apart = np.abs(one.days[:, None] - other.days)
         same = np.floor(one.days)[:, None] == np.floor(other.days)
         in_time = self.wander_rad**2 * np.exp(-apart / self.memory_days) + self.day_rad**2 * same
+        if not np.isfinite(apart).all():
+            in_time = np.nan_to_num(in_time)
         if self.misfit_rad == 0:
-            return np.asarray(np.nan_to_num(in_time))
+            return np.asarray(in_time)
         # The chord of unit vectors; times of which nothing is known have nothing in common with others.
         chord = np.maximum(2 - 2 * one.normals @ other.normals.T, 0.0)
         turned = np.sqrt(3 * chord) / self.reach_rad
         in_place = self.misfit_rad**2 * (1 + turned) * np.exp(-turned)
-        return np.asarray(np.nan_to_num(in_time) + np.nan_to_num(in_place))
+        return np.asarray(in_time + (in_place if np.isfinite(chord).all() else np.nan_to_num(in_place)))
 
 
 #: Six real heliostats with linear actuators over two years (evidence of `benchmarks/heliostat_field.py`); each size is

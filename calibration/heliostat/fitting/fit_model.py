@@ -5,7 +5,6 @@ from copy import copy
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-import numpy.typing as npt
 
 from calibration.heliostat.fitting.fit_result import FitOptions
 from calibration.heliostat.fitting.linear_descent import LinearBasis, LinearProblem, descend_linear
@@ -67,7 +66,8 @@ class FitModel:
     fallback: Free parameters that are held within what could be wrong at all.
     reach: Factor on what could be wrong at all.
     columns (k,): Positions of the free parameters.
-    kinds (n,), components (n,): Kind of each row, and number of its components.
+    components (n,): Number of components of each row.
+    rows_of: Rows of each kind, masks (n,).
     scales (k,): How far each free parameter could be wrong at all.
     priors (k,): Prior sigmas of the free parameters in force, inf where there is none.
     seen: The observations, ready to be evaluated.
@@ -79,8 +79,8 @@ class FitModel:
     fallback: frozenset[str] = frozenset()
     reach: float = 1.0
     columns: IntArray = field(init=False)
-    kinds: npt.NDArray[np.str_] = field(init=False)
     components: IntArray = field(init=False)
+    rows_of: Mapping[str, BoolArray] = field(init=False)
     scales: FloatArray = field(init=False)
     priors: FloatArray = field(init=False)
     seen: ObservationModel | LinearObservations = field(init=False)
@@ -89,7 +89,8 @@ class FitModel:
         columns = np.flatnonzero(self.design.parameters.free)
         object.__setattr__(self, "columns", columns)
         object.__setattr__(self, "seen", ObservationModel(self.design, self.observations, columns))
-        object.__setattr__(self, "kinds", np.array(self.observations.kind, dtype=np.str_))
+        kinds = np.array(self.observations.kind, dtype=np.str_)
+        object.__setattr__(self, "rows_of", {str(kind): kinds == kind for kind in dict.fromkeys(kinds.tolist())})
         object.__setattr__(self, "components", self.observations.n_components)
         units = [self.design.parameters.units[i] for i in columns]
         scales = self.reach * plausible_scales(self.start, self.names, units)
@@ -129,6 +130,12 @@ class FitModel:
             raise TypeError("linear observations have no angles")
         return self.seen.evaluate(self.full(free))
 
+    def miss_rad(self, free: FloatArray) -> FloatArray:
+        """Return the angle between what each row saw and what is predicted, shape (n,) [rad]."""
+        if isinstance(self.seen, LinearObservations):
+            raise TypeError("linear observations have no angles")
+        return self.seen.miss_rad(self.full(free))
+
     def linear_about(self, free: FloatArray) -> "FitModel":
         """Return the same model with its observations linear about some values of the free parameters."""
         values, found = self.full(free), copy(self)
@@ -150,9 +157,9 @@ class FitModel:
 
     def row_factors(self, factors: Mapping[str, float]) -> FloatArray:
         """Return the factor on the stated sigma of each row."""
-        result = np.ones(self.kinds.size)
+        result = np.ones(self.components.size)
         for kind, factor in factors.items():
-            result[self.kinds == kind] = factor
+            result[self.rows_of[kind]] = factor
         return result
 
     def block(self, used: BoolArray) -> int:
@@ -188,9 +195,9 @@ class Descended:
 
     def redundancy(self) -> dict[str, float]:
         """Return the spare components by kind."""
-        kinds = self.model.kinds[self.model.owners[self.used[self.model.owners]]]
-        numbers = self.solution.redundancy_numbers[: kinds.size]
-        return {kind: float(numbers[kinds == kind].sum()) for kind in self.factors}
+        owners = self.model.owners[self.used[self.model.owners]]
+        numbers = self.solution.redundancy_numbers[: owners.size]
+        return {kind: float(numbers[self.model.rows_of[kind][owners]].sum()) for kind in self.factors}
 
     def scatter(self) -> dict[str, float]:
         """Return the factor on the stated sigmas that the residuals of each kind ask for; NaN with nothing to spare.
@@ -199,16 +206,16 @@ class Descended:
         section 7.7), so that the descents only have to follow the rows.
         """
         block, redundancy = self.model.block(self.used), self.redundancy()
-        kinds = self.model.kinds[self.model.owners[self.used[self.model.owners]]]
-        whitened = self.solution.residuals[: kinds.size]
-        lengths, kinds = block_lengths(whitened, block), kinds[::block]
+        owners = self.model.owners[self.used[self.model.owners]]
+        lengths, owners = block_lengths(self.solution.residuals[: owners.size], block), owners[::block]
         loss = self.model.loss(block)
         expected = 1.0 if isinstance(loss, Squares) else normal_moments(loss, block).influence
         result = {}
         for kind, factor in self.factors.items():
             # Two spare components or fewer do not give a scatter.
             enough = redundancy[kind] > 2
-            found = _scale(lengths[kinds == kind], loss, expected, redundancy[kind]) if enough else np.nan
+            own = lengths[self.model.rows_of[kind][owners]]
+            found = _scale(own, loss, expected, redundancy[kind]) if enough else np.nan
             result[kind] = max(factor * found, _LEAST_FACTOR) if enough else float("nan")
         return result
 
@@ -257,9 +264,7 @@ class Descended:
         probability = self.model.options.significance / max(self.used.size, 1)
         limit = np.ones(self.used.size)
         for kind, freedom in self.redundancy().items():
-            own = self.model.kinds == kind
-            if not own.any():
-                continue
+            own = self.model.rows_of[kind]
             square = chi_square_limit(probability, int(self.model.components[own][0]))
             if freedom > 2:
                 # The scatter rests on few rows: F(2, v), whose tail is (1 + 2 F / v)^(-v / 2), instead of chi-square.

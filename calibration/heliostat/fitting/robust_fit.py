@@ -86,32 +86,29 @@ def _from(model: FitModel, start: FloatArray, near: HeliostatFit | None = None) 
 
 
 def _first(model: FitModel, start: FloatArray) -> Descended:
-    residuals = model.evaluate(start)
-    usable = residuals.computable
+    usable = model.whitened(start).computable
     if usable.size and not usable.any():
         raise EstimationError(
             f"{model.design.name}: no reading lies within the geometry of the actuators as they are described; "
             "check their numbers and the unit of the readings"
         )
-    return descend(model, start, _medians(model, residuals, usable), usable, _ON_THE_WAY)
+    return descend(model, start, _medians(model, start, usable), usable, _ON_THE_WAY)
 
 
 def _first_near(model: FitModel, near: HeliostatFit) -> Descended:
     """Descend from the design's numbers as the observations are about another fit, all of them in use."""
     known = dict(zip(near.names, near.values.tolist(), strict=True))
     about = np.array([known.get(name, value) for name, value in zip(model.names, model.start.tolist(), strict=True)])
-    residuals = model.evaluate(about)
-    usable = residuals.computable
-    if not usable.any() or _median_angle(residuals) > _FAR_RAD:
+    usable = model.whitened(about).computable
+    if not usable.any() or _median_angle(model, about) > _FAR_RAD:
         return _first(model, model.start)
-    return descend(model.linear_about(about), model.start, _medians(model, residuals, usable), usable, _ON_THE_WAY)
+    return descend(model.linear_about(about), model.start, _medians(model, about, usable), usable, _ON_THE_WAY)
 
 
-def _medians(model: FitModel, residuals: Residuals, used: BoolArray) -> dict[str, float]:
+def _medians(model: FitModel, free: FloatArray, used: BoolArray) -> dict[str, float]:
     """Scale of each kind by the median length of its residuals, not below the stated sigma."""
-    lengths, scale = residuals.lengths, {}
-    for kind in dict.fromkeys(model.observations.kind):
-        own = model.kinds == kind
+    lengths, scale = np.sqrt(np.bincount(model.owners, model.whitened(free).residuals ** 2, minlength=used.size)), {}
+    for kind, own in model.rows_of.items():
         chosen = own & used
         middle = chi_square_quantile(0.5, int(model.components[own][0]))
         scale[kind] = max(float(np.median(lengths[chosen])) / np.sqrt(middle), 1.0) if chosen.any() else 1.0
@@ -197,12 +194,12 @@ def _refuted(end: Descended, kind: str) -> bool:
 
 def _far_rad(end: Descended) -> float:
     """Median angle between observation and prediction [rad], of the beam or the normal."""
-    return _median_angle(end.model.exact.evaluate(end.values))
+    return _median_angle(end.model.exact, end.values)
 
 
-def _median_angle(residuals: Residuals) -> float:
-    angles = np.where(np.isfinite(residuals.beam_angle_rad), residuals.beam_angle_rad, residuals.normal_angle_rad)
-    angles = angles[residuals.computable & np.isfinite(angles)]
+def _median_angle(model: FitModel, free: FloatArray) -> float:
+    angles = model.miss_rad(free)
+    angles = angles[model.whitened(free).computable & np.isfinite(angles)]
     return float(np.median(angles)) if angles.size else 0.0
 
 

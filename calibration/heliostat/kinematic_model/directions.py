@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from heliogauge.validate import FloatArray
+from heliogauge.validate import BoolArray, FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -34,6 +34,10 @@ class Sights:
     def across(self) -> FloatArray:
         """Right and up as rows, shape (n, 2, 3)."""
         return np.stack([self.right, self.up], axis=1)
+
+    def select(self, rows: BoolArray) -> "Sights":
+        """Return some rows, a mask (n,)."""
+        return Sights(self.towards[rows], self.right[rows], self.up[rows])
 
     def coordinates(self, directions: FloatArray) -> FloatArray:
         """Return stereographic coordinates of unit directions.

@@ -5,6 +5,7 @@ at one pair of readings.
 """
 
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -108,8 +109,11 @@ class Observations(ShortRepr):
         if chosen.shape != (len(self),):
             raise InputError(f"mask: shape ({len(self)},) is needed, not {chosen.shape}")
         edges = np.cumsum([0, *(len(group) for group in self.groups)])
-        parts = [g.select(chosen[a:b]) for g, a, b in zip(self.groups, edges[:-1], edges[1:], strict=True)]
-        return Observations(tuple(parts))
+        masks = [chosen[a:b] for a, b in pairwise(edges.tolist())]
+        found = Observations(tuple(group.select(own) for group, own in zip(self.groups, masks, strict=True)))
+        for key, known in self.kept.items():
+            found.kept[key] = tuple(one.select(own) for one, own in zip(known, masks, strict=True))
+        return found
 
     def extra_parameters(self, design: HeliostatDesign) -> Parameters:
         """Return what the observations bring besides the heliostat's own numbers, without those it already has.

@@ -181,8 +181,11 @@ def unit_rows(name: str, vectors: npt.ArrayLike | None, count: int) -> FloatArra
 def covariance_rows(name: str, values: npt.ArrayLike, count: int) -> FloatArray:
     """Return covariances, shape (count, 3, 3), or refuse another shape and negative variances."""
     array = float_array(name, values, (count, 3, 3))
-    if count and np.linalg.eigvalsh(array).min() < -1e-9 * np.abs(array).max():
-        raise InputError(f"{name}: a covariance must not have a negative variance along any direction")
+    try:
+        # Rounding may leave a variance that is nothing below zero; where all are zero there is nothing to try.
+        np.linalg.cholesky(array + (1e-9 * np.abs(array).max(initial=0.0) + 1e-300) * np.eye(3))
+    except np.linalg.LinAlgError as error:
+        raise InputError(f"{name}: a covariance must not have a negative variance along any direction") from error
     return array
 
 

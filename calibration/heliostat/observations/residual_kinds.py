@@ -20,7 +20,7 @@ from calibration.heliostat.observations.observations import (
 )
 from heliogauge.errors import InputError
 from heliogauge.geometry.rigid import rotation_from_vector, skew
-from heliogauge.validate import FloatArray
+from heliogauge.validate import BoolArray, FloatArray
 
 Rows = npt.NDArray[Any]
 
@@ -43,6 +43,19 @@ class Prepared:
     rows: Mapping[str, Rows]
     stretch: FloatArray
     distance_m: FloatArray
+
+    def select(self, mask: BoolArray) -> "Prepared":
+        """Return the same for some rows, a mask (n,)."""
+        number = np.cumsum(mask) - 1
+        kept = {name: number[rows[mask[rows]]] for name, rows in self.rows.items()}
+        return Prepared(
+            None if self.sights is None else self.sights.select(mask),
+            self.root[mask],
+            self.sigma_rad[mask],
+            {name: rows for name, rows in kept.items() if rows.size},
+            self.stretch[mask],
+            self.distance_m[mask],
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -136,12 +149,22 @@ def _isotropic(sights: Sights, sigma: FloatArray, rows: Mapping[str, Rows]) -> P
 
 
 def _inverse_root(covariance: FloatArray) -> FloatArray:
-    try:
-        return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)) if len(covariance) else covariance)
-    except np.linalg.LinAlgError as error:
-        raise InputError(
-            "observations: a covariance vanishes across the line of sight; give every row a sigma"
-        ) from error
+    """Return the inverse of the Cholesky factor of covariances (n, c, c), c being 2 or 3."""
+    fault = "observations: a covariance vanishes across the line of sight; give every row a sigma"
+    if covariance.shape[1] != 2 or not len(covariance):
+        try:
+            return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)) if len(covariance) else covariance)
+        except np.linalg.LinAlgError as error:
+            raise InputError(fault) from error
+    # Two by two by hand: a third of the time.
+    first, shared, second = covariance[:, 0, 0], covariance[:, 1, 0], covariance[:, 1, 1]
+    left = first * second - shared**2
+    if not ((first > 0) & (left > 0)).all():
+        raise InputError(fault)
+    root = np.zeros_like(covariance)
+    root[:, 0, 0], root[:, 1, 1] = 1 / np.sqrt(first), np.sqrt(first / left)
+    root[:, 1, 0] = -shared / first * root[:, 1, 1]
+    return root
 
 
 def _sighted(design: HeliostatDesign, points: FloatArray, covariance_m2: FloatArray, names: Sequence[str]) -> Prepared:

@@ -126,6 +126,15 @@ class ObservationModel(ShortRepr):
             found.in_radians.append(known)
         return found.in_radians[0]
 
+    def miss_rad(self, values: FloatArray) -> FloatArray:
+        """Return the angle between what each row saw and what is predicted, shape (n,); NaN for points [rad]."""
+        parts = zip(self.prepared, self._evaluated(values).parts, strict=True)
+        lengths = [
+            np.full(len(part.residual), np.nan) if prepared.sights is None else np.hypot(*part.residual.T)
+            for prepared, part in parts
+        ]
+        return np.concatenate(lengths)
+
     def _evaluated(self, values: FloatArray) -> "_Evaluated":
         """Evaluate, or give the last answer again: a fit asks two or three times at the same numbers."""
         key = values.tobytes()

@@ -1,7 +1,6 @@
 """A field of heliostats, straight into a folder: resumable, with flat memory, one broken heliostat stops no other."""
 
 import hashlib
-import tempfile
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -28,10 +27,9 @@ from calibration.heliostat.keys import HeliostatMeasurement
 from calibration.heliostat.pipeline.campaign import WORTH, Campaign, with_field
 from calibration.heliostat.pipeline.measure import Options, refuse_all, run
 from calibration.heliostat.pipeline.one_heliostat import calibrate_one
-from calibration.heliostat.pipeline.writing import write_result
+from calibration.heliostat.pipeline.writing import result_files
 from heliogauge import __version__
 from heliogauge.doubts import Doubt
-from heliogauge.files.regular import read_regular
 from heliogauge.results.failure import pictures_of_failure
 from heliogauge.results.folder import SUMMARY_FILE, Summary, hash_files, write_summary
 from heliogauge.results.frame import add_report, into_folder
@@ -239,12 +237,8 @@ def _is_there(folder: Path, name: str, row: dict[str, Any]) -> bool:
 def _finish(shared: Shared, task: HeliostatTask) -> _Finished:
     """Calibrate a heliostat and return its files, so that whoever asked can write them, here or on another machine."""
     result = calibrate_one(shared, task)
-    with tempfile.TemporaryDirectory() as place:
-        folder = Path(place)
-        summary = heliostat_summary(
-            result, durations_s={"calibrate": result.duration_s}, input_sha256={"task": task.digest("")}
-        )
-        write_result(result, shared, folder, summary)
-        files = [path for path in sorted(folder.rglob("*")) if not path.is_dir()]
-        row = field_row(result) | {VIEW: view_of(result.diagnosis)}
-        return _Finished(row, {file.relative_to(folder).as_posix(): read_regular(file) for file in files})
+    summary = heliostat_summary(
+        result, durations_s={"calibrate": result.duration_s}, input_sha256={"task": task.digest("")}
+    )
+    row = field_row(result) | {VIEW: view_of(result.diagnosis)}
+    return _Finished(row, result_files(result, shared, summary))
