@@ -78,12 +78,12 @@ class LinearFit:
             return np.zeros(looks), np.zeros(looks, dtype=np.intp)
         own = self.observed
         square, shares = _products(columns, np.column_stack([basis[own], pull[own]]))
-        size = np.sqrt(np.einsum("lii->li", square))
+        size = np.sqrt(square.diagonal(axis1=1, axis2=2))
         over = 1 / np.where(size > 0, size, 1.0)
         imitated, along = shares[:, :-1] * over[:, None], shares[:, -1] * over
         # What the base takes of each column is a part of unit columns: the difference keeps 1e-15, 4e-4 counts.
         left = square * over[:, :, None] * over[:, None] - imitated.transpose(0, 2, 1) @ imitated
-        values, vectors = np.linalg.eigh(left)
+        values, vectors = (left[:, 0], np.ones_like(left)) if q == 1 else np.linalg.eigh(left)
         along = ((along - pull_in_base @ imitated)[:, None] @ vectors)[:, 0]
         seen = values > _IMITATED**2
         freedom = seen.sum(axis=1)

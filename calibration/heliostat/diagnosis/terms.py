@@ -182,7 +182,9 @@ class Terms(ShortRepr):
 
         def columns_at(numbers: FloatArray) -> FloatArray:
             waves = 2 * np.pi / turn * numbers[:, None] * centred
-            return np.stack([np.cos(waves), np.sin(waves)], axis=2)[:, row] * by_axis[None, :, None]
+            columns = np.empty((numbers.size, row.size, 2))
+            columns[:, :, 0], columns[:, :, 1] = np.cos(waves)[:, row] * by_axis, np.sin(waves)[:, row] * by_axis
+            return columns
 
         name = f"axis {axis + 1}"
         return Term("worm_gear", name, columns_at(numbers), ("cos_rad", "sin_rad"), numbers, columns_at)

@@ -310,7 +310,9 @@ class _Runs(NamedTuple):
 def _in_runs(occasions: Occasions) -> _Runs:
     """Return the runs of some components: each row, or rows that follow each other where these are too many."""
     both = np.column_stack([occasions.days, occasions.normals])
-    rows = np.unique(both, axis=0, return_inverse=True)[1].reshape(-1)
+    by_value = np.lexsort(both.T[::-1])
+    rows = np.zeros(len(both), dtype=np.intp)
+    rows[by_value[1:]] = np.cumsum((both[by_value[1:]] != both[by_value[:-1]]).any(axis=1))
     count = int(rows.max()) + 1
     if count > _MOST_RUNS:
         rows = rows * _MOST_RUNS // count

@@ -164,8 +164,8 @@ class FitModel:
 
     def block(self, used: BoolArray) -> int:
         """Components that are weakened together; one by one where kinds differ in their number."""
-        sizes = np.unique(self.components[used])
-        return int(sizes[0]) if sizes.size == 1 else 1
+        sizes = set(self.components[used].tolist())
+        return sizes.pop() if len(sizes) == 1 else 1
 
     def loss(self, block: int) -> Loss:
         """Return the loss for blocks of so many components."""
@@ -277,7 +277,9 @@ class Descended:
     def _own_variance(self, jacobian: FloatArray, scale: FloatArray) -> FloatArray:
         """Mean variance of a row's residual over sigma^2: below 1 for rows in use, above for the others."""
         jacobian = jacobian / scale[self.model.owners, None]
-        spread = np.einsum("ij,ij->i", jacobian @ np.nan_to_num(self.solution.covariance), jacobian)
+        covariance = self.solution.covariance
+        covariance = covariance if np.isfinite(covariance).all() else np.nan_to_num(covariance)
+        spread = np.einsum("ij,ij->i", jacobian @ covariance, jacobian)
         mean = np.bincount(self.model.owners, spread, minlength=self.used.size) / self.model.components
         return np.where(self.used, np.maximum(1 - mean, _LEAST_LEFT), 1 + mean)
 

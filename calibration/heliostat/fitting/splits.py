@@ -173,10 +173,10 @@ def held_out(
     chosen = design if chooser is None else chooser(design, training, options).design
     found = fit(chosen, training, options, near=near)
     found = found if refine is None else refine(found)
-    prediction = predict_rows(found, observations.select(split.test))
     both = observations.select(split.train | split.test)
     # Nobody asks for derivatives.
     residuals = evaluate(found.design, found.values, both, columns=[0])
+    prediction = predict_rows(found, both.select(split.test[split.train | split.test]))
     place = np.flatnonzero(split.train | split.test)
     used = np.zeros(len(observations), dtype=np.bool_)
     used[np.flatnonzero(split.train)[found.used]] = True

@@ -109,6 +109,8 @@ class Observations(ShortRepr):
         if chosen.shape != (len(self),):
             raise InputError(f"mask: shape ({len(self)},) is needed, not {chosen.shape}")
         edges = np.cumsum([0, *(len(group) for group in self.groups)])
+        if chosen.all():
+            return self
         masks = [chosen[a:b] for a, b in pairwise(edges.tolist())]
         found = Observations(tuple(group.select(own) for group, own in zip(self.groups, masks, strict=True)))
         for key, known in self.kept.items():
