@@ -3,6 +3,7 @@
 Each function is the ``synth`` of the instrument whose name it has.
 """
 
+import math
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal
@@ -232,7 +233,8 @@ def observer(
     dictionary: Annotated[
         str,
         typer.Option(
-            help="Targets: aicon-N, metashape-N, square markers (DICT_4X4_100), circles; several in turn: joined by +."
+            help="Targets: aicon-N, metashape-N, square markers (DICT_4X4_100), circles; several in turn: joined by +; "
+            "none."
         ),
     ] = "aicon-12",
     orientation_deg: Annotated[
@@ -257,6 +259,13 @@ def observer(
     rtk_mm: Annotated[
         float, typer.Option(min=0.0, help="Write the drone's own positions with this standard deviation; 0: none.")
     ] = 0.0,
+    gimbal_deg: Annotated[
+        float,
+        typer.Option(min=0.0, help="Write the camera's turns beside them, with this standard deviation; 0: none."),
+    ] = 0.0,
+    mounting_mm: Annotated[
+        float, typer.Option(min=0.0, help="Mount panels off their places along the mirror: standard deviation.")
+    ] = 0.0,
     noise_dn: NoiseDn = None,
     blur_px: BlurPx = None,
     jpeg_quality: JpegQuality = None,
@@ -269,7 +278,16 @@ def observer(
     from data_synth.troughs.presets import TroughChoice, trough_scene
     from heliogauge.running.terminal import terminal_progress
 
-    choice = TroughChoice(seed, photos, dictionary, orientation_deg, ground_targets, shaped, 1e-3 * panel_height_mm)
+    choice = TroughChoice(
+        seed,
+        photos,
+        dictionary,
+        orientation_deg,
+        ground_targets,
+        shaped,
+        1e-3 * panel_height_mm,
+        1e-3 * mounting_mm,
+    )
     scene = trough_scene(preset, choice).scaled(scale)
     scene = scene.with_optics(read_noise_dn=noise_dn, blur_sigma_px=blur_px)
     if slopes is not None:
@@ -277,7 +295,9 @@ def observer(
     if rolling_shutter_ms:
         scene = scene.with_rolling_shutter(1e-3 * rolling_shutter_ms)
     progress = terminal_progress(quiet=quiet, verbose=verbose)
-    options = TroughOptions(seed, jpeg_quality, force, 1e-3 * rtk_mm if rtk_mm else None)
+    options = TroughOptions(
+        seed, jpeg_quality, force, 1e-3 * rtk_mm if rtk_mm else None, math.radians(gimbal_deg) or None
+    )
     write_trough_dataset(folder, scene, options, progress)
     if not quiet:
         print(folder)

@@ -29,6 +29,7 @@ METHOD = {
     "observer": (
         "trough",
         "targets",
+        "corners",
         "photo_edges",
         "absorber",
         "slopes",

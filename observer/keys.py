@@ -115,6 +115,24 @@ class KnownTargetsSection(TargetsSection):
     )
 
 
+class CornersSection(Section):
+    """Corners of the mirror panels as natural targets, for photos without marked ones.
+
+    They need the panels' edges and gaps of ``[collector]``, and ``[positions]`` with the camera's turns.
+    """
+
+    azimuth_deg: Number = Field(description="Direction of +y, along the trough: clockwise from north [deg].")
+    turn_sigma_deg: Positive = Field(
+        2.0, description="Error of the camera's turns and of azimuth and orientation together, 1 sigma [deg]."
+    )
+    mounting_sigma_mm: Positive = Field(
+        3.0, description="How far panels lie off their places, across and along the trough, 1 sigma [mm]."
+    )
+    corner_sigma_mm: Positive = Field(
+        1.0, description="How far each corner of a panel is off besides, in any direction, 1 sigma [mm]."
+    )
+
+
 class AbsorberSection(Section):
     """How the absorber's position is found: from the same photos, from photos of its own, from a table, or assumed."""
 
@@ -194,7 +212,10 @@ class ObserverModel(MeasurementModel):
         (NetworkCameraSection(),), description="The camera, or a table for each; default: self-calibration."
     )
     images: PassSection = Field(description="Photos or a video of the pass.")
-    targets: KnownTargetsSection = Field(description="The targets on the collector.")
+    targets: KnownTargetsSection | None = Field(None, description="The targets on the collector.")
+    corners: CornersSection | None = Field(
+        None, description="Corners of the mirror panels as natural targets, instead of marked ones."
+    )
     scale_bar: tuple[ScaleBarSection, ...] = Field((), description="Known distances of targets, as scale bars.")
     distance: tuple[DistanceSection, ...] = Field((), description="Known distances of targets, as measured by tape.")
     positions: PositionsSection | None = Field(
@@ -206,11 +227,30 @@ class ObserverModel(MeasurementModel):
     evaluation: ObserverEvaluationSection = Field(ObserverEvaluationSection(), description="How the map is made.")
     module: tuple[ModuleSection, ...] = Field((), description="Several collectors in the same photos, a table each.")
 
+    @property
+    def targets_file(self) -> str | None:
+        """The list of marked targets; None without."""
+        return None if self.targets is None else self.targets.file
+
+    @model_validator(mode="after")
+    def _targets_or_corners(self) -> Self:
+        if (self.targets is None) == (self.corners is None):
+            raise ValueError("give [targets], or [corners] for photos without marked targets, one of both")
+        if self.corners is None:
+            return self
+        if self.positions is None:
+            raise ValueError("corners: [positions] is needed: where the drone was, and how its camera was turned")
+        if self.module:
+            raise ValueError("corners: several modules are distinguished by coded targets; give [targets]")
+        if self.scale_bar or self.distance:
+            raise ValueError("corners: scale_bar and distance are lengths between marked targets; leave them out")
+        return self
+
     @model_validator(mode="after")
     def _several_modules(self) -> Self:
         if (twice := repeated(one.name.lower() for one in self.module)) is not None:
             raise ValueError(f"module: the name {twice} occurs twice; each module gets a folder of its name")
-        if self.module and (self.targets.dictionary is None or self.targets.tracked_from is not None):
+        if self.module and self.targets and (self.targets.dictionary is None or self.targets.tracked_from is not None):
             raise ValueError("module: several modules are distinguished by coded targets; give targets a dictionary")
         if self.module and (self.absorber.file is not None or self.absorber.photos is not None):
             raise ValueError("module: the absorbers of several modules are found in the common photos, or as designed")
@@ -243,11 +283,11 @@ class ObserverMeasurement:
     def input_files(self) -> tuple[Path, ...]:
         """All files the measurement consists of, measurement.toml first."""
         model = self.model
-        named = [*(one.file for one in model.camera), model.targets.file, model.absorber.file, model.sun.file]
+        named = [*(one.file for one in model.camera), model.targets_file, model.absorber.file, model.sun.file]
         named += [one.targets_file for one in model.module]
         named += [] if model.positions is None else [model.positions.file]
         if model.module and all(one.targets_file for one in model.module):
-            named.remove(model.targets.file)
+            named.remove(model.targets_file)
         own = (self.folder / MEASUREMENT_FILE, *(self.folder / name for name in named if name))
         return (*own, *dict.fromkeys(video_of(file) for file in self.all_photos))
 

@@ -17,14 +17,15 @@ from data_synth.optics.sensor import UnsignedArray
 from data_synth.optics.surface_errors import SurfaceErrors
 from data_synth.targets.dataset import TRUE_POINTS_FILE
 from data_synth.troughs.field import single_of
-from data_synth.troughs.mirror import SlopeGrid, TroughMirror
+from data_synth.troughs.mirror import SlopeGrid, TroughMirror, corner_points_m
 from data_synth.troughs.photo import Photographer, PhotoPoints
-from data_synth.troughs.presets import DISTANCE_SIGMA_M, UNCODED
+from data_synth.troughs.presets import DISTANCE_SIGMA_M, NO_TARGETS, UNCODED
 from data_synth.troughs.receiver import TubeAxis
 from data_synth.troughs.scene import TroughScene, TroughView
 from heliogauge.errors import InputError
 from heliogauge.files.arrays import read_arrays
 from heliogauge.geometry.geodesy import geodetic_from_enu
+from heliogauge.geometry.rigid import rotation_from_vector
 from heliogauge.images.photos import write_image
 from heliogauge.measurement.load import MEASUREMENT_FILE
 from heliogauge.measurement.writer import dump_toml, write_text
@@ -46,6 +47,8 @@ TRUTHS_FOLDER = "truth"
 #: [m], azimuth of +y [deg].
 POSITIONS_FILE = "positions.csv"
 _PLACE_ON_EARTH, _ROW_AZIMUTH_DEG = (37.0913, -2.3584, 494.0), 8.0
+#: So far inside its edges a panel's corner is looked at [m]; nobody claims to know it better than this [mm].
+_INSIDE_M, _LEAST_SIGMA_MM = 0.01, 0.2
 _MAPS = ("slope_error_x", "slope_error_y", "theta_r_rad", "height_error_m")
 
 
@@ -57,15 +60,22 @@ class TroughOptions:
     jpeg_quality: Write JPEG files of this quality, 1 to 100, instead of PNG.
     force: Replace an earlier synthetic measurement.
     rtk_sigma_m: Standard deviation of the drone's own positions, east, north and up; None: it writes none [m].
-    InputError: A quality JPEG does not have, or a standard deviation that is not above 0.
+    gimbal_sigma_rad: Standard deviation of the camera's turns as the drone writes them beside its positions, about
+        each axis of the camera; None: it writes none [rad].
+    InputError: A quality JPEG does not have, a standard deviation that is not above 0, or turns without positions.
     """
 
     seed: int = 0
     jpeg_quality: int | None = None
     force: bool = False
     rtk_sigma_m: float | None = None
+    gimbal_sigma_rad: float | None = None
 
     def __post_init__(self) -> None:
+        if self.gimbal_sigma_rad is not None:
+            positive("gimbal_sigma_rad", self.gimbal_sigma_rad, "radians")
+            if self.rtk_sigma_m is None:
+                raise InputError("gimbal_sigma_rad: turns of the camera stand beside its positions; write them, too")
         if self.rtk_sigma_m is not None:
             positive("rtk_sigma_m", self.rtk_sigma_m, "metres")
         if self.jpeg_quality is not None and not 1 <= self.jpeg_quality <= 100:
@@ -176,13 +186,16 @@ def observer_content(scene: TroughScene, suffix: str) -> dict[str, Any]:
         "collector": _collector_content(scene),
         "camera": _camera_content(scene),
         "images": {"photos": photos.get("reflection", photos.get("absorber"))},
-        "targets": _targets_content(scene),
     }
+    if scene.dictionary == NO_TARGETS:
+        content["corners"] = _corners_content(scene)
+    else:
+        content["targets"] = _targets_content(scene)
     if purposes == {"reflection", "absorber"}:
         content["absorber"] = {"photos": photos["absorber"]}
     if scene.troughs:
         content["module"] = [{"name": one.name, "place_m": one.place_m.tolist()} for one in scene.troughs]
-    else:
+    elif scene.dictionary != NO_TARGETS:
         content["scale_bar"] = _long_distances(scene)
     if not scene.world.mirror.is_shaped:
         # Its normals are turned on the design's surface: heights from its slopes would be of another mirror.
@@ -198,6 +211,20 @@ def _targets_content(scene: TroughScene) -> dict[str, Any]:
     kind = said or {"uncoded_file": UNCODED_FILE}
     size = {"diameter_mm": round(1e3 * scene.target_diameter_m, 9), "polarity": "black-on-white"}
     return {**kind, **size, "file": TARGETS_FILE}
+
+
+def _corners_content(scene: TroughScene) -> dict[str, Any]:
+    """Say of the corners what whoever measures knows: how well panels are mounted, and how far corners are off."""
+    mirror, design = scene.world.mirror, scene.collector
+    shift = np.zeros((1, 2)) if mirror.panels is None or mirror.panels.shift_m is None else mirror.panels.shift_m
+    edges_x, edges_y = design.panel_edges_x_m, design.panel_edges_y_m
+    inside = [np.r_[edges[:-1] + _INSIDE_M, edges[1:] - _INSIDE_M] for edges in (edges_x, edges_y)]
+    height = mirror.deviation(*np.meshgrid(*inside))[0]
+    return {
+        "azimuth_deg": _ROW_AZIMUTH_DEG,
+        "mounting_sigma_mm": round(max(1e3 * float(shift.std()), _LEAST_SIGMA_MM), 2),
+        "corner_sigma_mm": round(max(1e3 * float(np.sqrt(np.nanmean(height**2))), _LEAST_SIGMA_MM), 2),
+    }
 
 
 def _collector_content(scene: TroughScene) -> dict[str, Any]:
@@ -257,12 +284,16 @@ def _long_distances(scene: TroughScene) -> list[dict[str, Any]]:
     return bars
 
 
-def _write_positions(path: Path, scene: TroughScene, suffix: str, seed: int, sigma_m: float) -> None:
-    """Write where the drone's receiver has the cameras."""
-    rng = np.random.default_rng([seed, len(scene.views), 1])
-    x, y, z = np.array([view.position_m for view in scene.views]).T
-    turn = np.radians(_ROW_AZIMUTH_DEG)
-    enu = np.stack([x * np.cos(turn) + y * np.sin(turn), y * np.cos(turn) - x * np.sin(turn), z], axis=1)
+def _write_positions(path: Path, scene: TroughScene, suffix: str, options: TroughOptions) -> None:
+    """Write where the drone's receiver has the cameras, and how its gimbal has turned them."""
+    rng = np.random.default_rng([options.seed, len(scene.views), 1])
+    around, turn = scene.world.surroundings, np.radians(_ROW_AZIMUTH_DEG)
+    along = np.array([0.0, 1.0, 0.0])
+    east = around.horizontal * np.cos(turn) + along * np.sin(turn)
+    north = along * np.cos(turn) - around.horizontal * np.sin(turn)
+    enu_from_trough = np.stack([east, north, around.up])
+    sigma_m = options.rtk_sigma_m or 0.0
+    enu = np.array([view.position_m for view in scene.views]) @ enu_from_trough.T
     place = geodetic_from_enu(enu + sigma_m * rng.standard_normal(enu.shape), _PLACE_ON_EARTH)
     columns: dict[str, Any] = {
         "image": [view.name + suffix for view in scene.views],
@@ -272,14 +303,37 @@ def _write_positions(path: Path, scene: TroughScene, suffix: str, seed: int, sig
     }
     for axis in ("east", "north", "up"):
         columns[f"sigma_{axis}_mm"] = [f"{1e3 * sigma_m:g}"] * len(scene.views)
+    if options.gimbal_sigma_rad is not None:
+        angles = []
+        for view in scene.views:
+            error = rotation_from_vector(options.gimbal_sigma_rad * rng.standard_normal(3))
+            angles.append(_gimbal_angles_deg(enu_from_trough @ (error @ view.cam_from_trough.rotation).T))
+        for name, values in zip(("yaw_deg", "pitch_deg", "roll_deg"), np.array(angles).T, strict=True):
+            columns[name] = [f"{value:.2f}" for value in values]
     write_table_csv(path, columns)
+
+
+def _gimbal_angles_deg(enu_from_cam: FloatArray) -> tuple[float, float, float]:
+    """Return yaw, pitch and roll of a camera as drones write them: north, east, down; forward, right, down of it."""
+    ned_from_body = np.array([[0.0, 1, 0], [1, 0, 0], [0, 0, -1]]) @ enu_from_cam[:, [2, 0, 1]]
+    yaw = np.arctan2(ned_from_body[1, 0], ned_from_body[0, 0])
+    pitch = -np.arcsin(np.clip(ned_from_body[2, 0], -1, 1))
+    roll = np.arctan2(ned_from_body[2, 1], ned_from_body[2, 2])
+    return float(np.degrees(yaw)), float(np.degrees(pitch)), float(np.degrees(roll))
 
 
 def _write_knowledge(working: Path, scene: TroughScene, suffix: str, options: TroughOptions) -> None:
     content = observer_content(scene, suffix)
     if options.rtk_sigma_m is not None:
-        _write_positions(working / POSITIONS_FILE, scene, suffix, options.seed, options.rtk_sigma_m)
+        _write_positions(working / POSITIONS_FILE, scene, suffix, options)
         content["positions"] = {"file": POSITIONS_FILE}
+    comment = f"Synthetic measurement, seed {options.seed}; see {TRUTH_FILE}."
+    write_text(working / MEASUREMENT_FILE, f"# {comment}\n\n" + dump_toml(content))
+    if scene.dictionary != NO_TARGETS:
+        _write_targets(working, scene)
+
+
+def _write_targets(working: Path, scene: TroughScene) -> None:
     stated = np.array([target.stated_m for target in scene.targets]).reshape(-1, 3)
     sigma_mm = 1e3 * np.array([target.sigma_m for target in scene.targets]).reshape(-1, 3)
     known = np.isfinite(sigma_mm)
@@ -299,8 +353,6 @@ def _write_knowledge(working: Path, scene: TroughScene, suffix: str, options: Tr
     if scene.dictionary == UNCODED:
         rough = {"id": columns["target"], **{f"{axis}_m": columns[f"{axis}_m"] for axis in "xyz"}}
         write_table_csv(working / UNCODED_FILE, {**rough, "sigma_mm": ["5"] * len(scene.targets)})
-    comment = f"Synthetic measurement, seed {options.seed}; see {TRUTH_FILE}."
-    write_text(working / MEASUREMENT_FILE, f"# {comment}\n\n" + dump_toml(content))
 
 
 def _write_truth(working: Path, scene: TroughScene, photographer: Photographer, suffix: str, seed: int) -> None:
@@ -360,6 +412,7 @@ def trough_to_json(scene: TroughScene, suffix: str) -> dict[str, Any]:
         "camera": {name: getattr(camera, name) for name in camera.__dataclass_fields__},
         "photos": {view.name + suffix: _view_to_json(view) for view in scene.views},
         "points_m": {name: point.tolist() for name, point in scene.points_m().items()},
+        "corners_m": {name: point.tolist() for name, point in corner_points_m(scene.world.mirror).items()},
         "stated_points_m": {target.name: target.stated_m.tolist() for target in scene.targets},
         "mirror": _mirror_to_json(scene.world.mirror),
         "absorber_offset": _axis_to_json(receiver.absorber),
@@ -399,6 +452,8 @@ def _mirror_to_json(mirror: TroughMirror) -> dict[str, Any]:
         content["panels"] = {
             name: getattr(mirror.panels, name).tolist() for name in ("tilt_x", "tilt_y", "focal_length_m", "height_m")
         }
+        if mirror.panels.shift_m is not None:
+            content["panels"]["shift_m"] = mirror.panels.shift_m.tolist()
     return content
 
 

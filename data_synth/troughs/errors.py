@@ -65,6 +65,23 @@ def with_panel_heights(mirror: TroughMirror, sigma_m: float, rng: np.random.Gene
     return replace(mirror, collector=collector, panels=replace(panels, height_m=higher))
 
 
+def with_mounting(mirror: TroughMirror, sigma_m: float, rng: np.random.Generator) -> TroughMirror:
+    """Mount the panels off their places along the mirror's surface and along the trough.
+
+    sigma_m: Standard deviation of each panel's shift in each of both directions [m].
+    InputError: The mirror has no panels.
+    """
+    panels = mirror.panels
+    if panels is None:
+        raise InputError("mounting: this preset's mirror is one without panels that err")
+    edges = mirror.collector.panel_edges_x_m
+    middle = np.tile((edges[1:] + edges[:-1]) / 2, len(mirror.collector.panel_edges_y_m) - 1)
+    slope = middle / (2 * mirror.collector.focal_length_m)
+    shift = sigma_m * rng.standard_normal((panels.tilt_x.size, 2))
+    shift[:, 0] /= np.hypot(1.0, slope)
+    return replace(mirror, panels=replace(panels, shift_m=shift))
+
+
 def _waves(rng: np.random.Generator, n: int) -> tuple[Ripple, ...]:
     """Draw waves of 0.5 to 3 m in all directions, of about slope 1 at 1 m and less where shorter."""
     waves = []

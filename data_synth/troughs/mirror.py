@@ -33,16 +33,21 @@ class PanelErrors:
     focal_length_m (n,): Focal length of each panel, about its own middle [m].
     height_m (n,): How much higher each panel's middle sits; without, at the design's height. Only a mirror that is
         shaped has heights [m].
+    shift_m (n, 2): How far each panel lies off its place, in x (along the mirror's surface) and in y; without, nowhere
+        off it [m].
     """
 
     tilt_x: FloatArray
     tilt_y: FloatArray
     focal_length_m: FloatArray
     height_m: FloatArray | None = None
+    shift_m: FloatArray | None = None
 
     def __post_init__(self) -> None:
         if self.height_m is None:
             object.__setattr__(self, "height_m", np.zeros(np.shape(self.tilt_x)))
+        if self.shift_m is not None:
+            object.__setattr__(self, "shift_m", float_array("panels shift_m", self.shift_m, (len(self.tilt_x), 2)))
         for name in ("tilt_x", "tilt_y", "focal_length_m", "height_m"):
             object.__setattr__(self, name, float_array(f"panels {name}", getattr(self, name), (None,)))
         if not self.tilt_x.size == self.tilt_y.size == self.focal_length_m.size == self.heights.size:
@@ -176,6 +181,54 @@ def _panel_polynomials(mirror: TroughMirror) -> FloatArray:
     return np.stack([c0, c1, bend, c3])
 
 
+def corner_points_m(mirror: TroughMirror) -> dict[str, FloatArray]:
+    """Return where lines between panels, and rims, cross: the mean of the corners of the panels that meet there [m].
+
+    Returns: By ``corner-i-j``, i counting the edges of panels in x and j those in y.
+    """
+    design, panels = mirror.collector, mirror.panels
+    edges_x, edges_y = design.panel_edges_x_m, design.panel_edges_y_m
+    columns, polynomials = len(edges_x) - 1, _panel_polynomials(mirror)
+    shift = np.zeros((mirror.n_panels, 2)) if panels is None or panels.shift_m is None else panels.shift_m
+    found: dict[str, list[FloatArray]] = {}
+    for panel in range(mirror.n_panels):
+        row, column = divmod(panel, columns)
+        for i, j in ((column + a, row + b) for a in (0, 1) for b in (0, 1)):
+            x, y = np.array([edges_x[i], edges_y[j]]) + shift[panel]
+            z = float(x) ** 2 / (4 * design.focal_length_m)
+            if mirror.is_shaped:
+                c0, c1, c2, c3 = polynomials[:, panel]
+                z += float(mirror.smooth(np.array([x]), np.array([y]))[0][0] + c0 + x * (c1 + c2 / 2 * x) + c3 * y)
+            found.setdefault(f"corner-{i}-{j}", []).append(np.array([x, y, z]))
+    return {name: np.mean(places, axis=0) for name, places in found.items()}
+
+
+def _outlines(collector: Collector, shift_m: FloatArray) -> FloatArray:
+    """Return where panels that lie off their places end, shape (8, n): x from, to, y from, to; then the mirror there.
+
+    shift_m (n, 2): Of `PanelErrors`.
+
+    Behind an inner edge the mirror goes on; what is seen between panels is a gap.
+    """
+    found = []
+    count = len(shift_m)
+    edges = (collector.panel_edges_x_m, collector.panel_edges_y_m)
+    cells = np.unravel_index(np.arange(count), (len(edges[1]) - 1, len(edges[0]) - 1))[::-1]
+    for axis, (own, cell) in enumerate(zip(edges, cells, strict=True)):
+        inner = np.full(own.size, collector.panel_gap_m / 2)
+        inner[[0, -1]] = 0.0
+        found.append((own + inner)[cell] + shift_m[:, axis])
+        found.append((own - inner)[cell + 1] + shift_m[:, axis])
+    (first_x, last_x, first_y, last_y), (column, row) = found, cells
+    outer = [
+        np.where(column == 0, first_x, -np.inf),
+        np.where(column == len(edges[0]) - 2, last_x, np.inf),
+        np.where(row == 0, first_y, -np.inf),
+        np.where(row == len(edges[1]) - 2, last_y, np.inf),
+    ]
+    return np.stack([*found, *outer])
+
+
 class Rays(NamedTuple):
     """Rays of one block, all arrays of the same float type.
 
@@ -242,6 +295,8 @@ class MirrorTable:
         self._inner_x = design.panel_edges_x_m[1:-1].astype(dtype)
         self._inner_y = design.panel_edges_y_m[1:-1].astype(dtype)
         self._half_gap = dtype(design.panel_gap_m / 2)
+        shift = None if mirror.panels is None else mirror.panels.shift_m
+        self._outlines = None if shift is None else _outlines(design, shift).astype(dtype)
         self._panels = None if mirror.panels is None else _panel_polynomials(mirror).astype(dtype)
         self._table = _smooth_table(mirror)
 
@@ -269,12 +324,27 @@ class MirrorTable:
 
     def within(self, x: RayArray, y: RayArray) -> npt.NDArray[np.bool_]:
         """Return whether points lie within the aperture's outline, gaps included."""
+        if self._outlines is not None:
+            first_x, last_x, first_y, last_y = self._outlines[4:, self._cell(x, y)]
+            return np.asarray((x > first_x) & (x < last_x) & (y > first_y) & (y < last_y))
         inside = (x < self.half_width[0]) & (x > self.half_width[1])
         inside &= (y < self.half_length[0]) & (y > self.half_length[1])
         return np.asarray(inside)
 
     def panel(self, x: RayArray, y: RayArray) -> npt.NDArray[np.int16]:
         """Return the panel of points within the outline, -1 in gaps."""
+        row = self._cell(x, y)
+        if self._outlines is not None:
+            first_x, last_x, first_y, last_y = self._outlines[:4, row]
+            row[(x < first_x) | (x > last_x) | (y < first_y) | (y > last_y)] = -1
+        elif self._half_gap:
+            for inner, place in ((self._inner_x, x), (self._inner_y, y)):
+                for edge in inner:
+                    row[np.abs(place - edge) < self._half_gap] = -1
+        return row
+
+    def _cell(self, x: RayArray, y: RayArray) -> npt.NDArray[np.int16]:
+        """Return in which panel's place points lie, between the middles of gaps."""
         column, row = (np.zeros(x.size, dtype=np.int16) for _ in range(2))
         for edge in self._inner_x:
             column += x > edge
@@ -282,10 +352,6 @@ class MirrorTable:
             row += y > edge
         row *= np.int16(self._inner_x.size + 1)
         row += column
-        if self._half_gap:
-            for inner, place in ((self._inner_x, x), (self._inner_y, y)):
-                for edge in inner:
-                    row[np.abs(place - edge) < self._half_gap] = -1
         return row
 
     def surface(self, rays: Rays, length: RayArray, panel: npt.NDArray[np.int16]) -> "MirrorHits":

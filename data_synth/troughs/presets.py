@@ -10,7 +10,7 @@ from data_synth.optics.pinhole import PinholeCamera
 from data_synth.optics.prints import DotPrint, Print, RingPrint
 from data_synth.optics.sheets import Sheet
 from data_synth.targets.scene import sheet_points
-from data_synth.troughs.errors import random_mirror, with_panel_heights
+from data_synth.troughs.errors import random_mirror, with_mounting, with_panel_heights
 from data_synth.troughs.field import NeighbourScene, field_of
 from data_synth.troughs.mirror import TroughMirror
 from data_synth.troughs.paths import (
@@ -44,6 +44,8 @@ ROW_STEP_M = 7.0
 #: Stands for plain dots in the place of a dictionary.
 UNCODED = "circles"
 
+#: Stands for no targets at all.
+NO_TARGETS = "none"
 #: Stands before the number of a square marker that is one of several kinds.
 _SQUARE = "square-"
 
@@ -60,11 +62,13 @@ class TroughChoice:
     seed: Draws errors, targets and wind.
     n_photos: Number of photos; default: from the preset.
     dictionary: Targets: ``aicon-N``, ``metashape-N``, a dictionary of square markers as ``DICT_4X4_100``, or
-        ``circles``; several in turn, joined by ``+``, as ``aicon-12+circles+DICT_4X4_100``.
+        ``circles``; several in turn, joined by ``+``, as ``aicon-12+circles+DICT_4X4_100``; ``none``: no targets.
     orientation_deg: Turn of the collector from zenith, by the right hand about +y; default: from the preset [deg].
     n_ground_targets: Targets on the ground beside both rims, of unknown coordinates.
     is_shaped: Whether the mirror's surface itself deviates, as a real one's, instead of its normals alone.
     panel_height_m: How well its panels are mounted in height, as a standard deviation; for a mirror that is shaped
+        [m].
+    mounting_m: How far panels lie off their places along the mirror and along the trough, as a standard deviation
         [m].
     """
 
@@ -75,6 +79,7 @@ class TroughChoice:
     n_ground_targets: int = 0
     is_shaped: bool = False
     panel_height_m: float = 0.0
+    mounting_m: float = 0.0
 
 
 def trough_scene(preset: str, choice: TroughChoice | None = None) -> TroughScene:
@@ -101,6 +106,9 @@ def trough_scene(preset: str, choice: TroughChoice | None = None) -> TroughScene
         scene = replace(scene, world=replace(scene.world, surroundings=around))
     if chosen.panel_height_m:
         mirror = with_panel_heights(scene.world.mirror, chosen.panel_height_m, np.random.default_rng([chosen.seed, 7]))
+        scene = replace(scene, world=replace(scene.world, mirror=mirror))
+    if chosen.mounting_m:
+        mirror = with_mounting(scene.world.mirror, chosen.mounting_m, np.random.default_rng([chosen.seed, 8]))
         scene = replace(scene, world=replace(scene.world, mirror=mirror))
     return with_ground_targets(scene, chosen.n_ground_targets, np.random.default_rng([chosen.seed, 6]))
 
@@ -154,6 +162,8 @@ def rim_targets(
     """
     places = []
     prints = target_prints(dictionary, diameter_m, n, first)
+    if not prints:
+        return (), ()
     reach = max(figure.half_size_m[0] for figure in prints.values())
     across = collector.aperture_width_m / 2 + reach + 0.03
     along = collector.length_m / 2 - reach
@@ -217,6 +227,8 @@ def target_prints(dictionary: str, diameter_m: float, n: int, first: int = 0) ->
     InputError: The dictionary has too few codes, or does not exist.
     """
     numbers = range(first, first + n)
+    if dictionary == NO_TARGETS:
+        return {}
     if "+" in dictionary:
         kinds = dictionary.split("+")
         mixed: dict[str, Print] = {}

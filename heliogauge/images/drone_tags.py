@@ -16,6 +16,7 @@ _RATIONAL = 5
 _XMP = re.compile(rb'drone-dji:(\w+)\s*(?:=\s*"\s*([-+.\deE]+)\s*"|>\s*([-+.\deE]+)\s*<)')
 _PLACE = ("GpsLatitude", "GpsLongitude", "AbsoluteAltitude")
 _OTHER_SPELLING = {"GpsLongtitude": "GpsLongitude", "Latitude": "GpsLatitude", "Longitude": "GpsLongitude"}
+_TURNS = ("GimbalYawDegree", "GimbalPitchDegree", "GimbalRollDegree")
 _SIGMAS = ("RtkStdLon", "RtkStdLat", "RtkStdHgt")
 
 
@@ -26,12 +27,14 @@ class DroneTag:
     latitude_deg, longitude_deg: Geodetic, north and east positive [deg].
     altitude_m: Above whatever the drone counts from [m].
     sigma_m: Standard deviations east, north, up by the receiver; None where the file says none [m].
+    turns_deg: Yaw, pitch and roll of the camera by the gimbal; None where the file says none [deg].
     """
 
     latitude_deg: float
     longitude_deg: float
     altitude_m: float
     sigma_m: tuple[float, float, float] | None = None
+    turns_deg: tuple[float, float, float] | None = None
 
 
 def drone_tag(content: bytes) -> DroneTag | None:
@@ -54,7 +57,14 @@ def drone_tag(content: bytes) -> DroneTag | None:
         place = list(found)
     sigmas = tuple(said.get(name, np.nan) for name in _SIGMAS)
     is_known = np.isfinite(sigmas).all() and min(sigmas) > 0
-    return DroneTag(place[0], place[1], place[2], (sigmas[0], sigmas[1], sigmas[2]) if is_known else None)
+    turns = tuple(said.get(name, np.nan) for name in _TURNS)
+    return DroneTag(
+        place[0],
+        place[1],
+        place[2],
+        (sigmas[0], sigmas[1], sigmas[2]) if is_known else None,
+        (turns[0], turns[1], turns[2]) if np.isfinite(turns).all() else None,
+    )
 
 
 def _of_exif(content: bytes) -> tuple[float, float, float] | None:

@@ -26,10 +26,11 @@ from observer.keys import ObserverMeasurement
 from observer.photo_edges.tube_bearings import Bearings, tube_bearings
 from observer.photo_edges.views import Shot
 from observer.pipeline.cameras import Cameras, adjust_cameras
+from observer.pipeline.corners import find_corners
 from observer.pipeline.headline import absorber_numbers
 from observer.pipeline.inputs import read_inputs
 from observer.pipeline.photos import Finder, measure_targets
-from observer.pipeline.target_list import check_list
+from observer.pipeline.target_list import check_list, keep_placed
 from observer.trough.collector import Collector
 from photogrammetry import pipeline as photogrammetry_pipeline
 
@@ -109,8 +110,12 @@ def run(measurement: ObserverMeasurement, options: Options | None = None, progre
     options, progress = options or Options(), progress or SilentProgress()
     inputs = read_inputs(measurement, progress)
     collector, finder, survey = inputs.collector, inputs.finder, inputs.survey
-    first = measure_targets(survey.photo_files, finder, jobs=options.jobs, progress=progress)
-    listed = check_list(survey, finder, inputs.targets_file, first)
+    if inputs.corners is None:
+        first = measure_targets(survey.photo_files, finder, jobs=options.jobs, progress=progress)
+        listed = check_list(survey, finder, inputs.targets_file, first)
+    else:
+        first = find_corners(survey.photo_files, finder, inputs.corners, jobs=options.jobs, progress=progress)
+        listed = keep_placed(survey, first)
     cameras = adjust_cameras(listed, collector, options.jobs, progress)
     network = cameras.network
     with progress.stage("absorber"), showing(partial(network.measured.pictures, "no edge of the tube")):

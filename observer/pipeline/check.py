@@ -3,6 +3,7 @@
 from heliogauge.measurement.findings import Findings
 from observer.keys import ObserverMeasurement
 from observer.pipeline.inputs import build_inputs, listed_coordinates, read_tables
+from photogrammetry.keys import CoordinateSection
 from photogrammetry.pipeline import find_faults as find_faults_of_network
 
 #: The absorber alone is measured from two photos already.
@@ -18,12 +19,13 @@ def find_faults(measurement: ObserverMeasurement, findings: Findings) -> None:
     findings.add(measurement.doubts)
     if measurement.photo_files:
         findings.few_photos(measurement.photo_files, _LEAST_PHOTOS, "a measurement of a trough")
-    for name in [one.targets_file or model.targets.file for one in model.module] or [model.targets.file]:
+    for name in [one.targets_file or model.targets_file for one in model.module] or [model.targets_file]:
         tables = findings.attempt(read_tables, measurement, name)
         if tables is None:
             continue
-        file = measurement.folder / name
-        coordinates = findings.attempt(listed_coordinates, tables.targets, file)
+        coordinates: tuple[CoordinateSection, ...] | None = ()
+        if name is not None and tables.targets is not None:
+            coordinates = findings.attempt(listed_coordinates, tables.targets, measurement.folder / name)
         if coordinates is None:
             continue
         inputs = findings.attempt(build_inputs, measurement, tables, coordinates)

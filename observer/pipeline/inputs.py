@@ -9,16 +9,20 @@ import numpy as np
 
 from heliogauge.doubts import Doubt
 from heliogauge.errors import InputError
+from heliogauge.geometry.rigid import rotation_from_vector
+from heliogauge.measurement.load import MEASUREMENT_FILE
 from heliogauge.measurement.models import PhotosSection
 from heliogauge.results.folder import hash_files, refuse_copies
 from heliogauge.results.tables import read_table_csv
 from heliogauge.running.progress import Progress
 from heliogauge.sunlight.sun_shapes import BuieSun, GaussianSun, PillboxSun, SunShape, TabulatedSun
 from heliogauge.validate import FloatArray
+from observer.corners.lattice import PanelLattice
 from observer.files import ABSORBER_COLUMNS, absorber_of_table, is_number, number_in_cell
 from observer.keys import ObserverMeasurement, SunSection, TroughSection
 from observer.light.trace import Sunlight
 from observer.photo_edges.tone import Tone
+from observer.pipeline.corners import CornerSearch
 from observer.pipeline.photos import Finder, build_finder
 from observer.pipeline.target_kinds import TargetKinds, target_kinds
 from observer.pipeline.tone import Encoding, Encodings
@@ -26,14 +30,17 @@ from observer.slopes.row_spline import Roughness
 from observer.trough.absorber_path import AbsorberPath
 from observer.trough.collector import Collector, GlassTube
 from observer.trough.expectation import Expectation
+from photogrammetry.bundle import constraints
 from photogrammetry.keys import (
     CoordinateSection,
     DatumSection,
+    NaturalSection,
     PhotogrammetryMeasurement,
     PhotogrammetryModel,
     TargetsSection,
 )
 from photogrammetry.matching import KnownTargets
+from photogrammetry.pipeline import read_drone_positions
 
 #: Columns of a table as text, by their names.
 Table = Mapping[str, Sequence[str]]
@@ -51,7 +58,7 @@ SUN_COLUMNS = ("angle_mrad", "radiance")
 class Tables(NamedTuple):
     """Tables that measurement.toml names, as text; None where it names none."""
 
-    targets: Table
+    targets: Table | None
     absorber: Table | None
     sun: Table | None
 
@@ -67,6 +74,7 @@ class Inputs:
     survey: The photo network.
     finder: What is looked for in each photo.
     targets_file: Name of the list of targets, for messages.
+    corners: What predicts the corners of panels, where these take the place of marked targets.
     absorber: The tube's axis: of the table, or of the design where it is measured or assumed.
     absorber_source: Whether it is measured in the photos, from a table, or as designed.
     stations_m (n,): Places along the trough at which it is measured [m].
@@ -91,6 +99,7 @@ class Inputs:
     prior: Roughness
     shape_from_slopes: bool | None
     doubts: tuple[Doubt, ...]
+    corners: CornerSearch | None = None
     input_sha256: Mapping[str, str] = field(default_factory=dict)
 
 
@@ -101,23 +110,33 @@ def read_inputs(measurement: ObserverMeasurement, progress: Progress) -> Inputs:
     InputError: Targets, camera, tables or dimensions that cannot be used, copies among the photos, or several modules.
     """
     refuse_modules(measurement)
-    tables = read_tables(measurement, measurement.model.targets.file)
+    tables = read_tables(measurement, measurement.model.targets_file)
     with progress.stage("hash inputs"):
         hashes = hash_files(measurement.input_files, measurement.folder)
     refuse_copies(measurement.all_photos, hashes, measurement.folder)
-    coordinates = listed_coordinates(tables.targets, measurement.folder / measurement.model.targets.file)
-    return replace(build_inputs(measurement, tables, coordinates), input_sha256=hashes)
+    return replace(build_inputs(measurement, tables, coordinates_of(measurement, tables)), input_sha256=hashes)
 
 
-def read_tables(measurement: ObserverMeasurement, targets_file: str) -> Tables:
+def coordinates_of(measurement: ObserverMeasurement, tables: Tables) -> tuple[CoordinateSection, ...]:
+    """Return the coordinates of the list of targets; none without marked targets.
+
+    InputError: As from `listed_coordinates`.
+    """
+    file = measurement.model.targets_file
+    if file is None or tables.targets is None:
+        return ()
+    return listed_coordinates(tables.targets, measurement.folder / file)
+
+
+def read_tables(measurement: ObserverMeasurement, targets_file: str | None) -> Tables:
     """Read the tables that measurement.toml names.
 
-    targets_file: The list of targets.
+    targets_file: The list of targets; None without marked ones.
     InputError: A table that cannot be read, or lacks a column.
     """
     folder, absorber, sun = measurement.folder, measurement.model.absorber.file, measurement.model.sun.file
     return Tables(
-        read_table_csv(folder / targets_file, TARGET_COLUMNS),
+        None if targets_file is None else read_table_csv(folder / targets_file, TARGET_COLUMNS),
         None if absorber is None else read_table_csv(folder / absorber, ABSORBER_COLUMNS),
         None if sun is None else read_table_csv(folder / sun, SUN_COLUMNS),
     )
@@ -138,6 +157,8 @@ def left_out_doubts(tables: Tables) -> list[Doubt]:
             )
             doubts.append(Doubt("absorber_stations_left_out", text, {"left_out_count": gaps, "stations_count": count}))
     targets = tables.targets
+    if targets is None:
+        return doubts
     names = ["sigma_mm"] * 3 if "sigma_mm" in targets else [f"sigma_{axis}_mm" for axis in AXES]
     pairs = [
         pair
@@ -186,8 +207,16 @@ def build_inputs(measurement: ObserverMeasurement, tables: Tables, coordinates: 
         absorber = absorber_of_table(tables.absorber, folder / str(model.absorber.file))
     rows = collector.rows_m(1e-3 * model.evaluation.row_step_mm)
     expected = Expectation(collector, design, rows, 1e-3 * model.evaluation.largest_slope_error_mrad)
-    kinds = target_kinds(tables.targets, folder / model.targets.file)
-    survey, known = build_survey(measurement, coordinates, kinds), known_targets(coordinates)
+    corners, kinds = build_corners(measurement, collector), None
+    if corners is not None:
+        lattice = corners.lattice
+        survey = build_corner_survey(measurement, lattice)
+        sigma_m = np.sqrt(np.diag(lattice.covariance_m2).reshape(-1, 3).max(axis=1))
+        known = KnownTargets(lattice.names, lattice.points_m, sigma_m)
+    else:
+        if tables.targets is not None and model.targets is not None:
+            kinds = target_kinds(tables.targets, folder / model.targets.file)
+        survey, known = build_survey(measurement, coordinates, kinds), known_targets(coordinates)
     encodings = None
     if model.images.encoding != "auto":
         encodings = Encodings((Encoding("", Tone(model.images.encoding)),))
@@ -198,7 +227,7 @@ def build_inputs(measurement: ObserverMeasurement, tables: Tables, coordinates: 
         light,
         survey,
         build_finder(survey, known, expected, encodings, kinds),
-        model.targets.file,
+        model.targets_file or MEASUREMENT_FILE,
         absorber,
         model.absorber.source,
         collector.stations_m(model.absorber.station_step_m),
@@ -206,6 +235,7 @@ def build_inputs(measurement: ObserverMeasurement, tables: Tables, coordinates: 
         Roughness(_FIRST_ROUGHNESS, 1e-3 * model.evaluation.longitudinal_slope_mrad),
         model.evaluation.shape_from_slopes,
         (*measurement.doubts, *left_out_doubts(tables)),
+        corners,
     )
 
 
@@ -285,6 +315,8 @@ def build_survey(
     Returns: The same photos, with the listed coordinates as weighted observations.
     """
     model, files = measurement.model, measurement.all_photos
+    if model.targets is None:
+        raise InputError("targets: the table [targets] is needed; it says what targets the photos show")
     said = model.targets.model_dump(exclude={"file"}, exclude_unset=True)
     plain = () if kinds is None else _plain_targets(coordinates, kinds)
     if (
@@ -312,6 +344,47 @@ def build_survey(
         positions=model.positions,
     )
     return PhotogrammetryMeasurement(measurement.folder, network, files)
+
+
+def build_corners(measurement: ObserverMeasurement, collector: Collector) -> CornerSearch | None:
+    """Return what predicts the corners of panels; None where targets are marked.
+
+    InputError: Positions that cannot be read, or a drawing without corners that can be seen.
+    """
+    section, positions = measurement.model.corners, measurement.model.positions
+    if section is None or positions is None:
+        return None
+    lattice = PanelLattice(collector, 1e-3 * section.mounting_sigma_mm, 1e-3 * section.corner_sigma_mm)
+    turn = np.radians(section.azimuth_deg)
+    along = np.array([np.sin(turn), np.cos(turn), 0.0])
+    up = np.array([0.0, 0.0, 1.0])
+    tilted = rotation_from_vector(np.radians(measurement.model.collector.orientation_deg) * np.array([0.0, 1.0, 0.0]))
+    found = read_drone_positions(build_corner_survey(measurement, lattice))
+    if found is None:
+        return None
+    return CornerSearch(
+        lattice,
+        found,
+        1e-3 * np.array(positions.lever_arm_mm),
+        np.stack([np.cross(along, up), along, up], axis=1) @ tilted,
+        float(np.radians(section.turn_sigma_deg)),
+    )
+
+
+def build_corner_survey(measurement: ObserverMeasurement, lattice: PanelLattice) -> PhotogrammetryMeasurement:
+    """Return the photo network of the panels' corners, their places by the drawing as weighted observations."""
+    model, files = measurement.model, measurement.all_photos
+    network = PhotogrammetryModel(
+        kind="photogrammetry",
+        name=model.name,
+        camera=model.camera,
+        images=PhotosSection(photos=tuple(str(file.relative_to(measurement.folder)) for file in files)),
+        natural=NaturalSection(),
+        datum=DatumSection(kind="inner"),
+        positions=model.positions,
+    )
+    known = constraints.KnownPlaces(lattice.names, lattice.points_m, lattice.covariance_m2)
+    return PhotogrammetryMeasurement(measurement.folder, network, files, (known,))
 
 
 def _plain_targets(coordinates: Sequence[CoordinateSection], kinds: TargetKinds) -> tuple[dict[str, object], ...]:

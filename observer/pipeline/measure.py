@@ -14,6 +14,7 @@ from observer.doubts.photos import refuse_impossible_cameras
 from observer.keys import ObserverMeasurement
 from observer.photo_edges.views import Shot, View
 from observer.pipeline.cameras import Cameras, adjust_cameras
+from observer.pipeline.corners import find_corners
 from observer.pipeline.inputs import Inputs, read_inputs
 from observer.pipeline.intercept import evaluate_intercept
 from observer.pipeline.judgement import judge
@@ -21,7 +22,7 @@ from observer.pipeline.mirror import SolvedMirror, place_absorber, refine_poses,
 from observer.pipeline.photos import FirstLook, SeenInPhotos, look_again, look_first
 from observer.pipeline.result import Result
 from observer.pipeline.stated_camera import blamed
-from observer.pipeline.target_list import check_list
+from observer.pipeline.target_list import check_list, keep_placed
 from observer.product.panel_alignment import panel_tilts
 from observer.product.pictures import Overlay, draw_overlay
 from observer.selection.edge_refusal import EdgeFate
@@ -67,7 +68,11 @@ def run(measurement: ObserverMeasurement, options: Options | None = None, progre
     """
     options, progress = options or Options(), progress or SilentProgress()
     inputs = read_inputs(measurement, progress)
-    first = look_first(inputs.survey.photo_files, inputs.finder, jobs=options.jobs, progress=progress)
+    files = inputs.survey.photo_files
+    if inputs.corners is None:
+        first = look_first(files, inputs.finder, jobs=options.jobs, progress=progress)
+    else:
+        first = find_corners(files, inputs.finder, inputs.corners, jobs=options.jobs, progress=progress)
     return evaluate(inputs, first, options, progress)
 
 
@@ -78,7 +83,10 @@ def evaluate(inputs: Inputs, first: FirstLook, options: Options, progress: Progr
     InputError: Photos that cannot be used.
     EstimationError: The photos do not hang together, or too little of the reflection is seen.
     """
-    listed = check_list(inputs.survey, inputs.finder, inputs.targets_file, first)
+    if inputs.corners is None:
+        listed = check_list(inputs.survey, inputs.finder, inputs.targets_file, first)
+    else:
+        listed = keep_placed(inputs.survey, first)
     cameras = adjust_cameras(listed, inputs.collector, options.jobs, progress)
     refuse_impossible_cameras(cameras.photos.eyes_m, inputs.collector)
     seen = look_again(cameras.files, cameras.views, inputs.finder, listed.first, jobs=options.jobs, progress=progress)

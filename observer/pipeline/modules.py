@@ -133,9 +133,9 @@ def _modules(measurement: ObserverMeasurement) -> tuple[list[_Module], dict[str,
     for section in model.module:
         collector = section.collector or model.collector
         try:
-            list_file = section.targets_file or model.targets.file
+            list_file = section.targets_file or str(model.targets_file)
             tables = read_tables(measurement, list_file)
-            known = listed_coordinates(tables.targets, measurement.folder / list_file)
+            known = listed_coordinates(tables.targets or {}, measurement.folder / list_file)
             if section.targets_file is None:
                 known = _near(known, section, build_collector(collector))
             targets = frozenset(one.target for one in known)

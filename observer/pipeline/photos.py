@@ -32,7 +32,7 @@ from observer.pipeline.tone import Encodings, Sample, find_encodings, look_at_to
 from observer.product.pictures import Slices, empty_slices
 from observer.trough.expectation import Expectation
 from photogrammetry.detection import TargetSearch, measure_at
-from photogrammetry.keys import PhotogrammetryMeasurement, TargetsSection
+from photogrammetry.keys import PhotogrammetryMeasurement, TargetsSection, UncodedSection
 from photogrammetry.matching import KnownTargets, Track, agrees_with_list, follow, provisional_pose, start_following
 from photogrammetry.pipeline import OnePhoto, build_cameras, build_search, measure_photo
 from photogrammetry.start_values import LEAST_TARGETS, StartValues
@@ -289,11 +289,10 @@ def build_finder(
     encodings: How the photos are encoded; None: as they show it themselves.
     kinds: What the listed targets look like.
     Returns: With the cameras, where measurement.toml or their files have them.
-    InputError: Cameras or dictionary that cannot be used, or no targets.
+    InputError: Cameras or dictionary that cannot be used.
     """
-    section = network.model.targets
-    if section is None:
-        raise InputError("targets: the table [targets] is needed; it says what targets the photos show")
+    # Corners are targets without a code whose places are listed.
+    section = network.model.targets or TargetsSection(uncoded=_as_listed(known))
     cameras: dict[str, Camera] = {}
     names = [file.name for file in network.photo_files]
     stated = network.model.camera
@@ -310,6 +309,13 @@ def build_finder(
         # They are named in each photo; without a camera they are matched through the poses.
         search = replace(search, with_uncoded=True)
     return Finder(section, search, known, cameras, expected, encodings, looks, wants_loose)
+
+
+def _as_listed(known: KnownTargets) -> tuple[UncodedSection, ...]:
+    return tuple(
+        UncodedSection(target=name, xyz_m=(place[0], place[1], place[2]), sigma_mm=1e3 * sigma)
+        for name, place, sigma in zip(known.names, known.points_m.tolist(), known.sigma_m.tolist(), strict=True)
+    )
 
 
 def measure_targets(files: Sequence[Path], finder: Finder, *, jobs: int | None, progress: Progress) -> FirstLook:
@@ -493,7 +499,7 @@ def look_again(
     before, late = [], []
     for number, (file, view) in enumerate(zip(files, views, strict=True)):
         pose = first.poses.get(file.name)
-        if pose is not None and _distance_m(pose, view.cam_from_frame) < _FAR_M:
+        if pose is not None and file.name in first.edges and _distance_m(pose, view.cam_from_frame) < _FAR_M:
             before.append(View(finder.camera_of[file.name], pose))
         else:
             before.append(view)

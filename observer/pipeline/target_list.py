@@ -19,6 +19,7 @@ from observer.targets.list_checks import (
 from observer.targets.module_targets import spans_an_area
 from observer.trough.collector import Collector
 from photogrammetry import pipeline as photogrammetry_pipeline
+from photogrammetry.bundle import constraints
 from photogrammetry.keys import CoordinateSection, PhotogrammetryMeasurement
 from photogrammetry.matching import KnownTargets
 from photogrammetry.start_values import LEAST_TARGETS
@@ -58,6 +59,18 @@ def check_list(survey: PhotogrammetryMeasurement, finder: Finder, file: str, fir
     )
     note = Doubt("photos_placed_by_list", text, {"photos_count": count}, Severity.NOTE)
     return replace(found, doubts=(*found.doubts, note))
+
+
+def keep_placed(survey: PhotogrammetryMeasurement, first: FirstLook) -> CheckedList:
+    """Return the network of photos whose corners were found; what is known of these is the drawing, no list."""
+    files = tuple(file for file in survey.photo_files if file.name in first.poses)
+    if len(files) == len(survey.photo_files):
+        return CheckedList(survey, first)
+    lost = [one.refused[0] for one in first.targets if one.detections.photo not in first.poses]
+    shown = "; ".join(f"{one.name}: {one.reason.removeprefix('left out: ')}" for one in lost[:3])
+    text = f"{len(lost)} of {len(survey.photo_files)} photos were left out: {shown}{' ...' if len(lost) > 3 else ''}"
+    doubt = Doubt("photos_without_corners", text, {"photos_count": len(lost)}, Severity.NOTE)
+    return CheckedList(replace(survey, photo_files=files), first, (doubt,))
 
 
 def leave_out_lines(survey: PhotogrammetryMeasurement, first: FirstLook, known: KnownTargets) -> CheckedList:
@@ -113,6 +126,11 @@ def refuse_loose_list(
     for one in survey.model.constraint:
         if isinstance(one, CoordinateSection) and one.target in row:
             sigma[row[one.target], AXES.index(one.axis)] = 1e-3 * one.sigma_mm
+    for known in survey.known:
+        if isinstance(known, constraints.KnownPlaces):
+            for name, own in zip(known.targets, np.sqrt(np.diag(known.covariance_m2)).reshape(-1, 3), strict=True):
+                if name in row:
+                    sigma[row[name]] = own
     used = np.isfinite(sigma).any(axis=1) & np.isfinite(table.xyz_m).all(axis=1)
     refuse_loose_frame(table.xyz_m[used], sigma[used])
     refuse_upside_down(table.xyz_m[used], collector)

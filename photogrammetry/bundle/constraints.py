@@ -1,7 +1,7 @@
 """What is known about targets besides their images: distances, coordinates, control points and planes, with sigma."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
@@ -143,6 +143,46 @@ class ControlPoint(ShortRepr):
         """Return whitened residuals and derivatives."""
         root = np.linalg.inv(np.linalg.cholesky(self.covariance_m2))
         return root @ (points_m[0] - self.xyz_m), root[:, None, :]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class KnownPlaces(ShortRepr):
+    """Known coordinates of several targets with their joint covariance: parts mounted by drawing, targets on parts.
+
+    places_m (k, 3): Their coordinates [m].
+    covariance_m2 (3 k, 3 k): Covariance of all coordinates, x, y, z of each target in turn [m^2].
+    InputError: The covariance is not positive definite, or not of as many coordinates.
+    """
+
+    targets: tuple[str, ...]
+    places_m: FloatArray
+    covariance_m2: FloatArray
+    _root: FloatArray = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        count = len(self.targets)
+        object.__setattr__(self, "places_m", float_array(f"{self.name}: places_m", self.places_m, (count, 3)))
+        covariance = covariance_matrix(f"{self.name}: covariance_m2", self.covariance_m2, 3 * count)
+        object.__setattr__(self, "covariance_m2", covariance)
+        if np.linalg.eigvalsh(covariance).min() <= 0:
+            raise InputError(f"{self.name}: a covariance that is not positive definite is no weight")
+        object.__setattr__(self, "_root", np.linalg.inv(np.linalg.cholesky(covariance)))
+
+    @property
+    def name(self) -> str:
+        """What is known."""
+        return f"known places of {len(self.targets)} targets"
+
+    def of(self, names: Collection[str]) -> "KnownPlaces":
+        """Return what is known of some of the targets."""
+        kept = np.array([name in names for name in self.targets], dtype=np.bool_)
+        rows = np.flatnonzero(np.repeat(kept, 3))
+        chosen = tuple(name for name in self.targets if name in names)
+        return KnownPlaces(chosen, self.places_m[kept], self.covariance_m2[np.ix_(rows, rows)])
+
+    def rows(self, points_m: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return whitened residuals and derivatives."""
+        return self._root @ (points_m - self.places_m).ravel(), self._root.reshape(3 * len(self.targets), -1, 3)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -11,14 +11,18 @@ from heliogauge.errors import InputError
 from heliogauge.files.regular import open_regular
 from heliogauge.files.texts import read_text
 from heliogauge.geometry.geodesy import enu_from_geodetic
+from heliogauge.geometry.rigid import rotation_from_vector
 from heliogauge.images.drone_tags import drone_tag
 from heliogauge.images.exif import EXIF_BYTES
 from heliogauge.results.tables import read_table_csv
+from heliogauge.short_repr import ShortRepr
 from heliogauge.validate import FloatArray
 
 GEODETIC_COLUMNS = ("image", "latitude_deg", "longitude_deg", "altitude_m")
 LOCAL_COLUMNS = ("image", "east_m", "north_m", "up_m")
 SIGMA_COLUMNS = ("sigma_east_mm", "sigma_north_mm", "sigma_up_mm")
+TURN_COLUMNS = ("yaw_deg", "pitch_deg", "roll_deg")
+_ENU_FROM_NED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 #: A line of a ``.MRK`` file: number, time, week, antenna to sensor [mm], place of the sensor ("after compensation"; DJI
 #: Matrice 4 user manual, p. 92), sigmas north, east, up [m], status 50 (fixed), 34 (float), 16 (single).
 _NUMBER = r"([-+]?[\d.]+)"
@@ -31,17 +35,31 @@ _NUMBER_IN_NAME = re.compile(r"_(\d{4})(?:_\w*)?\.\w+$")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class DronePositions:
+class DronePositions(ShortRepr):
     """Places of photos, east, north and up.
 
     photos length n: Names of the photos.
     enu_m (n, 3): Places about some origin [m].
     sigma_m (n, 3): Their standard deviations [m].
+    turns_deg (n, 3): Yaw, pitch and roll of the camera, in this order about down, right and forward axes that start
+        north, east and down; NaN where nobody says [deg].
     """
 
     photos: tuple[str, ...]
     enu_m: FloatArray
     sigma_m: FloatArray
+    turns_deg: FloatArray
+
+    def enu_from_camera(self, number: int) -> FloatArray | None:
+        """Return the rotation of a photo's camera (x right, y down, z forward), shape (3, 3); None where unknown."""
+        if not np.isfinite(self.turns_deg[number]).all():
+            return None
+        yaw, pitch, roll = (
+            rotation_from_vector(np.radians(angle) * axis)
+            for angle, axis in zip(self.turns_deg[number], np.eye(3)[::-1], strict=True)
+        )
+        ned_from_body = yaw @ pitch @ roll
+        return np.asarray(_ENU_FROM_NED @ ned_from_body[:, [1, 2, 0]])
 
 
 def positions_of_photos(files: Sequence[Path], default_sigma_m: float) -> DronePositions:
@@ -57,7 +75,8 @@ def positions_of_photos(files: Sequence[Path], default_sigma_m: float) -> DroneP
             tag = drone_tag(stream.read(EXIF_BYTES))
         if tag is not None:
             sigma = tag.sigma_m or (default_sigma_m,) * 3
-            rows[file.name] = (tag.latitude_deg, tag.longitude_deg, tag.altitude_m, *sigma)
+            turns = tag.turns_deg or (np.nan,) * 3
+            rows[file.name] = (tag.latitude_deg, tag.longitude_deg, tag.altitude_m, *sigma, *turns)
     if not rows:
         raise InputError(
             "positions: no photo says in EXIF or XMP where it was taken; name the drone's log: [positions] file = ..."
@@ -69,7 +88,8 @@ def read_positions(path: Path, files: Sequence[Path], default_sigma_m: float) ->
     """Read positions from a log of the drone or of the software that processed its raw data.
 
     path: ``.MRK`` file of DJI, or a table with the columns image, latitude_deg, longitude_deg, altitude_m or image,
-        east_m, north_m, up_m; with sigma_east_mm, sigma_north_mm, sigma_up_mm, where they are known.
+        east_m, north_m, up_m; with sigma_east_mm, sigma_north_mm, sigma_up_mm, and yaw_deg, pitch_deg, roll_deg of the
+        camera, where they are known.
     files: The photos; a ``.MRK`` file counts them by the numbers in their names, or else in their order.
     default_sigma_m: Standard deviation where the log says none [m].
     InputError: A file that is neither, a cell that is no number, or as many lines as no photos have.
@@ -80,6 +100,7 @@ def read_positions(path: Path, files: Sequence[Path], default_sigma_m: float) ->
     columns = next((one for one in (GEODETIC_COLUMNS, LOCAL_COLUMNS) if set(one) <= set(table)), None)
     if columns is None:
         raise InputError(f"{path}: columns {', '.join(GEODETIC_COLUMNS)} or {', '.join(LOCAL_COLUMNS)} are needed")
+    has_turns = set(TURN_COLUMNS) <= set(table)
     has_sigmas = set(SIGMA_COLUMNS) <= set(table)
     rows: dict[str, tuple[float, ...]] = {}
     for line, name in enumerate(table["image"]):
@@ -92,11 +113,14 @@ def read_positions(path: Path, files: Sequence[Path], default_sigma_m: float) ->
             sigma = [1e-3 * _number(table[column][line], f"{where}, {column}") for column in SIGMA_COLUMNS]
         if min(sigma) <= 0:
             raise InputError(f"{where}: a sigma above 0 is needed")
-        rows[name] = (*place, *sigma)
+        turns = [np.nan] * 3
+        if has_turns:
+            turns = [_number(table[column][line], f"{where}, {column}") for column in TURN_COLUMNS]
+        rows[name] = (*place, *sigma, *turns)
     if columns is GEODETIC_COLUMNS:
         return _of_degrees(rows)
-    values = np.array(list(rows.values())).reshape(-1, 6)
-    return DronePositions(tuple(rows), values[:, :3], values[:, 3:])
+    values = np.array(list(rows.values())).reshape(-1, 9)
+    return DronePositions(tuple(rows), values[:, :3], values[:, 3:6], values[:, 6:])
 
 
 def _read_mrk(path: Path, files: Sequence[Path]) -> DronePositions:
@@ -107,7 +131,10 @@ def _read_mrk(path: Path, files: Sequence[Path]) -> DronePositions:
         found = _MRK.match(text.strip())
         if found is None:
             raise InputError(f"{path}, line {number}: not a line of a .MRK file: {text[:60]!r}")
-        lines[int(found[1])] = tuple(map(float, (found[6], found[7], found[8], found[10], found[9], found[11])))
+        lines[int(found[1])] = (
+            *map(float, (found[6], found[7], found[8], found[10], found[9], found[11])),
+            *(np.nan,) * 3,
+        )
     named = {file.name: _NUMBER_IN_NAME.search(file.name) for file in files}
     if all(named.values()):
         rows = {name: lines[int(hit[1])] for name, hit in named.items() if hit and int(hit[1]) in lines}
@@ -122,12 +149,15 @@ def _read_mrk(path: Path, files: Sequence[Path]) -> DronePositions:
 
 
 def _of_degrees(rows: Mapping[str, tuple[float, ...]]) -> DronePositions:
-    values = np.array(list(rows.values())).reshape(-1, 6)
+    values = np.array(list(rows.values())).reshape(-1, 9)
     if not len(values):
-        return DronePositions((), values[:, :3], values[:, 3:])
+        return DronePositions((), values[:, :3], values[:, 3:6], values[:, 6:])
     origin = np.median(values[:, :3], axis=0).tolist()
     return DronePositions(
-        tuple(rows), enu_from_geodetic(values[:, 0], values[:, 1], values[:, 2], origin), values[:, 3:]
+        tuple(rows),
+        enu_from_geodetic(values[:, 0], values[:, 1], values[:, 2], origin),
+        values[:, 3:6],
+        values[:, 6:],
     )
 
 

@@ -16,7 +16,9 @@ if TYPE_CHECKING:
     from photogrammetry.keys.measurement import DistanceSection as DistanceSection
     from photogrammetry.keys.measurement import PhotogrammetryModel as PhotogrammetryModel
     from photogrammetry.keys.measurement import ScaleBarSection as ScaleBarSection
+    from photogrammetry.keys.natural import NaturalSection as NaturalSection
     from photogrammetry.keys.positions import PositionsSection as PositionsSection
     from photogrammetry.keys.targets import TargetsSection as TargetsSection
+    from photogrammetry.keys.targets import UncodedSection as UncodedSection
 
 __getattr__, __dir__, __all__ = lazy_face(__name__)

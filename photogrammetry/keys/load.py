@@ -7,6 +7,7 @@ from heliogauge.images.video_names import video_of
 from heliogauge.measurement.files import image_files
 from heliogauge.measurement.load import MEASUREMENT_FILE, read_measurement, refuse_missing
 from heliogauge.short_repr import ShortRepr
+from photogrammetry.bundle.constraints import Constraint
 from photogrammetry.keys.known_files import with_known_files
 from photogrammetry.keys.measurement import PhotogrammetryModel
 
@@ -18,11 +19,13 @@ class PhotogrammetryMeasurement(ShortRepr):
     folder: The measurement's folder.
     model: What measurement.toml says.
     photo_files: The photos; none with image points.
+    known: What is known of targets that no file says, by whoever measures the network for a purpose of his own.
     """
 
     folder: Path
     model: PhotogrammetryModel
     photo_files: tuple[Path, ...]
+    known: tuple[Constraint, ...] = ()
 
     @property
     def input_files(self) -> tuple[Path, ...]:

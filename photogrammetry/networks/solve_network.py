@@ -13,7 +13,7 @@ from heliogauge.errors import EstimationError, InputError
 from heliogauge.validate import FloatArray, IntArray
 from photogrammetry.bundle.adjustment import BundleOptions, BundleResult, adjust
 from photogrammetry.bundle.alignment import aligned_to_constraints, aligned_to_control, best_fit, transformed
-from photogrammetry.bundle.constraints import Constraint, ControlPoint, Distance
+from photogrammetry.bundle.constraints import Constraint, ControlPoint, Distance, KnownPlaces
 from photogrammetry.bundle.datum import Datum, DatumKind
 from photogrammetry.bundle.eccentricity import eccentricities_px, estimate_discs
 from photogrammetry.bundle.problem import BundleProblem, CameraModel
@@ -303,10 +303,12 @@ def _problem(
 ) -> tuple[BundleProblem, tuple[LeftOut, ...]]:
     """Keep what is known of targets in the network; name the rest."""
     seen, unused = set(table.targets), []
-    constraints = []
+    constraints: list[Constraint] = []
     for one in knowledge.constraints:
         missing = [name for name in one.targets if name not in seen]
-        if missing:
+        if isinstance(one, KnownPlaces) and len(missing) < len(one.targets):
+            constraints.append(one.of(seen))
+        elif missing:
             unused.append(LeftOut(one.name, f"not used: {', '.join(missing)} is not in the network"))
         else:
             constraints.append(one)
@@ -331,6 +333,9 @@ def _place(state: BundleState, table: ImagePoints, problem: BundleProblem, knowl
         control = {name: knowledge.fixed_m[name] for name in problem.fixed}
         return aligned_to_control(state, table.targets, control)
     control = {one.target: one.xyz_m for one in problem.constraints if isinstance(one, ControlPoint)}
+    for one in problem.constraints:
+        if isinstance(one, KnownPlaces):
+            control.update(zip(one.targets, one.places_m, strict=True))
     if len(control) >= 3:
         return aligned_to_control(state, table.targets, control)
     chosen = problem.datum.targets or table.targets

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from heliogauge.faces import lazy_face
 
 if TYPE_CHECKING:
+    from photogrammetry.exchange.drone_positions import DronePositions as DronePositions
     from photogrammetry.pipeline.cameras import build_cameras as build_cameras
     from photogrammetry.pipeline.check import find_faults as find_faults
     from photogrammetry.pipeline.inputs import build_constraints as build_constraints
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
     from photogrammetry.pipeline.photos import OnePhoto as OnePhoto
     from photogrammetry.pipeline.photos import collect_photos as collect_photos
     from photogrammetry.pipeline.photos import measure_photo as measure_photo
+    from photogrammetry.pipeline.positions import read_drone_positions as read_drone_positions
     from photogrammetry.pipeline.result import Result as Result
 
 __getattr__, __dir__, __all__ = lazy_face(__name__)

@@ -154,7 +154,7 @@ def build_knowledge(
         start = StartValues(start.cam_from_world, {**places, **start.points_m})
     fixed = {one.target: np.array(one.xyz_m) for one in model.control_point if not any(one.sigma_mm)}
     one_size = stated_diameter_mm(model) is not None
-    return Knowledge(build_constraints(model), fixed, build_datum(model), start, one_size)
+    return Knowledge((*build_constraints(model), *measurement.known), fixed, build_datum(model), start, one_size)
 
 
 def build_solve_options(model: PhotogrammetryModel, sigma_assumed: bool) -> SolveOptions:

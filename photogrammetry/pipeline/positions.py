@@ -3,9 +3,23 @@
 import numpy as np
 
 from photogrammetry.bundle.adjustment import BundleResult
-from photogrammetry.exchange.drone_positions import positions_of_photos, read_positions
+from photogrammetry.exchange.drone_positions import DronePositions, positions_of_photos, read_positions
 from photogrammetry.keys.load import PhotogrammetryMeasurement
 from photogrammetry.networks.position_scale import PositionScale, scale_by_positions
+
+
+def read_drone_positions(measurement: PhotogrammetryMeasurement) -> DronePositions | None:
+    """Read where the drone itself says that it was; None where measurement.toml names no positions.
+
+    InputError: Positions that cannot be read.
+    """
+    section = measurement.model.positions
+    if section is None:
+        return None
+    sigma_m = 1e-3 * section.sigma_mm
+    if section.file is None:
+        return positions_of_photos(measurement.photo_files, sigma_m)
+    return read_positions(measurement.folder / section.file, measurement.photo_files, sigma_m)
 
 
 def check_positions(measurement: PhotogrammetryMeasurement, bundle: BundleResult) -> PositionScale | None:
@@ -15,14 +29,9 @@ def check_positions(measurement: PhotogrammetryMeasurement, bundle: BundleResult
     InputError: Positions that cannot be read.
     EstimationError: Fewer than three photos of the network have one.
     """
-    section = measurement.model.positions
-    if section is None:
+    section, found = measurement.model.positions, read_drone_positions(measurement)
+    if section is None or found is None:
         return None
-    sigma_m = 1e-3 * section.sigma_mm
-    if section.file is None:
-        found = positions_of_photos(measurement.photo_files, sigma_m)
-    else:
-        found = read_positions(measurement.folder / section.file, measurement.photo_files, sigma_m)
     place = {name: k for k, name in enumerate(bundle.problem.observations.photos)}
     rows = np.array([k for k, name in enumerate(found.photos) if name in place], dtype=np.intp)
     photos = np.array([place[found.photos[k]] for k in rows], dtype=np.intp)

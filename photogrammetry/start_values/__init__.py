@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from heliogauge.faces import lazy_face
 
 if TYPE_CHECKING:
+    from photogrammetry.start_values.network import LeftOut as LeftOut
     from photogrammetry.start_values.network import StartValues as StartValues
     from photogrammetry.start_values.network import build_network as build_network
     from photogrammetry.start_values.network import guessed_camera as guessed_camera

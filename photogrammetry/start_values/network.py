@@ -62,7 +62,7 @@ class ImagePlace:
 
 
 @dataclass(frozen=True, slots=True)
-class LeftOut:
+class LeftOut(ShortRepr):
     """A photo or target that is not in the network.
 
     reason: Why, with numbers and remedy.

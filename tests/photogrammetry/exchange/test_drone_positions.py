@@ -150,3 +150,24 @@ def test_tables_that_cannot_be_meant(tmp_path: Path, text: str, said: str) -> No
     table.write_text(text)
     with pytest.raises(InputError, match=said):
         read_positions(table, [], 0.03)
+
+
+def test_turns_of_the_camera_are_read(tmp_path: Path) -> None:
+    """Flying east and looking straight down the image's top is east and its right side south."""
+    told = (
+        b'http://ns.adobe.com/xap/1.0/\x00<rdf:Description drone-dji:GpsLatitude="1" drone-dji:GpsLongitude="2" '
+        b'drone-dji:AbsoluteAltitude="3" drone-dji:GimbalYawDegree="+90.00" drone-dji:GimbalPitchDegree="-90.00" '
+        b'drone-dji:GimbalRollDegree="+0.00"/>'
+    )
+    (tmp_path / "a.jpg").write_bytes(jpeg(told))
+    (tmp_path / "b.jpg").write_bytes(jpeg(exif(1.0, 2.0, 3.0)))
+    found = positions_of_photos([tmp_path / "a.jpg", tmp_path / "b.jpg"], 0.02)
+    expected = np.array([[0.0, -1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+    turn = found.enu_from_camera(0)
+    assert turn is not None
+    np.testing.assert_allclose(turn, expected, atol=1e-12)
+    assert found.enu_from_camera(1) is None
+    table = tmp_path / "flight.csv"
+    table.write_text("image,east_m,north_m,up_m,yaw_deg,pitch_deg,roll_deg\na.jpg,1,2,3,90,-90,0\n")
+    again = read_positions(table, [tmp_path / "a.jpg"], 0.02).enu_from_camera(0)
+    np.testing.assert_allclose(again, expected, atol=1e-12)

@@ -1,0 +1,119 @@
+"""Flights without marked targets: corners of panels, positions and turns of the drone, from folder to slopes."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from data_synth.troughs import TroughChoice, TroughOptions, read_trough_truth, trough_scene, write_trough_dataset
+from heliogauge.errors import EstimationError, InputError
+from heliogauge.geometry.rigid import RigidTransform
+from heliogauge.measurement.load import load
+from observer import Options, Result, run
+
+MOUNTING_M = 1.5e-3
+
+
+@pytest.fixture(scope="module")
+def flight(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("natural") / "flight"
+    choice = TroughChoice(2, n_photos=12, dictionary="none", mounting_m=MOUNTING_M)
+    options = TroughOptions(2, rtk_sigma_m=0.02, gimbal_sigma_rad=0.025)
+    write_trough_dataset(folder, trough_scene("small", choice), options)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def measured(flight: Path) -> Result:
+    return run(load(flight), Options(jobs=1))
+
+
+@pytest.mark.slow
+def test_corners_are_where_the_truth_has_them(flight: Path, measured: Result) -> None:
+    truth, points = read_trough_truth(flight).parameters, measured.network.measured.points
+    errors = []
+    for name, photo in truth["photos"].items():
+        pose = RigidTransform.from_rotation_vector(*photo["cam_from_trough"].values())
+        for k in np.flatnonzero(np.array(points.photos)[points.photo_index] == name):
+            place = np.array(truth["corners_m"][points.targets[points.target_index[k]]])
+            errors.append(points.pixels_px[k] - measured.network.camera.project(pose.apply(place)))
+    far = np.linalg.norm(errors, axis=1)
+    assert len(far) > 0.9 * 12 * 15
+    assert np.mean(far < 1) >= 0.98
+    assert np.median(far) < 0.1
+
+
+@pytest.mark.slow
+def test_poses_are_within_their_sigmas_in_the_frame_of_the_drawing(flight: Path, measured: Result) -> None:
+    truth, bundle = read_trough_truth(flight).parameters["photos"], measured.network.solved.bundle
+    assert len(bundle.cam_from_world) == 12
+    ratios = []
+    for k, name in enumerate(bundle.problem.observations.photos):
+        true = RigidTransform.from_rotation_vector(*truth[name]["cam_from_trough"].values())
+        found = bundle.cam_from_world[k]
+        turn = RigidTransform(found.rotation @ true.rotation.T, np.zeros(3)).rotation_vector_rad
+        step = np.concatenate([turn, found.translation_m - true.translation_m])
+        covariance = bundle.covariance.joint((), np.array([k]))
+        ratios.append(float(step @ np.linalg.solve(covariance, step)))
+    # Photos share the frame's error: one chi-square of six, of which 99.9 % are below 22.
+    assert np.median(ratios) < 22
+    solution = measured.absorber_solution
+    assert solution is not None
+    off = np.concatenate([solution.path.x_m, solution.path.z_m - 1.49])
+    sigma = np.concatenate(solution.path.sigma_at(solution.path.y_m))
+    assert np.median(np.abs(off) / sigma) < 3
+    assert np.median(sigma) < 3e-3
+
+
+@pytest.mark.slow
+def test_wrong_azimuth_and_a_photo_without_turns_are_named(flight: Path) -> None:
+    toml, table = flight / "measurement.toml", flight / "positions.csv"
+    said, lines = toml.read_text(), table.read_text().splitlines()
+    try:
+        toml.write_text(said.replace("azimuth_deg = 8.0", "azimuth_deg = 55.0"))
+        with pytest.raises(EstimationError, match="corners:"):
+            run(load(flight), Options(jobs=1))
+        toml.write_text(said)
+        table.write_text("\n".join(line.rsplit(",", 3)[0] for line in lines) + "\n")
+        with pytest.raises(InputError, match="yaw, pitch, roll"):
+            run(load(flight), Options(jobs=1))
+    finally:
+        toml.write_text(said)
+        table.write_text("\n".join(lines) + "\n")
+
+
+@pytest.mark.slow
+def test_a_photo_that_was_taken_elsewhere_is_left_out_with_the_reason(flight: Path) -> None:
+    table = flight / "positions.csv"
+    text = table.read_text()
+    lines = text.splitlines()
+    cells = lines[6].split(",")
+    # A metre further north: less than a panel's width, and not where its panels' edges say.
+    cells[1] = f"{float(cells[1]) + 1.0 / 111e3:.9f}"
+    lines[6] = ",".join(cells)
+    try:
+        table.write_text("\n".join(lines) + "\n")
+        result = run(load(flight), Options(jobs=1))
+    finally:
+        table.write_text(text)
+    [doubt] = [one for one in result.doubts if one.code == "photos_without_corners"]
+    assert cells[0] in doubt.text
+    assert cells[0] not in result.network.solved.bundle.problem.observations.photos
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        ("", "corners"),
+        ("[corners]\nazimuth_deg = 0.0\n", "positions"),
+        ('[corners]\nazimuth_deg = 0.0\n[targets]\ndictionary = "aicon-12"\n', "one of both"),
+    ],
+)
+def test_what_is_missing_in_the_file_is_said(tmp_path: Path, change: str, reason: str) -> None:
+    (tmp_path / "a.png").write_bytes(b"")
+    (tmp_path / "measurement.toml").write_text(
+        'kind = "observer"\nname = "x"\n[collector]\naperture_width_m = 5.0\nlength_m = 3.0\nfocal_length_m = 1.49\n'
+        f'absorber_diameter_mm = 70.0\n[images]\nphotos = "*.png"\n{change}'
+    )
+    with pytest.raises(InputError, match=reason):
+        load(tmp_path)
