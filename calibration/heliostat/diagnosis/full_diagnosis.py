@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from calibration.heliostat.diagnosis.evidence import Explanation, log_evidences
 from calibration.heliostat.diagnosis.findings import Diagnosis, Finding, coefficients_of, ordered
 from calibration.heliostat.diagnosis.hypotheses import (
     FAR_RAD,
@@ -16,7 +17,7 @@ from calibration.heliostat.diagnosis.hypotheses import (
     site_finding,
 )
 from calibration.heliostat.diagnosis.misfit import ODDS_OF_A_FAULT, criterion, effective_components
-from calibration.heliostat.diagnosis.numbers import DEPARTED, Loosened, loosened_finding, number_findings
+from calibration.heliostat.diagnosis.numbers import Loosened, loosened_finding, number_findings
 from calibration.heliostat.diagnosis.residual_terms import Looked, residual_findings
 from calibration.heliostat.diagnosis.rivals import STRONG
 from calibration.heliostat.diagnosis.rows import Records, explained_rows, outlier_finding, record_findings
@@ -24,6 +25,7 @@ from calibration.heliostat.fitting.fit_result import HeliostatFit
 from calibration.heliostat.kinematic_model.design import PlaneTarget
 from heliogauge.errors import InputError
 from heliogauge.geometry.sun import Site
+from heliogauge.validate import FloatArray
 
 __all__ = ["Diagnosis", "Finding", "Records", "diagnose"]
 
@@ -38,6 +40,11 @@ REMEDIED = (
     *("actuator_numbers", "position", "sun_convention", "site", "time_offset", "units"),
     *("swapped_axes", "inverted_axis", "half_turn", "mirrored_spots", "target_names_exchanged"),
 )
+# What decides where numbers and terms explain the same.
+_DECIDES = {
+    "actuator_numbers": "The type plates of the actuators decide, or their strokes measured at a known reading.",
+    "position": "A survey of the heliostat's place decides.",
+}
 # What numbers of an actuator that are not its own look like while they are held.
 _LIKE_ACTUATORS = {"sag", "scale", "time_offset", "refraction", "target_scale", "worm_gear"}
 #: A heliostat with fewer spare components than this cannot be distinguished from a faulty one.
@@ -123,63 +130,77 @@ def _diagnosed(
     if whole is not None:
         # What records that are wrong as a whole did to rows and numbers is no finding of its own.
         return Diagnosis(ordered([*findings, whole[0]]), looked.checks, significance, whole[1])
-    found = list(looked.findings)
-    followed, likelier_by = _of_numbers(fit, looked, significance)
-    if followed is not None and likelier_by > STRONG:
-        # Wrong numbers look like sag, scale or targets out of place.
-        found = [followed.finding]
-        numbers = [one for one in numbers if one.kind != followed.finding.kind]
-    elif followed is not None:
-        if likelier_by > -STRONG:
-            found = [_open(one, followed.finding) for one in found]
-        followed = None
+    decided = _decided(fit, looked, _followed(fit, looked, significance))
+    found = decided.findings
+    if decided.remedied is not None:
+        numbers = [one for one in numbers if one.kind != found[0].kind]
     left = fit.rejected & ~explained & fit.residuals.computable & ~(looked.lengths < _UNDONE)
     outliers = outlier_finding(fit, left, images, () if records is None else records.ids)
     findings += [*numbers, *explained_findings, *found, *([outliers] if outliers is not None else [])]
     if fit.rejected.mean() > REJECTED and not any(one.severity == "fault" for one in [*found, *explained_findings]):
         found_by_trial, remedied = hypothesis_finding(fit, known, site)
         return Diagnosis(ordered([*findings, found_by_trial]), looked.checks, significance, remedied)
-    return Diagnosis(ordered(findings), looked.checks, significance, None if followed is None else followed.fit)
+    return Diagnosis(ordered(findings), looked.checks, significance, decided.remedied)
 
 
-def _of_numbers(fit: HeliostatFit, looked: Looked, significance: float) -> tuple[Loosened | None, float]:
-    """Follow numbers of which the residuals contradict what was known, or that a term may imitate.
-
-    Returns: The numbers that explain most; None without any.
-    Returns: By how much they are likelier than the terms that are faults: difference of the information criteria.
-    """
+def _followed(fit: HeliostatFit, looked: Looked, significance: float) -> list[Loosened]:
+    """Follow numbers of which the residuals contradict what was known, or that a term may imitate."""
+    faults = {one.kind for one in looked.blamed}
     found = []
-    faults = {one.kind for one in looked.findings if one.severity == "fault"}
     for kind in ("position", "actuator_numbers"):
         doubted = [check for check in looked.checks if check.kind == kind]
         imitated = kind == "actuator_numbers" and bool(faults & _LIKE_ACTUATORS)
         if imitated or any(check.chance * len(looked.checks) < significance for check in doubted):
             loosened = loosened_finding(fit, kind)
-            if loosened is not None:
-                found.append(loosened)
-    best = max(found, key=lambda one: one.finding.evidence["explained_share"], default=None)
-    return best, 0.0 if best is None else _likelier_by(fit, looked, best.finding)
+            found += [loosened] if loosened is not None else []
+    return found
 
 
-def _likelier_by(fit: HeliostatFit, looked: Looked, finding: Finding) -> float:
-    """Return by how much numbers explain the residuals better than the terms that are faults, which have fewer."""
-    count = effective_components(_spare(fit))
-    theirs = criterion(1 - finding.evidence["explained_share"], finding.evidence["determined_count"], count)
-    own = (
-        criterion(1 - one.evidence["explained_share"], coefficients_of(one), count)
-        for one in looked.findings
-        if one.severity == "fault" and one.kind != finding.kind
-    )
-    return float(min(own, default=np.inf) - theirs)
+class _Decided(NamedTuple):
+    """What the residuals show once it is decided between terms and numbers, and the fit with other numbers."""
+
+    findings: list[Finding]
+    remedied: HeliostatFit | None = None
 
 
-def _open(finding: Finding, numbers: Finding) -> Finding:
-    """Return a fault as a doubt where numbers of the heliostat explain the same."""
-    if finding.severity != "fault":
-        return finding
-    share = 100 * numbers.evidence["explained_share"]
-    text = f"{finding.text} {DEPARTED[numbers.kind]} would explain {share:.0f} %: it is open which of both it is."
-    return replace(finding, severity="doubt", text=text)
+def _decided(fit: HeliostatFit, looked: Looked, numbers: list[Loosened]) -> _Decided:
+    """Decide by their probability between terms and numbers that explain the same, or say all that it may be.
+
+    numbers: That explain the residuals; wrong ones look like sag, scale or targets out of place.
+    """
+    kinds = {one.finding.kind for one in numbers}
+    terms = tuple(one for one in looked.blamed if one.kind not in kinds)
+    said = [[one.finding] for one in numbers]
+    explanations = [Explanation(one.fit, one.names) for one in numbers]
+    if terms:
+        said.append([one for one in looked.findings if one.severity == "fault" and one.kind not in kinds])
+        explanations.append(Explanation(fit, terms=terms))
+    if not numbers:
+        return _Decided(list(looked.findings))
+    logs = log_evidences(explanations, fit.nominal) if len(explanations) > 1 else np.zeros(1)
+    best = int(np.argmax(logs))
+    behind = 2 * (logs[best] - logs)
+    likely = [k for k in np.argsort(behind, kind="stable").tolist() if behind[k] <= STRONG]
+    if len(likely) == 1 and best < len(numbers):
+        return _Decided(said[best], numbers[best].fit)
+    if len(likely) == 1:
+        return _Decided(list(looked.findings))
+    rest = [one for one in looked.findings if one.severity != "fault"]
+    return _Decided([*(_open(one, said, likely, behind) for k in likely for one in said[k]), *rest])
+
+
+def _open(finding: Finding, said: list[list[Finding]], likely: list[int], behind: FloatArray) -> Finding:
+    """Return a fault as a doubt, beside what may be wrong instead.
+
+    likely: Which of what is said it may be, the most probable first.
+    behind: Twice the logarithm of how much less probable each is than the most probable.
+    """
+    names = [" and ".join(dict.fromkeys(one.kind.replace("_", " ") for one in said[k])) for k in likely]
+    odds = " : ".join(f"{np.exp(-behind[k] / 2):.2g}" for k in likely)
+    deciding = " ".join(dict.fromkeys(_DECIDES[one.kind] for k in likely for one in said[k] if one.kind in _DECIDES))
+    text = f"{finding.text} It is open which it is, {' or '.join(names)} (odds {odds}). {deciding}"
+    evidence = {**finding.evidence, "twice_log_odds": float(behind[likely[1]])}
+    return replace(finding, severity="doubt", text=text, evidence=evidence)
 
 
 def _spare(fit: HeliostatFit) -> float:

@@ -68,10 +68,11 @@ def number_findings(fit: HeliostatFit, significance: float) -> list[Finding]:
 
 
 class Loosened(NamedTuple):
-    """A fault of numbers, and the fit that leaves them free."""
+    """A fault of numbers, the fit that leaves them free, and their names."""
 
     finding: Finding
     fit: HeliostatFit
+    names: tuple[str, ...]
 
 
 def loosened_finding(fit: HeliostatFit, kind: str) -> Loosened | None:
@@ -111,10 +112,9 @@ def loosened_finding(fit: HeliostatFit, kind: str) -> Loosened | None:
     # The bound of Markov on the likelihood ratio.
     chance = np.array([np.exp(0.5 * spare * np.log(max(1 - share, 1e-300)))])
     found = _finding(compared, kind, "fault", [names[i] for i in order], chance)
-    determined = float(np.sum(1 - (other.sigma[parameters.indices(names)] / (LOOSE * prior)) ** 2))
-    evidence = {**found.evidence, "explained_share": share, "determined_count": determined}
+    evidence = {**found.evidence, "explained_share": share}
     text = f"{found.text[:-1]}; this explains {100 * share:.0f} % of what is unexplained."
-    return Loosened(replace(found, evidence=evidence, text=text), other)
+    return Loosened(replace(found, evidence=evidence, text=text), other, tuple(names))
 
 
 class _Departures(NamedTuple):

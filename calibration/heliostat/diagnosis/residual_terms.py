@@ -7,6 +7,7 @@ import numpy as np
 
 from calibration.heliostat.diagnosis.bounds import beyond_text, is_physical, prior_of
 from calibration.heliostat.diagnosis.drift import date_range, in_time, jumped
+from calibration.heliostat.diagnosis.evidence import BlamedTerm
 from calibration.heliostat.diagnosis.findings import Check, Finding, Severity, dates_of
 from calibration.heliostat.diagnosis.linear_model import Extension, LinearFit, linear_fit
 from calibration.heliostat.diagnosis.misfit import ODDS_OF_A_FAULT, chance_in_sound
@@ -74,6 +75,7 @@ class Looked:
         not looked at.
     model: What was left of the rows before anything was explained.
     terms: Makes terms of the same rows.
+    blamed: The terms that are faults.
     """
 
     findings: tuple[Finding, ...]
@@ -81,6 +83,7 @@ class Looked:
     lengths: FloatArray
     model: LinearFit
     terms: Terms
+    blamed: tuple[BlamedTerm, ...]
 
 
 def residual_findings(
@@ -96,6 +99,7 @@ def residual_findings(
     first = groups[0]
     count = max(sum(len(group.terms) for group in groups), 1)
     findings: list[Finding] = []
+    blamed: list[BlamedTerm] = []
     checks: list[Check] = []
     for turn in range(_MOST_FAULTS):
         looks = [(group, look) for group in groups for look in _looks(group.model, group.terms)]
@@ -116,6 +120,8 @@ def residual_findings(
         found = found or _tried(fit, *clear[0], level)
         chance = min(max(found.look.chance, found.chance) * count, 1.0)
         findings.append(_finding(fit, found, chance))
+        if found.severity == "fault":
+            blamed.append(_blamed(fit, found))
         if turn == 0:
             checks = [_explained(check, found.look, found.extension) for check in checks]
         if found.severity == "hint":
@@ -128,7 +134,7 @@ def residual_findings(
             continue
         # Where rows without a time stand apart the others no longer speak for the same heliostat.
         groups = [replace(found.group, model=found.extension.model)]
-    return Looked(tuple(findings), tuple(checks), _lengths(fit, groups), first.model, first.maker)
+    return Looked(tuple(findings), tuple(checks), _lengths(fit, groups), first.model, first.maker, tuple(blamed))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -206,6 +212,13 @@ def _extended(fit: HeliostatFit, group: _Group, look: _Look) -> Extension:
     if look.term.kind == "backlash":
         judged = (approaches(fit.observations)[group.rows] != 0).any(axis=1)
     return group.model.extended(columns, prior_of(look.term.kind, columns.shape[1]), judged=judged)
+
+
+def _blamed(fit: HeliostatFit, found: _Tried) -> BlamedTerm:
+    maker, columns = found.group.maker, found.look.term.columns[found.look.index]
+    whole = np.zeros((fit.residuals.owner.size, columns.shape[1]))
+    whole[maker.chosen] = columns * maker.factor[:, None]
+    return BlamedTerm(found.look.term.kind, whole)
 
 
 def _can_be(fit: HeliostatFit, look: _Look, extension: Extension) -> bool:
