@@ -16,7 +16,7 @@ from data_synth.fringes import FringeScene, Knowledge, expected_light, preset_sc
 from data_synth.optics import SurfaceErrors
 from deflectometry import Options, run
 from deflectometry.fringes import Observation, ScreenMapLimits, measure_screen_map
-from deflectometry.pipeline import Align, Choices, Evaluation, assemble_maps, evaluate_frames
+from deflectometry.pipeline import Align, Choices, Evaluation, assemble_maps, evaluate_source
 from deflectometry.setup import Axis, make_pattern
 from heliogauge.flags import SampleFlag
 from heliogauge.measurement.load import load
@@ -57,7 +57,7 @@ class Stage:
         lit = taken[-1].astype(np.float32) - taken[-2].astype(np.float32)
         observation = Observation(np.stack(taken[:-2]), self.scene.pattern, lit=lit, limits=limits)
         setup, mirror = evaluation_inputs(self.scene, knowledge, seed)
-        return evaluate_frames(observation, setup, mirror, Choices(align=align), SilentProgress())
+        return evaluate_source(observation, setup, mirror, Choices(align=align), SilentProgress())
 
 
 def perfect(scene):

@@ -30,7 +30,7 @@ from _measure import (
 from data_synth.fringes import Knowledge, preset_scene, render_fringes
 from deflectometry.frames import check_frames
 from deflectometry.fringes import Observation
-from deflectometry.pipeline import Choices, evaluate_frames
+from deflectometry.pipeline import Choices, evaluate_source
 
 ASKED_CPU_S, ASKED_MIB = 0.5, 300
 INCUMBENT_CPU_S, INCUMBENT_MIB = 4.5, 1370
@@ -61,7 +61,7 @@ def to_slopes(observation, setup, mirror):
 
     clock = StageClock(begins)
     try:
-        evaluate_frames(observation, setup, mirror, Choices(), clock)
+        evaluate_source(observation, setup, mirror, Choices(), clock)
     except Enough:
         return clock.cpu_s
     raise RuntimeError("the stage of the maps has another name now")
@@ -99,7 +99,7 @@ def measure_time(case, scene, observation):
         totals = [total(run) for run in runs]
         fastest[label], medians[label] = runs[int(np.argmin(totals))], f"{np.median(totals):.3f}"
     clock = StageClock()
-    evaluation = evaluate_frames(with_response, setup, mirror, Choices(), clock)
+    evaluation = evaluate_source(with_response, setup, mirror, Choices(), clock)
     pixels = int(np.count_nonzero(evaluation.facet_index >= 0))
     title(f"{CASES[case][2]}: {pixels} px", ("CPU s", "asked", "incumbent", "median"))
     asked = (f"<= {ASKED_CPU_S}", f"{INCUMBENT_CPU_S}") if case == "facet" else ("", "")
@@ -148,7 +148,7 @@ def measure_memory(case, folder):
     resident = resident_mib("VmHWM") - before
     traced = peak_of(lambda: to_slopes(observation, setup, mirror))
     naive = peak_of(lambda: naive_screen_points(observation.frames, scene.pattern, observation.response))
-    maps = peak_of(lambda: evaluate_frames(observation, setup, mirror, Choices(), StageClock()))
+    maps = peak_of(lambda: evaluate_source(observation, setup, mirror, Choices(), StageClock()))
     title(
         f"{CASES[case][2]}: memory beyond the frames ({observation.frames.nbytes / 2**20:.0f} MiB)",
         ("MiB", "asked", "incumbent"),

@@ -101,6 +101,11 @@ def measure_command(
             from deflectometry.poses.pipeline.measure import run as run_poses
 
             return run_poses(load_poses(folder), options, progress)
+        if kind == "deflectometry-dots":
+            from deflectometry.dots.keys import load_dots
+            from deflectometry.dots.pipeline.measure import run as run_dots
+
+            return run_dots(load_dots(folder), options, progress)
         from deflectometry.keys import load_deflectometry
 
         return run(load_deflectometry(folder), options, progress)
@@ -122,9 +127,9 @@ def import_opencsp_command(
         list[Path],
         typer.Argument(
             metavar="FILE",
-            help="HDF5 and JSON files of one OpenCSP/SOFAST fringe measurement, in any order: measurement, camera, "
-            "display, spatial orientation, facet; image calibration, ensemble and result file where there are any. A "
-            "result file alone gives its slopes.",
+            help="HDF5 and JSON files of one OpenCSP/SOFAST measurement, in any order: measurement (fringes or dots), "
+            "camera, display or places of the dots, spatial orientation, facet; image calibration, ensemble and result "
+            "file where there are any. A result file alone gives its slopes.",
             show_default=False,
         ),
     ],

@@ -28,6 +28,18 @@ INSTRUMENT = Instrument(
             run="deflectometry.exchange.measure_slopes:run",
         ),
         Kind(
+            name="deflectometry-dots",
+            model="deflectometry.dots.keys:DotsModel",
+            load="deflectometry.dots.keys:load_dots",
+            template="deflectometry.dots:template_dots.toml",
+            command="deflectometry measure",
+            init_option="--dots",
+            init_help="For a photo of a field of dots, instead of images of fringes.",
+            run="deflectometry.dots.pipeline.measure:run",
+            options="deflectometry.pipeline.choices:Options",
+            check="deflectometry.dots.pipeline.check:find_faults",
+        ),
+        Kind(
             name="deflectometry-poses",
             model="deflectometry.poses.keys:PosesModel",
             load="deflectometry.poses.keys:load_poses",

@@ -126,7 +126,18 @@ class TabulatedScreenSection(_ScreenSection):
     file: Text = Field(description="Table of points of the screen: columns u, v, x_m, y_m, z_m.")
 
 
+class DotScreenSection(_ScreenSection):
+    """A field of dots on any surface: a CSV table with the columns column, row, x_m, y_m, z_m."""
+
+    shape: Literal["dots"] = Field(description="A field of dots, as a table of their places.")
+    file: Text = Field(
+        description="Table of the dots: whole numbers column (to the right) and row (upwards as a viewer sees the "
+        "screen), and the place of each in the screen's frame, x_m, y_m, z_m."
+    )
+
+
 ScreenSection = Annotated[RectangularScreenSection | TabulatedScreenSection, Discriminator("shape")]
+AnyScreenSection = RectangularScreenSection | TabulatedScreenSection | DotScreenSection
 
 
 # --- pattern and images ---------------------------------------------------------------------------------------------
@@ -323,18 +334,24 @@ class EvaluationSection(Section):
     )
 
 
-class DeflectometryModel(MeasurementModel):
-    """The whole measurement.toml of ``kind = "deflectometry"``."""
+class BenchModel(MeasurementModel):
+    """What the measurement.toml of every source says: camera, screen, mirror, and how it is evaluated."""
 
-    kind: Literal["deflectometry"] = Field(description="Fringe images of a mirror.")
     camera: CameraSection = Field(description="The camera: a file from a calibration, or its parameters.")
-    screen: ScreenSection = Field(description="The screen: shape, size and pose.")
-    pattern: PatternSection = Field(description="The fringe pattern that was displayed.")
-    images: ImagesSection = Field(description="The images.")
+    screen: AnyScreenSection = Field(description="The screen: shape, size and pose.")
     mirror: MirrorSection = Field(description="The mirror: design, outline or facets, and what is known of its pose.")
     evaluation: EvaluationSection = Field(
         EvaluationSection(), description="Choices that the command line can override."
     )
+
+
+class DeflectometryModel(BenchModel):
+    """The whole measurement.toml of ``kind = "deflectometry"``."""
+
+    kind: Literal["deflectometry"] = Field(description="Fringe images of a mirror.")
+    screen: ScreenSection = Field(description="The screen: shape, size and pose.")
+    pattern: PatternSection = Field(description="The fringe pattern that was displayed.")
+    images: ImagesSection = Field(description="The images.")
 
     def named_files(self) -> Iterator[tuple[str, str]]:
         """Yield the key path and the text of every single file that is named (the fringes are not among them)."""
@@ -349,21 +366,31 @@ class DeflectometryModel(MeasurementModel):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class DeflectometryMeasurement(ShortRepr):
-    """A checked deflectometry measurement: what the file says, and where its files are.
+class BenchMeasurement(ShortRepr):
+    """A checked measurement of any source: what the file says, and where its files are.
 
     folder: The measurement's folder.
     model: What measurement.toml says.
-    fringe_files: Image of each frame, in the order of the pattern.
     """
 
     folder: Path
-    model: DeflectometryModel
-    fringe_files: tuple[Path, ...]
+    model: BenchModel
 
     def path(self, text: str) -> Path:
         """Return the path of a file named in measurement.toml."""
         return self.folder / text
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DeflectometryMeasurement(BenchMeasurement):
+    """A checked measurement with fringes.
+
+    model: What measurement.toml says.
+    fringe_files: Image of each frame, in the order of the pattern.
+    """
+
+    model: DeflectometryModel
+    fringe_files: tuple[Path, ...]
 
     @property
     def input_files(self) -> tuple[Path, ...]:

@@ -25,7 +25,7 @@ METHOD = {
         "networks",
         "surface",
     ),
-    "deflectometry": ("setup", "frames", "fringes", "pose", "shape", "poses"),
+    "deflectometry": ("setup", "sources", "frames", "fringes", "dots", "pose", "shape", "poses"),
     "observer": (
         "trough",
         "targets",

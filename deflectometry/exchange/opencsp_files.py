@@ -48,6 +48,34 @@ class FringeRecord:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class DotPhotoRecord:
+    """The photo and notes of one fixed-pattern measurement (SofastFixed).
+
+    name, date: As written in the file; empty where absent.
+    photo_dn (h, w): The photo [DN].
+    origin_px (k, 2): Where a point light beside dot (0, 0) was found, one for each facet [px].
+    distance_m: Measured distance from the measure point to the origin of the screen [m].
+    measure_point_m (3,): The point on the mirror it was measured to, in mirror coordinates [m].
+    """
+
+    name: str
+    date: str
+    photo_dn: npt.NDArray[Any]
+    origin_px: FloatArray
+    distance_m: float
+    measure_point_m: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DotTableRecord:
+    """Places of the dots of a fixed pattern: columns (to the right) and rows (upwards), xyz (n, 3) [m]."""
+
+    column: FloatArray
+    row: FloatArray
+    xyz_m: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class CameraRecord:
     """Camera parameters in OpenCV's meaning, scaled to the images they are for.
 
@@ -160,6 +188,8 @@ class FocalLengthRecord:
 
 Record = (
     FringeRecord
+    | DotPhotoRecord
+    | DotTableRecord
     | CameraRecord
     | RectangleRecord
     | TableRecord
@@ -242,11 +272,6 @@ class _Node:
 
 
 def _hdf5_records(file_name: str, file: h5py.File) -> Iterator[Record]:
-    for fixed in ("MeasurementSofastFixed", "DotLocationsFixedPattern"):
-        if fixed in file:
-            raise InputError(
-                f"{file_name}: {fixed} is a fixed-pattern (dot) measurement; only fringe measurements can be imported"
-            )
     for key, reader in _READERS.items():
         if key in file:
             yield reader(_Node(file_name, file[key]))
@@ -297,6 +322,31 @@ def _fringes(node: _Node) -> FringeRecord:
         distance_m=positive(f"{node.file_name}: dist_optic_screen", where.number("dist_optic_screen"), "metres"),
         measure_point_m=where.array("v_measure_point_facet", (3,)),
     )
+
+
+def _dot_photo(node: _Node) -> DotPhotoRecord:
+    photo = np.asarray(node.raw("image"))
+    if photo.ndim != 2:
+        raise InputError(f"{node.file_name}: image of shape (h, w) is needed, not {photo.shape}")
+    where = node.find("dist_optic_screen")
+    return DotPhotoRecord(
+        name=node.text("name"),
+        date=node.text("date"),
+        photo_dn=photo,
+        origin_px=node.array("origin", (None,)).reshape(2, -1).T,
+        distance_m=positive(f"{node.file_name}: dist_optic_screen", where.number("dist_optic_screen"), "metres"),
+        measure_point_m=where.array("v_measure_point_facet", (3,)),
+    )
+
+
+def _dot_table(node: _Node) -> DotTableRecord:
+    column, row = node.array("x_dot_index", (None,)), node.array("y_dot_index", (None,))
+    xyz = float_array(
+        f"{node.file_name}: xyz_dot_loc", node.raw("xyz_dot_loc"), (row.size, column.size, 3), finite=False
+    )
+    known = np.isfinite(xyz).all(axis=2)
+    columns, rows = np.meshgrid(column, row)
+    return DotTableRecord(columns[known], rows[known], xyz[known])
 
 
 def _camera(node: _Node) -> CameraRecord:
@@ -399,6 +449,8 @@ def _last_refined_pose(node: _Node) -> RigidTransform:
 
 _READERS: dict[str, Callable[[_Node], Record]] = {
     "MeasurementSofastFringe": _fringes,
+    "MeasurementSofastFixed": _dot_photo,
+    "DotLocationsFixedPattern": _dot_table,
     "Camera": _camera,
     "DisplayShape": _display,
     "SpatialOrientation": _orientation,

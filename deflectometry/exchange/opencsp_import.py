@@ -13,6 +13,8 @@ from deflectometry.exchange.opencsp_files import (
     STEPS_DEG,
     CalculationRecord,
     CameraRecord,
+    DotPhotoRecord,
+    DotTableRecord,
     EnsembleRecord,
     FacetRecord,
     FocalLengthRecord,
@@ -79,7 +81,8 @@ def import_opencsp(
 ) -> Imported:
     """Write a measurement folder from OpenCSP files, given in any order and recognised by their content.
 
-    With a fringe measurement it is one of ``kind = "deflectometry"``; a result file without one gives the slopes that
+    With a fringe measurement it is one of ``kind = "deflectometry"``, with a photo of dots one of
+    ``kind = "deflectometry-dots"``; a result file without one gives the slopes that
     SOFAST found, as ``kind = "slopes"``.
 
     files: HDF5 and JSON files: measurement, camera, display shape, spatial orientation, facet definition, and where
@@ -95,10 +98,13 @@ def import_opencsp(
     """
     with WholeFolder(folder, IMPORTED, force=force) as working:
         parts = _Parts([read_opencsp_file(Path(path)) for path in files])
-        if parts.holds(CalculationRecord) and not parts.holds(FringeRecord):
-            _write_slopes(working, parts, options or OpencspOptions())
+        chosen = options or OpencspOptions()
+        if parts.holds(DotPhotoRecord) and not parts.holds(FringeRecord):
+            _write_dots(working, parts, chosen)
+        elif parts.holds(CalculationRecord) and not parts.holds(FringeRecord):
+            _write_slopes(working, parts, chosen)
         else:
-            _write(working, parts, options or OpencspOptions())
+            _write(working, parts, chosen)
         write_imported(working, "opencsp", [Path(path) for path in files])
     return Imported(tuple(parts.taken), tuple(parts.doubts))
 
@@ -122,8 +128,10 @@ def _write(working: Path, parts: "_Parts", options: OpencspOptions) -> None:
         content["screen"]["response_file"] = "response.csv"
     content["pattern"] = {"set": _pattern_sets(fringes)}
     content["images"] = {"fringes": "fringe_*.png", "dark": "dark.png", "bright": "bright.png"}
-    content["mirror"] = _mirror_section(parts, fringes, options)
-    images = _storable(fringes)
+    content["mirror"] = _mirror_section(parts, fringes.distance_m, fringes.measure_point_m, options)
+    count = fringes.frames_dn.shape[2]
+    named = [(f"fringe_{index:03d}.png", fringes.frames_dn[..., index]) for index in range(count)]
+    images = _storable([*named, ("dark.png", fringes.dark_dn), ("bright.png", fringes.bright_dn)])
     # Everything is checked before the first file is written.
     parse_measurement(content, Path("measurement.toml"))
     for name, image in images:
@@ -133,6 +141,34 @@ def _write(working: Path, parts: "_Parts", options: OpencspOptions) -> None:
     if response is not None:
         columns = {"camera_dn": response.camera_dn, "display_level": response.display_level}
         write_table_csv(working / "response.csv", columns)
+    write_measurement(working, content, comment="Imported from OpenCSP/SOFAST files.")
+
+
+def _write_dots(working: Path, parts: "_Parts", options: OpencspOptions) -> None:
+    """Write the measurement that a photo of dots and its records make up.
+
+    The origin that the file gives is left out: SOFAST finds it by a point light, and so does the measurement.
+    """
+    photo: DotPhotoRecord = parts.needed(DotPhotoRecord, "a photo of dots (MeasurementSofastFixed)")
+    dots: DotTableRecord = parts.needed(DotTableRecord, "the places of the dots (DotLocationsFixedPattern)")
+    content: dict[str, Any] = {"kind": "deflectometry-dots", "name": photo.name or "OpenCSP measurement"}
+    date = _date(photo.date)
+    if date is not None:
+        content["date"] = date
+    height_px, width_px = photo.photo_dn.shape
+    content["photo"] = "photo.png"
+    content["camera"] = _camera_section(parts, (height_px, width_px), options.correct_principal_point)
+    pose = parts.needed(RigidTransform, "the camera's orientation to the screen (SpatialOrientation)")
+    content["screen"] = {"shape": "dots", "file": "dots.csv"} | _pose_keys(pose)
+    content["pattern"] = {"dots": "dark", "origin": "light"}
+    content["mirror"] = _mirror_section(parts, photo.distance_m, photo.measure_point_m, options)
+    images = _storable([("photo.png", photo.photo_dn)])
+    parse_measurement(content, Path("measurement.toml"))
+    for name, image in images:
+        write_image(working / name, np.ascontiguousarray(image))
+    x_m, y_m, z_m = dots.xyz_m.T
+    numbers = {"column": dots.column.astype(np.intp), "row": dots.row.astype(np.intp)}
+    write_table_csv(working / "dots.csv", {**numbers, "x_m": x_m, "y_m": y_m, "z_m": z_m})
     write_measurement(working, content, comment="Imported from OpenCSP/SOFAST files.")
 
 
@@ -181,6 +217,8 @@ def _date(text: str) -> datetime.datetime | None:
 
 _WORDS: dict[type, str] = {
     FringeRecord: "fringe measurement",
+    DotPhotoRecord: "photo of dots",
+    DotTableRecord: "places of the dots",
     CameraRecord: "camera",
     RectangleRecord: "display shape (rectangle)",
     TableRecord: "display shape (table)",
@@ -294,7 +332,9 @@ def _pattern_sets(fringes: FringeRecord) -> list[dict[str, Any]]:
     ]
 
 
-def _mirror_section(parts: _Parts, fringes: FringeRecord, options: OpencspOptions) -> dict[str, Any]:
+def _mirror_section(
+    parts: _Parts, distance_m: float, measure_point_m: FloatArray, options: OpencspOptions
+) -> dict[str, Any]:
     design = _design_keys(parts, options)
     section: dict[str, Any] = {}
     facets = parts.wanted_all(FacetRecord)
@@ -322,9 +362,9 @@ def _mirror_section(parts: _Parts, fringes: FringeRecord, options: OpencspOption
         section["facet"] = [facet | design for facet in _facet_tables(facets, ensemble)]
     positive("sigma_distance_mm", options.sigma_distance_mm, "mm")
     section["distance"] = {
-        "distance_m": fringes.distance_m,
+        "distance_m": distance_m,
         "sigma_mm": options.sigma_distance_mm,
-        "point_m": fringes.measure_point_m.tolist(),
+        "point_m": measure_point_m.tolist(),
     }
     if options.pose_from is not None:
         section["pose"] = _pose_keys(_result_pose(options.pose_from))
@@ -386,11 +426,8 @@ def _result_pose(path: Path) -> RigidTransform:
     raise InputError(f"{path.name}: no SOFAST result (DataSofastCalculation) in it, so no pose of the mirror")
 
 
-def _storable(fringes: FringeRecord) -> list[tuple[str, npt.NDArray[Any]]]:
+def _storable(images: list[tuple[str, npt.NDArray[Any]]]) -> list[tuple[str, npt.NDArray[Any]]]:
     """Return the images with their names, in an integer type that a PNG keeps without loss."""
-    count = fringes.frames_dn.shape[2]
-    images = [(f"fringe_{index:03d}.png", fringes.frames_dn[..., index]) for index in range(count)]
-    images += [("dark.png", fringes.dark_dn), ("bright.png", fringes.bright_dn)]
     dtypes = {image.dtype for _, image in images}
     if dtypes <= {np.dtype(np.uint8), np.dtype(np.uint16)}:
         return images

@@ -8,8 +8,9 @@ import numpy as np
 import numpy.typing as npt
 
 from deflectometry.fringes.fringe_orders import combine_orders, search_orders
-from deflectometry.fringes.phase import TURN_RAD, LightResponse, NoiseModel, solve_steps, wrap_phase
+from deflectometry.fringes.phase import TURN_RAD, LightResponse, solve_steps, wrap_phase
 from deflectometry.setup.patterns import Axis, FringePattern
+from deflectometry.sources.noise_model import NoiseModel
 from heliogauge.adjust.robust_scale import robust_scale_of_rows
 from heliogauge.validate import BoolArray, FloatArray
 

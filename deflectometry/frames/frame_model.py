@@ -14,8 +14,9 @@ import numpy as np
 import numpy.typing as npt
 
 from deflectometry.frames.frame_content import agreeing_sets, fit_sets, position_from_sets, spread_of_frames
-from deflectometry.fringes.phase import TURN_RAD, LightResponse, NoiseModel
+from deflectometry.fringes.phase import TURN_RAD, LightResponse
 from deflectometry.setup.patterns import Axis, FringePattern
+from deflectometry.sources.noise_model import NoiseModel
 from heliogauge.adjust.robust_scale import robust_scale
 from heliogauge.validate import FloatArray, IntArray
 

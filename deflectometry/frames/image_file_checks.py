@@ -6,8 +6,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from deflectometry.fringes.phase import NoiseModel, solve_steps
+from deflectometry.fringes.phase import solve_steps
 from deflectometry.setup.patterns import FringePattern
+from deflectometry.sources.noise_model import NoiseModel
 from heliogauge.camera.model import Camera
 from heliogauge.doubts import Doubt
 from heliogauge.errors import EstimationError, InputError

@@ -9,8 +9,9 @@ from typing import Any, Literal
 import numpy as np
 
 from deflectometry.frames.frame_content import FrameContent, FrameSample, SetFit, fit_sets
-from deflectometry.fringes.phase import LightResponse, NoiseModel, residual_distortion, solve_steps
+from deflectometry.fringes.phase import LightResponse, residual_distortion, solve_steps
 from deflectometry.setup.patterns import FringePattern
+from deflectometry.sources.noise_model import NoiseModel
 from heliogauge.doubts import Doubt
 from heliogauge.validate import FloatArray
 

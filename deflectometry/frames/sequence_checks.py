@@ -39,12 +39,12 @@ from deflectometry.frames.light_checks import (
 from deflectometry.fringes.phase import (
     QUANTISATION_VARIANCE_DN2,
     LightResponse,
-    NoiseModel,
     estimate_noise,
     solve_steps,
     wrap_phase,
 )
 from deflectometry.setup.patterns import Axis, FringePattern, FringeSet
+from deflectometry.sources.noise_model import NoiseModel
 from heliogauge.adjust.robust_scale import robust_scale
 from heliogauge.validate import BoolArray, FloatArray
 

@@ -1,14 +1,19 @@
 """The images of one measurement, with all that turns them into display points."""
 
-from dataclasses import dataclass, field
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
 from typing import Any
 
+import numpy as np
 import numpy.typing as npt
 
 from deflectometry.fringes.known_point import KnownDisplayPoint, counted_positions
-from deflectometry.fringes.phase import LightResponse, NoiseModel
-from deflectometry.fringes.screen_map import ScreenMap, ScreenMapLimits, measure_screen_map, modulation_image
-from deflectometry.setup.patterns import FringePattern
+from deflectometry.fringes.phase import TURN_RAD, LightResponse
+from deflectometry.fringes.screen_map import ScreenMapLimits, measure_screen_map, modulation_image
+from deflectometry.setup.patterns import Axis, FringePattern, FringeSet
+from deflectometry.sources.display_edge import DisplayEdge, flag_display_edge
+from deflectometry.sources.noise_model import NoiseModel
+from deflectometry.sources.screen_map import ScreenMap
 from heliogauge.short_repr import ShortRepr
 from heliogauge.validate import BoolArray, Float32Array
 
@@ -34,6 +39,15 @@ class Observation(ShortRepr):
     limits: ScreenMapLimits = field(default_factory=ScreenMapLimits)
     known_point: KnownDisplayPoint | None = None
 
+    @property
+    def size_px(self) -> tuple[int, int]:
+        """Width and height of the images [px]."""
+        return int(self.frames.shape[2]), int(self.frames.shape[1])
+
+    def mirror_image(self) -> Float32Array:
+        """Return an image in which the mirror is bright: bright minus dark frame, else the fringes' amplitude [DN]."""
+        return self.modulation_image() if self.lit is None else self.lit
+
     def modulation_image(self) -> Float32Array:
         """Return the fringes' mean amplitude, shape (h, w) [DN, or the response's unit]."""
         return modulation_image(self.frames, self.pattern, response=self.response)
@@ -52,3 +66,39 @@ class Observation(ShortRepr):
             limits=self.limits,
             counted=counted,
         )
+
+    def display_edge(self, screen_map: ScreenMap, region: BoolArray, margin_px: float) -> DisplayEdge:
+        """Flag pixels that see the edge of the display."""
+        return flag_display_edge(screen_map, region, margin_px)
+
+    def exchanges(self) -> Iterator[tuple[str, "Observation"]]:
+        """Yield what programs and people exchange: sides of the images, sides and axes of the pattern."""
+        both = (
+            ("left and right of the images are exchanged", (slice(None), slice(None, None, -1))),
+            ("top and bottom of the images are exchanged", (slice(None, None, -1), slice(None))),
+            ("the images are turned by 180 deg", (slice(None, None, -1), slice(None, None, -1))),
+        )
+        known, size_px = self.known_point, np.array(self.size_px)
+        for words, (rows, columns) in both:
+            frames = np.ascontiguousarray(self.frames[:, rows, columns])
+            lit = None if self.lit is None else np.ascontiguousarray(self.lit[rows, columns])
+            point = None if known is None else known.in_image(np.array([columns.step or 1, rows.step or 1]), size_px)
+            yield words, replace(self, frames=frames, lit=lit, known_point=point)
+        for words, axes in (
+            ("left and right of the displayed pattern are exchanged", (Axis.X,)),
+            ("top and bottom of the displayed pattern are exchanged", (Axis.Y,)),
+            ("the displayed pattern is turned by 180 deg", (Axis.X, Axis.Y)),
+        ):
+            sets = tuple(_mirrored(one) if one.axis in axes else one for one in self.pattern.sets)
+            point = None if known is None else known.mirrored(axes)
+            yield words, replace(self, pattern=FringePattern(sets), known_point=point)
+        other = {Axis.X: Axis.Y, Axis.Y: Axis.X}
+        exchanged = FringePattern(tuple(replace(one, axis=other[one.axis]) for one in self.pattern.sets))
+        words = 'axis = "x" and axis = "y" of [[pattern.set]] are exchanged'
+        point = None if known is None else replace(known, display=known.display[::-1])
+        yield words, replace(self, pattern=exchanged, known_point=point)
+
+
+def _mirrored(one: FringeSet) -> FringeSet:
+    """Return a set shown the wrong way round: cos(2 pi P (1 - w) - s) is cos(2 pi P w - (2 pi P - s))."""
+    return replace(one, steps_rad=TURN_RAD * one.periods - one.steps_rad)

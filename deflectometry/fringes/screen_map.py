@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -13,13 +13,14 @@ from deflectometry.fringes.phase import (
     QUANTISATION_VARIANCE_DN2,
     TURN_RAD,
     LightResponse,
-    NoiseModel,
     StepSolver,
     estimate_noise,
     residual_distortion,
     solve_steps,
 )
 from deflectometry.setup.patterns import Axis, FringePattern, FringeSet
+from deflectometry.sources.noise_model import NoiseModel
+from deflectometry.sources.screen_map import ScreenMap
 from heliogauge.adjust.chi_square import chi_square_limit
 from heliogauge.errors import EstimationError, InputError
 from heliogauge.flags import SampleFlag
@@ -56,34 +57,6 @@ class ScreenMapLimits:
                 raise InputError(f"{name}: a probability between 0 and 0.5 is needed, not {getattr(self, name)}")
         if not self.saturation_dn > 0:
             raise InputError(f"saturation_dn: a positive number is needed, not {self.saturation_dn}")
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class ScreenMap:
-    """The display point each pixel sees.
-
-    u, v (h, w): Fractions of the displayed image from its left and from its top edge; NaN where flagged.
-    sigma_u, sigma_v (h, w): Standard deviations from pixel noise and the systematic phase; NaN where flagged.
-    modulation_dn (h, w): Mean amplitude of all sets [DN, or the response's unit].
-    flags (h, w): Bits of `heliogauge.flags.SampleFlag`.
-    noise: Noise of the readings that the sigmas rest on.
-    systematic_phase_rad (2,): Phase error beyond noise of every x set and every y set, from how well the periods
-        agree; mostly 0 [rad].
-    """
-
-    u: Float32Array
-    v: Float32Array
-    sigma_u: Float32Array
-    sigma_v: Float32Array
-    modulation_dn: Float32Array
-    flags: FlagArray
-    noise: NoiseModel
-    systematic_phase_rad: FloatArray = field(default_factory=lambda: np.zeros(2))
-
-    def points_seen(self) -> tuple[Float32Array, Float32Array]:
-        """Return u and v of the pixels without a flag, each of shape (n,)."""
-        good = self.flags == 0
-        return self.u[good], self.v[good]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

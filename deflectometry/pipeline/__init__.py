@@ -8,7 +8,7 @@ if TYPE_CHECKING:
     from deflectometry.keys import DeflectometryMeasurement as DeflectometryMeasurement
     from deflectometry.pipeline.choices import Choices as Choices
     from deflectometry.pipeline.evaluate import Evaluation as Evaluation
-    from deflectometry.pipeline.evaluate import evaluate_frames as evaluate_frames
+    from deflectometry.pipeline.evaluate import evaluate_source as evaluate_source
     from deflectometry.pipeline.inputs import build_setup as build_setup
     from deflectometry.pipeline.inputs import describe_mirror as describe_mirror
     from deflectometry.pose.find_pose import MirrorInput as MirrorInput

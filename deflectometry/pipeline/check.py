@@ -1,7 +1,7 @@
 """What can be found wrong with a deflectometry measurement before it is evaluated."""
 
 from deflectometry.frames.image_file_checks import check_compression, check_size
-from deflectometry.keys import DeflectometryMeasurement
+from deflectometry.keys import BenchMeasurement, DeflectometryMeasurement
 from deflectometry.pipeline.images import image_files, mend_frames, observe, read_response
 from deflectometry.pipeline.inputs import (
     build_pattern,
@@ -26,17 +26,8 @@ def find_faults(measurement: DeflectometryMeasurement, findings: Findings) -> No
     findings.refuse_copies()
     pattern = findings.attempt(build_pattern, measurement)
     findings.attempt(read_response, measurement)
-    setup = findings.attempt(build_setup, measurement)
     findings.add(check_compression([file.name for file in measurement.fringe_files]))
-    if setup is not None:
-        unstated = inputs_without_sigma(measurement, setup)
-        findings.add(check_screen(measurement, setup.screen), check_missing_sigmas(unstated))
-        if size is not None:
-            findings.attempt(check_size, size, setup.camera, str(measurement.folder))
-        mirror = findings.attempt(describe_mirror, measurement, setup)
-        if mirror is not None and mirror.known_pose is not None:
-            pose = mirror.known_pose.cam_from_mirror
-            findings.attempt(refuse_impossible, setup, pose)
+    find_faults_of_bench(measurement, findings, size)
     if findings.faults or pattern is None:
         return
     frames = findings.attempt(read_frames, files)
@@ -45,3 +36,21 @@ def find_faults(measurement: DeflectometryMeasurement, findings: Findings) -> No
         usable = findings.attempt(mend_frames, observe(measurement, pattern, frames))
         if usable is not None:
             findings.add(usable.doubts)
+
+
+def find_faults_of_bench(measurement: BenchMeasurement, findings: Findings, size_px: tuple[int, int] | None) -> None:
+    """Note what is wrong with camera, screen and mirror, whatever the source.
+
+    findings: What is found is added.
+    size_px: Width and height of the images; None where they differ [px].
+    """
+    setup = findings.attempt(build_setup, measurement)
+    if setup is not None:
+        unstated = inputs_without_sigma(measurement, setup)
+        findings.add(check_screen(measurement, setup.screen), check_missing_sigmas(unstated))
+        if size_px is not None:
+            findings.attempt(check_size, size_px, setup.camera, str(measurement.folder))
+        mirror = findings.attempt(describe_mirror, measurement, setup)
+        if mirror is not None and mirror.known_pose is not None:
+            pose = mirror.known_pose.cam_from_mirror
+            findings.attempt(refuse_impossible, setup, pose)

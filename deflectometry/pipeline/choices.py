@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from deflectometry.keys import DeflectometryMeasurement
+from deflectometry.keys import BenchMeasurement
 from deflectometry.shape.smooth_shape import Align
 from heliogauge.errors import InputError
 from heliogauge.slopes.removal import Removal
@@ -47,7 +47,7 @@ class Choices:
     removal: Removal = Removal.NOTHING
 
 
-def build_choices(measurement: DeflectometryMeasurement, options: Options) -> Choices:
+def build_choices(measurement: BenchMeasurement, options: Options) -> Choices:
     """Return what measurement.toml says, with the options in its place where they are given."""
     section = measurement.model.evaluation
     step_mm = options.grid_step_mm if options.grid_step_mm is not None else section.grid_step_mm

@@ -3,18 +3,14 @@
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
-import numpy as np
-
-from deflectometry.fringes.observation import Observation
-from deflectometry.fringes.phase import TURN_RAD
 from deflectometry.pipeline.choices import Choices
-from deflectometry.pipeline.evaluate import Evaluation, evaluate_frames
+from deflectometry.pipeline.evaluate import Evaluation, evaluate_source
 from deflectometry.pipeline.headline import facet_numbers
 from deflectometry.pipeline.plausibility import implausible, refuse_impossible, turn_in_sigmas
 from deflectometry.pose.find_pose import MirrorInput
 from deflectometry.setup.camera_and_screen import RectangularScreen, Setup
-from deflectometry.setup.patterns import Axis, FringePattern, FringeSet
 from deflectometry.shape.assemble import assemble_maps
+from deflectometry.sources.source import Source
 from heliogauge.camera.distortion import DistortionDirection
 from heliogauge.doubts import Doubt
 from heliogauge.errors import EstimationError, InputError
@@ -38,12 +34,12 @@ class _Exchange:
     """Something that may have been exchanged, and what is evaluated when it is put back."""
 
     words: str
-    observation: Observation
+    source: Source
     setup: Setup
 
 
 def refuse_contradictions(
-    observation: Observation, setup: Setup, mirror: MirrorInput, evaluation: Evaluation, doubts: Mapping[str, Doubt]
+    source: Source, setup: Setup, mirror: MirrorInput, evaluation: Evaluation, doubts: Mapping[str, Doubt]
 ) -> None:
     """Refuse a result that contradicts itself.
 
@@ -58,7 +54,7 @@ def refuse_contradictions(
     seen = [doubts[code] for code in _CONTRADICTIONS if code in doubts]
     if not seen:
         return
-    explained = [one.words for one in _exchanges(observation, setup) if _agrees(one, mirror, evaluation.choices)]
+    explained = [one.words for one in _exchanges(source, setup) if _agrees(one, mirror, evaluation.choices)]
     if explained:
         raise EstimationError(
             f"{seen[0].text.split(';')[0]}. Nothing contradicts once {' or '.join(explained)}: put that right and "
@@ -80,7 +76,7 @@ def refuse_contradictions(
 def _agrees(one: _Exchange, mirror: MirrorInput, choices: Choices) -> bool:
     """Return whether nothing contradicts with an exchange put back."""
     try:
-        evaluation = evaluate_frames(one.observation, one.setup, mirror, choices, SilentProgress())
+        evaluation = evaluate_source(one.source, one.setup, mirror, choices, SilentProgress())
         refuse_impossible(one.setup, evaluation.solution.cam_from_mirror)
         assembled = assemble_maps(evaluation.located.facets, evaluation.maps, choices.align, Removal.NOTHING)
         numbers = facet_numbers(assembled, assembled)
@@ -92,44 +88,17 @@ def _agrees(one: _Exchange, mirror: MirrorInput, choices: Choices) -> bool:
         return False
 
 
-def _exchanges(observation: Observation, setup: Setup) -> Iterator[_Exchange]:
+def _exchanges(source: Source, setup: Setup) -> Iterator[_Exchange]:
     """Yield what programs and people exchange."""
-    both = (
-        ("left and right of the images are exchanged", (slice(None), slice(None, None, -1))),
-        ("top and bottom of the images are exchanged", (slice(None, None, -1), slice(None))),
-        ("the images are turned by 180 deg", (slice(None, None, -1), slice(None, None, -1))),
-    )
-    known, size_px = observation.known_point, np.array(observation.frames.shape[:0:-1])
-    for words, (rows, columns) in both:
-        frames = np.ascontiguousarray(observation.frames[:, rows, columns])
-        lit = None if observation.lit is None else np.ascontiguousarray(observation.lit[rows, columns])
-        point = None if known is None else known.in_image(np.array([columns.step or 1, rows.step or 1]), size_px)
-        yield _Exchange(words, replace(observation, frames=frames, lit=lit, known_point=point), setup)
-    for words, axes in (
-        ("left and right of the displayed pattern are exchanged", (Axis.X,)),
-        ("top and bottom of the displayed pattern are exchanged", (Axis.Y,)),
-        ("the displayed pattern is turned by 180 deg", (Axis.X, Axis.Y)),
-    ):
-        sets = tuple(_mirrored(one) if one.axis in axes else one for one in observation.pattern.sets)
-        point = None if known is None else known.mirrored(axes)
-        yield _Exchange(words, replace(observation, pattern=FringePattern(sets), known_point=point), setup)
-    other = {Axis.X: Axis.Y, Axis.Y: Axis.X}
-    exchanged = FringePattern(tuple(replace(one, axis=other[one.axis]) for one in observation.pattern.sets))
-    words = 'axis = "x" and axis = "y" of [[pattern.set]] are exchanged'
-    point = None if known is None else replace(known, display=known.display[::-1])
-    yield _Exchange(words, replace(observation, pattern=exchanged, known_point=point), setup)
+    for words, other in source.exchanges():
+        yield _Exchange(words, other, setup)
     screen = setup.screen
     if isinstance(screen, RectangularScreen):
         turned = replace(setup, screen=RectangularScreen(screen.height_m, screen.width_m))
-        yield _Exchange("width_m and height_m of [screen] are exchanged", observation, turned)
+        yield _Exchange("width_m and height_m of [screen] are exchanged", source, turned)
     lens = setup.camera.distortion
     if not lens.is_zero:
         direction = next(one for one in DistortionDirection if one != lens.direction)
         camera = replace(setup.camera, distortion=replace(lens, direction=direction))
         words = f"distortion_direction of [camera] is {str(direction)!r}"
-        yield _Exchange(words, observation, replace(setup, camera=camera))
-
-
-def _mirrored(one: FringeSet) -> FringeSet:
-    """Return a set shown the wrong way round: cos(2 pi P (1 - w) - s) is cos(2 pi P w - (2 pi P - s))."""
-    return replace(one, steps_rad=TURN_RAD * one.periods - one.steps_rad)
+        yield _Exchange(words, source, replace(setup, camera=camera))

@@ -1,4 +1,4 @@
-"""From frames in memory to slope maps: the stages follow each other in `evaluate_frames`."""
+"""From images in memory to slope maps: the stages follow each other in `evaluate_source`."""
 
 from dataclasses import dataclass, replace
 
@@ -6,9 +6,6 @@ import numpy as np
 import numpy.typing as npt
 
 from deflectometry.frames.image_file_checks import check_size
-from deflectometry.fringes.display_edge import flag_display_edge
-from deflectometry.fringes.observation import Observation
-from deflectometry.fringes.screen_map import ScreenMap
 from deflectometry.pipeline.choices import Choices
 from deflectometry.pose.find_pose import LocatedMirror, MirrorInput, find_pose
 from deflectometry.pose.mirror_outline import mirror_masks
@@ -20,8 +17,11 @@ from deflectometry.shape.fine_structure import fine_share
 from deflectometry.shape.gridding import grid_slopes, plan_grid
 from deflectometry.shape.pixel_slopes import SlopeImage, measure_slopes
 from deflectometry.shape.smooth_shape import Align, ShapeSolution
+from deflectometry.sources.screen_map import ScreenMap
+from deflectometry.sources.source import Source
 from heliogauge.doubts import Doubt, gather_doubts
 from heliogauge.errors import EstimationError
+from heliogauge.flags import SampleFlag
 from heliogauge.running.progress import Progress
 from heliogauge.short_repr import ShortRepr
 from heliogauge.slopes.map import SlopeMap
@@ -30,12 +30,12 @@ from heliogauge.slopes.map import SlopeMap
 MODE_PIXELS = 400
 
 
-def _at_display_edge(observation: Observation, error: EstimationError) -> EstimationError:
+def _at_display_edge(source: Source, error: EstimationError) -> EstimationError:
     """Return why no outline was found: the mirror's image may end where the display ends."""
-    image = observation.lit if observation.lit is not None else observation.modulation_image()
     try:
-        region = find_mirrors(image).mask
-        edge = flag_display_edge(observation.screen_map(region), region, 1.5)
+        region = find_mirrors(source.mirror_image()).mask
+        screen_map = source.screen_map(region)
+        edge = source.display_edge(screen_map, screen_map.grid.of_image(region, False), 1.5)
     except EstimationError:
         return error
     return EstimationError(f"{edge.words}. ({error})") if edge.edges else error
@@ -46,8 +46,8 @@ class Evaluation(ShortRepr):
     """Everything a measurement gave.
 
     located: Pose before alignment and its evidence.
-    screen_map: Display point of each pixel.
-    facet_index (h, w): Facet of each pixel, -1 elsewhere.
+    screen_map: Point of the screen that each sample sees.
+    facet_index (h, w): Facet of each sample, -1 elsewhere.
     solution: Aligned pose and smooth shapes of the facets that were measured.
     images: Pixels of each measured facet.
     maps: Slope map of each measured facet, with nothing taken out but by the alignment.
@@ -68,36 +68,39 @@ class Evaluation(ShortRepr):
     sigma_turn_rad: float = 0.0
 
 
-def evaluate_frames(
-    observation: Observation, setup: Setup, mirror: MirrorInput, choices: Choices, progress: Progress
+def evaluate_source(
+    source: Source, setup: Setup, mirror: MirrorInput, choices: Choices, progress: Progress
 ) -> Evaluation:
-    """Evaluate the frames of one measurement.
+    """Evaluate the images of one measurement.
 
     setup: Camera and screen.
     Returns: Slopes of pixels and maps.
-    InputError: Frames that do not fit camera or pattern.
-    EstimationError: No mirror found, or none of its facets shows fringes.
+    InputError: Images that do not fit camera or pattern.
+    EstimationError: No mirror found, or none of its facets shows the pattern.
     """
-    check_size(observation.frames.shape[:0:-1], setup.camera, "frames")
+    check_size(source.size_px, setup.camera, "images")
     with progress.stage("find mirror"):
         try:
-            located = find_pose(observation, setup, mirror)
+            located = find_pose(source, setup, mirror)
         except EstimationError as error:
-            raise _at_display_edge(observation, error) from error
+            raise _at_display_edge(source, error) from error
         masks = mirror_masks(setup.camera, located.outline_pose, located.facets, margin_px=located.margin_px)
-    with progress.stage("phase"):
-        screen_map = observation.screen_map(masks.facet_index >= 0)
-        screen_map = replace(screen_map, flags=np.where(masks.flags != 0, masks.flags, screen_map.flags))
-        edge = flag_display_edge(screen_map, masks.facet_index >= 0, located.margin_px)
+    with progress.stage("screen points"):
+        screen_map = source.screen_map(masks.facet_index >= 0)
+        grid = screen_map.grid
+        facet_index = grid.of_image(masks.facet_index, -1)
+        beside = grid.of_image(masks.flags, np.uint32(SampleFlag.OUTSIDE_MIRROR))
+        screen_map = replace(screen_map, flags=np.where(beside != 0, beside, screen_map.flags))
+        edge = source.display_edge(screen_map, facet_index >= 0, located.margin_px)
         screen_map = edge.screen_map
     with progress.stage("slopes"):
-        usable = usable_facets(located.facets, screen_map, masks.facet_index)
+        usable = usable_facets(located.facets, screen_map, facet_index)
         samples, align = usable.samples, choices.align is Align.NORMAL
         solution = solve_shape_of_pixels(setup, samples, located.pose.cam_from_mirror, align=align)
         surfaces = {sample.facet.name: surface for sample, surface in zip(samples, solution.surfaces, strict=True)}
         poses = {sample.facet.name: solution.cam_from_mirror @ sample.facet.ensemble_from_facet for sample in samples}
         images = {
-            name: measure_slopes(setup, screen_map, masks.facet_index == index, poses[name], surfaces[name])
+            name: measure_slopes(setup, screen_map, facet_index == index, poses[name], surfaces[name])
             for name, index in zip(surfaces, usable.numbers, strict=True)
         }
     with progress.stage("uncertainty"):
@@ -131,4 +134,4 @@ def evaluate_frames(
     off_m = setup.sigma_shift * setup.size_m
     mirror_m = (setup.cam_from_screen.inverse() @ solution.cam_from_mirror).translation_m
     sigma_turn = 0.5 * float(np.linalg.norm(off_m) / np.linalg.norm(mirror_m))
-    return Evaluation(located, screen_map, masks.facet_index, solution, images, maps, choices, doubts, sigma_turn)
+    return Evaluation(located, screen_map, facet_index, solution, images, maps, choices, doubts, sigma_turn)

@@ -12,10 +12,10 @@ from deflectometry.frames.repair import repair_frames
 from deflectometry.frames.sequence_checks import shorten_faults
 from deflectometry.fringes.known_point import KnownDisplayPoint
 from deflectometry.fringes.observation import Observation
-from deflectometry.fringes.phase import NoiseModel
 from deflectometry.fringes.screen_map import ScreenMapLimits
 from deflectometry.keys import DeflectometryMeasurement
 from deflectometry.setup.patterns import FringePattern
+from deflectometry.sources.noise_model import NoiseModel
 from heliogauge.doubts import Doubt, gather_doubts
 from heliogauge.errors import EstimationError, FailurePicture, InputError
 from heliogauge.images.photos import Frames

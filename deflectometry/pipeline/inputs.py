@@ -1,12 +1,15 @@
 """From measurement.toml to what the numeric modules work on: camera, screen, pattern, mirror."""
 
 from collections.abc import Collection
+from pathlib import Path
 
 import numpy as np
 
 from deflectometry.keys import (
+    BenchMeasurement,
     CameraParameters,
     DeflectometryMeasurement,
+    DotScreenSection,
     FacetSection,
     MirrorSection,
     PoseSection,
@@ -16,6 +19,7 @@ from deflectometry.keys import (
 from deflectometry.pose.find_pose import MirrorInput
 from deflectometry.pose.pose_observations import DistanceObservation, Knowledge, KnownPoints, UncertainPose
 from deflectometry.setup.camera_and_screen import RectangularScreen, Screen, Setup, TabulatedScreen
+from deflectometry.setup.dot_screen import DotScreen
 from deflectometry.setup.patterns import Axis, FringePattern, FringeSet
 from deflectometry.setup.screen_table import check_screen_points, refuse_other_units
 from heliogauge.camera.distortion import BrownDistortion, DistortionDirection
@@ -36,7 +40,7 @@ TURN_RAD = 2 * np.pi
 LEAST_SPAN_DEG = 30.0
 
 
-def build_setup(measurement: DeflectometryMeasurement) -> Setup:
+def build_setup(measurement: BenchMeasurement) -> Setup:
     """Build camera and screen of a measurement.
 
     Returns: Camera, screen, their relative pose and its covariance.
@@ -55,7 +59,7 @@ def build_setup(measurement: DeflectometryMeasurement) -> Setup:
     )
 
 
-def _build_camera(measurement: DeflectometryMeasurement) -> Camera:
+def _build_camera(measurement: BenchMeasurement) -> Camera:
     section = measurement.model.camera
     if not isinstance(section, CameraParameters):
         return read_camera_json(measurement.path(section.file))
@@ -92,10 +96,12 @@ def _build_camera(measurement: DeflectometryMeasurement) -> Camera:
     )
 
 
-def _build_screen(measurement: DeflectometryMeasurement) -> Screen:
+def _build_screen(measurement: BenchMeasurement) -> Screen:
     section = measurement.model.screen
     if isinstance(section, RectangularScreenSection):
         return RectangularScreen(section.width_m, section.height_m)
+    if isinstance(section, DotScreenSection):
+        return _build_dots(measurement.path(section.file))
     names = ("u", "v", "x_m", "y_m", "z_m")
     file = measurement.path(section.file)
     columns = read_number_columns(file, names)
@@ -104,6 +110,20 @@ def _build_screen(measurement: DeflectometryMeasurement) -> Screen:
         return TabulatedScreen(columns[0], columns[1], columns[2:].T)
     except InputError as error:
         raise InputError(f"{file}: {error}") from None
+
+
+def _build_dots(file: Path) -> DotScreen:
+    column, row, *places = read_number_columns(file, ("column", "row", "x_m", "y_m", "z_m"))
+    try:
+        return DotScreen.from_table(column, row, np.stack(places, axis=1))
+    except InputError as error:
+        raise InputError(f"{file}: {error}") from None
+
+
+def pattern_words(pattern: FringePattern) -> str:
+    """Say what fringes were shown."""
+    listed = ", ".join(f"{one.axis} {one.periods:g} periods x {one.n_frames} steps" for one in pattern.sets)
+    return f"{pattern.n_frames} frames: {listed}"
 
 
 def build_pattern(measurement: DeflectometryMeasurement) -> FringePattern:
@@ -122,7 +142,7 @@ def build_pattern(measurement: DeflectometryMeasurement) -> FringePattern:
     )
 
 
-def _known_pose(section: PoseSection | RectangularScreenSection | TabulatedScreenSection) -> UncertainPose:
+def _known_pose(section: PoseSection) -> UncertainPose:
     turn_rad = float(np.linalg.norm(section.rotation_vector_rad))
     if turn_rad > TURN_RAD:
         raise InputError(
@@ -201,7 +221,7 @@ def build_knowledge(section: MirrorSection, setup: Setup) -> Knowledge:
     )
 
 
-def describe_mirror(measurement: DeflectometryMeasurement, setup: Setup) -> MirrorInput:
+def describe_mirror(measurement: BenchMeasurement, setup: Setup) -> MirrorInput:
     """Put together what the file states of the mirror."""
     section = measurement.model.mirror
     return MirrorInput(
@@ -213,7 +233,7 @@ def describe_mirror(measurement: DeflectometryMeasurement, setup: Setup) -> Mirr
     )
 
 
-def inputs_without_sigma(measurement: DeflectometryMeasurement, setup: Setup) -> frozenset[str]:
+def inputs_without_sigma(measurement: BenchMeasurement, setup: Setup) -> frozenset[str]:
     """Return the keys of inputs for which no sigma is given; a sigma of 0.0 is a statement.
 
     Camera and pose of the screen count where none of their sigmas is given, each size of the screen by itself.
@@ -255,7 +275,7 @@ def _states_sigma(section: Section, beginnings: tuple[str, ...]) -> bool:
     return any(key.startswith(beginnings) for key in section.model_fields_set)
 
 
-def check_screen(measurement: DeflectometryMeasurement, screen: Screen) -> Doubt | None:
+def check_screen(measurement: BenchMeasurement, screen: Screen) -> Doubt | None:
     """Return a doubt where points of the screen's table stand out of the others."""
     section = measurement.model.screen
     if not isinstance(section, TabulatedScreenSection) or not isinstance(screen, TabulatedScreen):

@@ -12,7 +12,6 @@ from deflectometry.pipeline.headline import Numbers, flag_words, geometry, headl
 from deflectometry.pipeline.stated_inputs import INPUTS_FILE, StatedInput, inputs_table
 from deflectometry.pose.adjust_pose import MirrorPose
 from deflectometry.setup.camera_and_screen import Setup
-from deflectometry.setup.patterns import FringePattern
 from deflectometry.shape.facet_canting import CANTING_FILE, CANTING_SIGN, MOUNTS_FILE, FacetCanting
 from deflectometry.shape.pixel_slopes import bounding_box
 from heliogauge.flags import SampleFlag
@@ -40,8 +39,8 @@ class Result(InstrumentResult):
     ----------
     setup : Setup
         Camera and screen as used.
-    pattern : FringePattern
-        What was shown.
+    pattern : str
+        What was shown, in words.
     evaluation : Evaluation
         Poses, pixels and the map of each facet as measured.
     maps : dict of str to SlopeMap
@@ -70,7 +69,7 @@ class Result(InstrumentResult):
 
     kind: ClassVar[str] = "deflectometry"
     setup: Setup
-    pattern: FringePattern
+    pattern: str
     evaluation: Evaluation
     maps: dict[str, SlopeMap]
     assembled: SlopeMap
@@ -88,7 +87,7 @@ class Result(InstrumentResult):
             "frame": self.assembled.frame,
             "camera": f"{self.setup.camera.width_px} x {self.setup.camera.height_px} px",
             "screen": self.setup.screen.describe(),
-            "pattern": _pattern_words(self.pattern),
+            "pattern": self.pattern,
             "pose": self.evaluation.located.source,
             "pixels": flag_words(self.evaluation),
             "sigma": "1 standard deviation; slopes are those of the normal, a beam turns by twice as much",
@@ -187,11 +186,6 @@ def _outline_columns(evidence: MirrorPose) -> dict[str, FloatArray]:
     return {"x_px": x_px, "y_px": y_px, "residual_x_px": residual_x_px, "residual_y_px": residual_y_px}
 
 
-def _pattern_words(pattern: FringePattern) -> str:
-    listed = ", ".join(f"{one.axis} {one.periods:g} periods x {one.n_frames} steps" for one in pattern.sets)
-    return f"{pattern.n_frames} frames: {listed}"
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class _Pixels:
     """What the pixels saw, in the part of the image that holds the mirror."""
@@ -230,6 +224,10 @@ def _pixels(evaluation: Evaluation) -> _Pixels:
         for key, value in values.items():
             np.copyto(arrays[key][target], value, where=own, casting="same_kind")
         np.copyto(flags[target], image.flags, where=own)
+    if evaluation.screen_map.grid.spacing_px > 1:
+        rows, columns = np.mgrid[part]
+        places = screen_map.grid.pixels_px(rows, columns)
+        arrays |= {"image_x_px": places[..., 0], "image_y_px": places[..., 1]}
     arrays |= {
         "u": screen_map.u[part],
         "v": screen_map.v[part],

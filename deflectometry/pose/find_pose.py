@@ -3,12 +3,12 @@
 from dataclasses import dataclass
 from functools import partial
 
-from deflectometry.fringes.observation import Observation
 from deflectometry.pose.adjust_pose import MirrorPose, pose_from_outline, pose_from_points
 from deflectometry.pose.given_pose import check_given_pose
 from deflectometry.pose.pose_observations import Knowledge, UncertainPose
 from deflectometry.pose.pose_without_outline import outline_from_image
 from deflectometry.setup.camera_and_screen import Setup
+from deflectometry.sources.source import Source
 from heliogauge.doubts import Doubt, gather_doubts
 from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.geometry.surfaces import Facet, Quadric
@@ -58,32 +58,30 @@ class LocatedMirror:
     edge_width_px: float = float("nan")
 
 
-def find_pose(observation: Observation, setup: Setup, mirror: MirrorInput) -> LocatedMirror:
+def find_pose(source: Source, setup: Setup, mirror: MirrorInput) -> LocatedMirror:
     """Find where the mirror is: from the pose as given, from its outline, or from its reflection alone.
 
-    observation: Frames and pattern.
+    source: Images that show the mirror.
     setup: Camera and screen.
     EstimationError: No mirror in view, or an outline that does not fit.
     """
-    image = observation.lit
-    if image is None:
-        image = observation.modulation_image()
+    image = source.mirror_image()
     if mirror.facets and mirror.known_pose is not None:
         checked = check_given_pose(image, setup.camera, mirror.facets, mirror.known_pose)
-        source = f"given in measurement.toml; its outline lies {checked.residual_rms_px:.3f} px RMS off the edges"
+        words = f"given in measurement.toml; its outline lies {checked.residual_rms_px:.3f} px RMS off the edges"
         return LocatedMirror(
             mirror.facets,
             mirror.known_pose,
             checked.margin_px,
-            source,
+            words,
             checked.outline_pose,
             doubts=gather_doubts(checked.doubt),
             edge_width_px=checked.edge_width_px,
         )
     if not mirror.facets:
-        return _find_without_outline(observation, image, setup, mirror)
+        return _find_without_outline(source, image, setup, mirror)
     evidence = pose_from_outline(image, setup.camera, mirror.facets, mirror.knowledge)
-    source = (
+    words = (
         f"outline in the image: {evidence.n_points} edge points, residual {evidence.residual_rms_px:.3f} px RMS, "
         f"{evidence.n_rejected} rejected"
     )
@@ -91,7 +89,7 @@ def find_pose(observation: Observation, setup: Setup, mirror: MirrorInput) -> Lo
         mirror.facets,
         evidence.uncertain_pose,
         evidence.mask_margin_px,
-        source,
+        words,
         evidence.cam_from_mirror,
         evidence,
         evidence.doubts,
@@ -99,24 +97,22 @@ def find_pose(observation: Observation, setup: Setup, mirror: MirrorInput) -> Lo
     )
 
 
-def _find_without_outline(
-    observation: Observation, image: Float32Array, setup: Setup, mirror: MirrorInput
-) -> LocatedMirror:
+def _find_without_outline(source: Source, image: Float32Array, setup: Setup, mirror: MirrorInput) -> LocatedMirror:
     """Make a facet from what is seen: the outline from the image, the pose from the reflection and the distance."""
     rough = outline_from_image(image)
-    screen_map = observation.screen_map(rough.region)
+    screen_map = source.screen_map(rough.region)
     evidence = None
     if mirror.known_pose is not None:
-        pose, source = mirror.known_pose, "given in measurement.toml (no outline given)"
+        pose, words = mirror.known_pose, "given in measurement.toml (no outline given)"
     elif len(mirror.knowledge.points.points_m):
         evidence = pose_from_points(setup.camera, mirror.knowledge)
         pose = evidence.uncertain_pose
-        source = f"{evidence.n_points} known points, residual {evidence.residual_rms_px:.3f} px RMS (no outline given)"
+        words = f"{evidence.n_points} known points, residual {evidence.residual_rms_px:.3f} px RMS (no outline given)"
     else:
         reflect = partial(rough.pose, screen_map, mirror.knowledge, mirror.design)
         pose = UncertainPose(*reflect(setup), lambda other: reflect(other)[0])
-        source = "reflection at the middle of the mirror and the measured distance (no outline given)"
+        words = "reflection at the middle of the mirror and the measured distance (no outline given)"
     facet = rough.facet(mirror.name, mirror.design, setup.camera, pose.cam_from_mirror)
     doubts = () if evidence is None else evidence.doubts
     width_px = rough.edge_width_px
-    return LocatedMirror((facet,), pose, rough.margin_px, source, pose.cam_from_mirror, evidence, doubts, width_px)
+    return LocatedMirror((facet,), pose, rough.margin_px, words, pose.cam_from_mirror, evidence, doubts, width_px)

@@ -181,7 +181,8 @@ class OutlineSearch:
         )
         found = np.isfinite(measured.offset_px)
         # An edge with less than half the usual step is that of something else.
-        found[found] = measured.contrast_dn[found] > 0.5 * np.median(measured.contrast_dn[found])
+        if found.any():
+            found[found] = measured.contrast_dn[found] > 0.5 * np.median(measured.contrast_dn[found])
         if found.sum() < 8:
             raise EstimationError(
                 f"only {int(found.sum())} edge points of the mirror were found along its expected outline; check"

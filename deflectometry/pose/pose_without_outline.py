@@ -5,11 +5,11 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from deflectometry.fringes.screen_map import ScreenMap
 from deflectometry.pose.mirrors_in_image import find_mirrors, measure_edges
 from deflectometry.pose.outline_edges import edge_margin_px
 from deflectometry.pose.pose_observations import DistanceObservation, Knowledge
 from deflectometry.setup.camera_and_screen import Setup
+from deflectometry.sources.screen_map import ScreenMap
 from heliogauge.camera.model import Camera
 from heliogauge.errors import EstimationError, InputError
 from heliogauge.geometry.rigid import RigidTransform, rotation_between, rotation_from_vector

@@ -6,9 +6,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from deflectometry.fringes.screen_map import ScreenMap
 from deflectometry.setup.camera_and_screen import Setup
 from deflectometry.shape.smooth_shape import FacetSamples, RoundLimits, ShapeSolution, solve_shape
+from deflectometry.sources.screen_map import ScreenMap
 from heliogauge.doubts import Doubt
 from heliogauge.errors import EstimationError
 from heliogauge.flags import FLAG_TEXTS, SampleFlag, count_flags
@@ -73,7 +73,7 @@ def usable_facets(facets: Sequence[Facet], screen_map: ScreenMap, facet_index: n
         most = max(ALIGN_PIXELS // len(facets), SHAPE_PIXELS)
         chosen = usable[spread_indices(usable.size, most)]
         row, column = np.divmod(chosen, facet_index.shape[1])
-        pixels = np.stack([column, row], axis=-1).astype(np.float64)
+        pixels = screen_map.grid.pixels_px(row, column)
         found.numbers.append(index)
         found.samples.append(PixelSamples(facet, pixels, screen_map.u.flat[chosen], screen_map.v.flat[chosen]))
     if not found.samples:

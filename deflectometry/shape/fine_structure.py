@@ -81,7 +81,8 @@ def _slopes_by_display(
 
 def _blur_share(image: SlopeImage, edge_width_px: float) -> FloatArray:
     """Return the share of the waviness that a blur as wide as the edges takes away, shape (2,)."""
-    blur_px = edge_blur_px(edge_width_px)
+    # In samples: those of a lattice are many pixels apart.
+    blur_px = edge_blur_px(edge_width_px) / image.grid.spacing_px
     seen = np.isfinite(image.slope_x) & np.isfinite(image.slope_y)
     if not blur_px > 0 or np.count_nonzero(seen) < _FEWEST_PIXELS:
         return np.zeros(2)

@@ -135,7 +135,7 @@ def grid_slopes(
     nodes = grid_x[aperture], grid_y[aperture]
     height_m = surface.height(*nodes)
     pixels = camera.project(cam_from_facet.apply(np.stack([*nodes, height_m], axis=-1)))
-    pixels -= np.array([image.column, image.row])
+    pixels = image.grid.places(pixels) - np.array([image.column, image.row])
     sample = _sample(image, surface, pixels, int(max(1, round(step_m / image.footprint_m))))
     if not np.isfinite(sample.residual).any():
         raise EstimationError(f"grid: no pixel of facet {facet.name} has a slope; see the flags of pixels.nc")

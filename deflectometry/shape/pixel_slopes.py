@@ -1,13 +1,14 @@
 """Slopes of every pixel of a facet, with the random share of their uncertainty."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
-from deflectometry.fringes.screen_map import ScreenMap
 from deflectometry.setup.camera_and_screen import Setup
 from deflectometry.shape.smooth_shape import FittedSurface, slope_sensitivity, slopes_at
+from deflectometry.sources.sample_grid import PixelGrid, SampleGrid
+from deflectometry.sources.screen_map import ScreenMap
 from heliogauge.flags import REJECTED, SampleFlag
 from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.validate import AnyFloatArray, BoolArray, FlagArray, Float32Array, FloatArray, IntArray
@@ -24,11 +25,12 @@ _SPACED_PIXELS = 50_000
 class SlopeImage:
     """Slopes of one facet on the pixels of its bounding box.
 
-    row, column: Image position of the first pixel.
+    row, column: Place of the first sample in the grid of all samples.
     x_m, y_m (h, w): Where the pixel's line of sight meets the surface, facet frame [m]; NaN outside the facet.
     slope_x, slope_y (h, w): Measured dz/dx and dz/dy; NaN where rejected.
     sigma_x, sigma_y (h, w): Random standard deviation of the slopes from the noise of the frames [rad].
     flags (h, w): Bits of `heliogauge.flags.SampleFlag`.
+    grid: Where the samples lie in the image.
     """
 
     row: int
@@ -40,6 +42,7 @@ class SlopeImage:
     sigma_x: Float32Array
     sigma_y: Float32Array
     flags: FlagArray
+    grid: SampleGrid = field(default_factory=PixelGrid)
 
     @property
     def footprint_m(self) -> float:
@@ -103,7 +106,7 @@ def measure_slopes(
     along_u, along_v = facet_from_cam.rotate(screen_directions(setup))
     for index in pixel_blocks(region[rows, columns]):
         row, column = np.divmod(index, shape[1])
-        pixels = np.stack([column + float(columns.start), row + float(rows.start)], axis=-1)
+        pixels = screen_map.grid.pixels_px(row + rows.start, column + columns.start)
         points = surface.intersect(camera, facet_from_cam.rotation @ setup.camera.cast_rays(pixels).T)
         local = setup.screen.points_m(u[index], v[index])
         screen = facet_from_screen.rotation @ local.T + facet_from_screen.translation_m[:, None]
@@ -114,7 +117,7 @@ def measure_slopes(
         for image, values in zip(results, (points[0], points[1], *slopes, *sigmas), strict=True):
             image[index] = values
     _reject(flags, (slope_x, slope_y, sigma_x, sigma_y), region[rows, columns], x_m)
-    return SlopeImage(rows.start, columns.start, x_m, y_m, slope_x, slope_y, sigma_x, sigma_y, flags)
+    return SlopeImage(rows.start, columns.start, x_m, y_m, slope_x, slope_y, sigma_x, sigma_y, flags, screen_map.grid)
 
 
 def _reject(flags: FlagArray, values: Sequence[AnyFloatArray], region: BoolArray, x_m: FloatArray) -> None:

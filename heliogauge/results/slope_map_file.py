@@ -54,6 +54,8 @@ PIXEL_VARIABLES: dict[str, tuple[str, str]] = {
     "sigma_u": ("1", "standard deviation of u"),
     "sigma_v": ("1", "standard deviation of v"),
     "modulation_dn": ("DN", "amplitude of the fringes in the images"),
+    "image_x_px": ("px", "where the sample is in the image, to the right"),
+    "image_y_px": ("px", "where the sample is in the image, down"),
     "residual_dn": ("DN", "rms of the frames about their sinusoid"),
     "facet": ("1", "number of the facet, from 1; 0 is none"),
     "flag": ("1", "why a pixel is missing or doubtful"),

@@ -17,6 +17,7 @@ from tests.architecture.source_tree import PACKAGES, REPOSITORY
 PIPELINES = {
     "deflectometry.pipeline.measure": "deflectometry",
     "deflectometry.poses.pipeline.measure": "deflectometry",
+    "deflectometry.dots.pipeline.measure": "deflectometry",
     "photogrammetry.pipeline.measure": "photogrammetry",
     "observer.pipeline.measure": "observer",
     "calibration.screen.pipeline": "screen",

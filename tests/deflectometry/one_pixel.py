@@ -11,12 +11,12 @@ from deflectometry.fringes.phase import (
     QUANTISATION_VARIANCE_DN2,
     TURN_RAD,
     LightResponse,
-    NoiseModel,
     estimate_noise,
     linear_light,
     solve_steps,
     wrap_phase,
 )
+from deflectometry.sources.noise_model import NoiseModel
 from heliogauge.errors import InputError
 from heliogauge.validate import FloatArray, freeze
 

@@ -11,6 +11,7 @@ import h5py
 import numpy as np
 import pytest
 
+from deflectometry.dots.keys import load_dots
 from deflectometry.exchange.measure_slopes import load_slopes
 from deflectometry.exchange.measure_slopes import run as run_slopes
 from deflectometry.exchange.opencsp_files import (
@@ -23,7 +24,9 @@ from deflectometry.exchange.opencsp_files import (
 from deflectometry.exchange.opencsp_import import OpencspOptions, import_opencsp
 from deflectometry.exchange.slope_files import read_slopes
 from deflectometry.keys import load_deflectometry
+from deflectometry.pipeline.inputs import build_setup
 from deflectometry.pipeline.measure import Options, run
+from deflectometry.setup.dot_screen import DotScreen
 from heliogauge.errors import InputError
 from heliogauge.geometry.rigid import RigidTransform
 
@@ -229,9 +232,9 @@ def test_camera_for_another_image_size_is_refused(files: dict[str, Path], tmp_pa
         _import(files, tmp_path / "out")
 
 
-def test_fixed_pattern_and_foreign_files_are_refused_in_words(files: dict[str, Path], tmp_path: Path) -> None:
+def test_incomplete_and_foreign_files_are_refused_in_words(files: dict[str, Path], tmp_path: Path) -> None:
     fixed = _write_h5(tmp_path / "fixed.h5", {"MeasurementSofastFixed/image": np.zeros((3, 3))})
-    with pytest.raises(InputError, match="only fringe measurements can be imported"):
+    with pytest.raises(InputError, match="holds no 'dist_optic_screen'"):
         read_opencsp_file(fixed)
     foreign = _write_h5(tmp_path / "foreign.h5", {"Something": 1.0})
     with pytest.raises(InputError, match="nothing of a fringe measurement"):
@@ -378,3 +381,26 @@ def test_a_mirror_imported_as_two_facets_is_evaluated_facet_by_facet(shared_data
         assert one.measured_share > 0.9
         expected = np.broadcast_to(one.x_m / 200, one.shape)
         np.testing.assert_allclose(one.design_slope_x[one.valid], expected[one.valid], atol=1e-12)
+
+
+def test_a_photo_of_dots_becomes_a_measurement(files: dict[str, Path], tmp_path: Path) -> None:
+    photo = np.random.default_rng(2).integers(0, 255, (6, 8), dtype=np.uint8)
+    column, row = np.arange(-3, 4), np.arange(-2, 3)
+    places = np.random.default_rng(3).normal(size=(5, 7, 3))
+    places[0] = np.nan
+    record = {"image": photo, "origin": [3.2, 2.1], "dist_optic_screen": 9.5, "v_measure_point_facet": [0.0, 0.1, 0.0]}
+    table = {"x_dot_index": column, "y_dot_index": row, "xyz_dot_loc": places}
+    fixed = _write_h5(tmp_path / "fixed.h5", {f"MeasurementSofastFixed/{key}": one for key, one in record.items()})
+    dots = _write_h5(tmp_path / "dots.h5", {f"DotLocationsFixedPattern/{key}": one for key, one in table.items()})
+    chosen = [files[name] for name in ("camera", "orientation", "facet")]
+    import_opencsp([fixed, dots, *chosen], tmp_path / "out", OpencspOptions(focal_length_m=50.0))
+    measurement = load_dots(tmp_path / "out")
+    assert np.array_equal(cv2.imread(str(measurement.path("photo.png")), cv2.IMREAD_UNCHANGED), photo)
+    screen = build_setup(measurement).screen
+    assert isinstance(screen, DotScreen)
+    # Rows count upwards; those without places are not in the table.
+    assert screen.places_m(np.array([-3, 2]), np.array([-1, 2])) == pytest.approx(places[[1, 4], [0, 5]])
+    assert not screen.has(column[:1], row[:1])[0]
+    assert measurement.model.pattern.origin == "light"
+    with pytest.raises(InputError, match="places of the dots"):
+        import_opencsp([fixed, *chosen], tmp_path / "other")

@@ -8,8 +8,8 @@ from calibration.screen import ScreenResponse
 from deflectometry.frames.frame_model import Oddity, OddityKind, estimate_frames
 from deflectometry.frames.light_checks import FaultKind
 from deflectometry.frames.repair import repair_frames
-from deflectometry.fringes.phase import NoiseModel
 from deflectometry.setup.patterns import Axis, FringePattern, make_pattern
+from deflectometry.sources.noise_model import NoiseModel
 from tests.deflectometry.fringe_drawing import Scene
 
 PATTERN = make_pattern([0.9, 3.9, 15.9, 63.9], [0.9, 3.9, 15.9, 63.9])

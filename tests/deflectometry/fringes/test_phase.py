@@ -6,14 +6,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from calibration.screen import ScreenResponse
-from deflectometry.fringes.phase import (
-    NoiseModel,
-    estimate_noise,
-    residual_distortion,
-    solve_steps,
-    wrap_phase,
-)
+from deflectometry.fringes.phase import estimate_noise, residual_distortion, solve_steps, wrap_phase
 from deflectometry.setup.patterns import equal_steps
+from deflectometry.sources.noise_model import NoiseModel
 from heliogauge.errors import EstimationError, InputError
 from tests.deflectometry.one_pixel import fit_phase
 

@@ -8,9 +8,10 @@ import pytest
 
 from calibration.screen import ScreenResponse
 from deflectometry.frames.sequence_checks import FaultKind, check_frames
-from deflectometry.fringes.phase import NoiseModel
-from deflectometry.fringes.screen_map import ScreenMap, ScreenMapLimits, measure_screen_map, modulation_image
+from deflectometry.fringes.screen_map import ScreenMapLimits, measure_screen_map, modulation_image
 from deflectometry.setup.patterns import Axis, FringePattern, FringeSet, equal_steps, make_pattern
+from deflectometry.sources.noise_model import NoiseModel
+from deflectometry.sources.screen_map import ScreenMap
 from heliogauge.errors import EstimationError, InputError
 from heliogauge.flags import SampleFlag
 from tests.deflectometry.fringe_drawing import Scene

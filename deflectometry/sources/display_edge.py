@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from deflectometry.fringes.screen_map import ScreenMap
+from deflectometry.sources.screen_map import ScreenMap
 from heliogauge.doubts import Doubt
 from heliogauge.flags import SampleFlag
 from heliogauge.validate import BoolArray, Float32Array

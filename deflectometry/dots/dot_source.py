@@ -1,0 +1,153 @@
+"""A photo of a field of dots as a source: each dot is a sample, where the photo shows it."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from deflectometry.dots.found_dots import FoundDots
+from deflectometry.setup.dot_screen import DotScreen
+from deflectometry.sources.display_edge import DisplayEdge
+from deflectometry.sources.noise_model import NoiseModel
+from deflectometry.sources.sample_grid import LatticeGrid
+from deflectometry.sources.screen_map import ScreenMap
+from heliogauge.errors import EstimationError
+from heliogauge.flags import SampleFlag
+from heliogauge.short_repr import ShortRepr
+from heliogauge.validate import BoolArray, Float32Array, FloatArray, freeze
+
+#: Share of a line of the field's dots that must be seen for the mirror to look past it: a tenth.
+_LEAST_LINE = 0.1
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DotSource(ShortRepr):
+    """The dots of a photo with their places in the pattern.
+
+    image (h, w): The mirror without the dots: its ground [DN].
+    dots: The dots, numbered as in the table; None before they are.
+    screen: The field of dots.
+    """
+
+    image: Float32Array
+    dots: FoundDots | None
+    screen: DotScreen
+
+    @property
+    def size_px(self) -> tuple[int, int]:
+        """Width and height of the images [px]."""
+        return int(self.image.shape[1]), int(self.image.shape[0])
+
+    def mirror_image(self) -> Float32Array:
+        """Return an image in which the mirror is bright: the ground of the dots [DN]."""
+        return self.image
+
+    def screen_map(self, region: BoolArray) -> ScreenMap:
+        """Return which dot each sample sees; the samples stand in the rows and columns of the table.
+
+        EstimationError: The dots have no places in the pattern yet.
+
+        The centre's covariance in the photo becomes one in the pattern through the distances of neighbouring dots.
+        """
+        if self.dots is None:
+            raise EstimationError(
+                "which dots are seen follows from the mirror's pose, and that from outline_m; give [mirror] outline_m"
+            )
+        rows, columns = self.screen.shape
+        places = np.full((rows, columns, 2), np.nan)
+        covariance = np.full((rows, columns, 2, 2), np.nan)
+        contrast = np.full((rows, columns), np.nan, dtype=np.float32)
+        column, row = self.dots.number[:, 0] - self.screen.first[0], self.screen.first[1] - self.dots.number[:, 1]
+        there = (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
+        at = row[there], column[there]
+        places[at], covariance[at] = self.dots.centers_px[there], self.dots.covariance_px2[there]
+        contrast[at] = self.dots.contrast_dn[there]
+        measured = np.isfinite(places[..., 0]) & np.isfinite(self.screen.xyz_m[..., 0])
+        grid = LatticeGrid(_bridged(places))
+        sigma_u, sigma_v = _sigma_of_fractions(grid.places_px, covariance)
+        v, u = np.meshgrid(np.linspace(0.0, 1.0, rows), np.linspace(0.0, 1.0, columns), indexing="ij")
+        flags = np.where(measured, 0, int(SampleFlag.NOT_SEEN)).astype(np.uint32)
+        maps = [np.where(measured, one, np.nan) for one in (u, v, sigma_u, sigma_v)]
+        noise = NoiseModel(max(self.dots.residual_dn, 1e-6))
+        return ScreenMap(
+            freeze(maps[0]),
+            freeze(maps[1]),
+            freeze(maps[2].astype(np.float32)),
+            freeze(maps[3].astype(np.float32)),
+            freeze(contrast),
+            freeze(flags),
+            noise,
+            grid=grid,
+        )
+
+    def display_edge(self, screen_map: ScreenMap, region: BoolArray, margin_px: float) -> DisplayEdge:
+        """Say at which edges of the field the mirror shows its outermost dots; no dot is flagged, each is whole."""
+        seen = region & (screen_map.flags == 0)
+        lines = {"left": seen[:, 0], "right": seen[:, -1], "upper": seen[0], "lower": seen[-1]}
+        share = _LEAST_LINE * float(np.sqrt(float(np.count_nonzero(seen))))
+        names = tuple(name for name, line in lines.items() if np.count_nonzero(line) > share)
+        return DisplayEdge(screen_map, names, 0)
+
+    def exchanges(self) -> Iterator[tuple[str, "DotSource"]]:
+        """Yield what programs and people exchange: the sides of the photo."""
+        size = np.array(self.size_px) - 1.0
+        for words, signs in (
+            ("left and right of the photo are exchanged", (-1, 1)),
+            ("top and bottom of the photo are exchanged", (1, -1)),
+            ("the photo is turned by 180 deg", (-1, -1)),
+        ):
+            image = np.ascontiguousarray(self.image[:: signs[1], :: signs[0]])
+            dots = None
+            if self.dots is not None:
+                turned = np.where(np.array(signs) < 0, size - self.dots.centers_px, self.dots.centers_px)
+                covariance = self.dots.covariance_px2 * np.outer(signs, signs)
+                dots = replace(self.dots, centers_px=turned, covariance_px2=covariance)
+            yield words, replace(self, image=image, dots=dots)
+
+
+def _bridged(places_px: FloatArray) -> FloatArray:
+    """Put samples without a dot between their neighbours of row or column, where there are both."""
+    between = np.full((2, *places_px.shape), np.nan)
+    between[0, :, 1:-1] = 0.5 * (places_px[:, :-2] + places_px[:, 2:])
+    between[1, 1:-1] = 0.5 * (places_px[:-2] + places_px[2:])
+    count = np.isfinite(between).sum(axis=0)
+    bridged = np.nansum(between, axis=0) / np.maximum(count, 1)
+    gap = np.isnan(places_px) & (count > 0)
+    return np.where(gap, bridged, places_px)
+
+
+def _sigma_of_fractions(places_px: FloatArray, covariance_px2: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the standard deviations of u and v, each of shape (rows, columns).
+
+    Shapes: places_px (rows, columns, 2), covariance_px2 (rows, columns, 2, 2).
+    """
+    steps = np.stack([_steps(places_px, 1), _steps(places_px, 0)], axis=-1)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        determinant = steps[..., 0, 0] * steps[..., 1, 1] - steps[..., 0, 1] * steps[..., 1, 0]
+        inverse = np.stack(
+            [
+                np.stack([steps[..., 1, 1], -steps[..., 0, 1]], axis=-1),
+                np.stack([-steps[..., 1, 0], steps[..., 0, 0]], axis=-1),
+            ],
+            axis=-2,
+        )
+        inverse /= determinant[..., None, None]
+        own = np.einsum("...ij,...jk,...ik->...i", inverse, covariance_px2, inverse)
+    # At the end of a row that has but one neighbour across, those of the usual dot.
+    usual = np.nanmedian(own, axis=(0, 1))
+    own = np.where(np.isfinite(own), own, usual)
+    rows, columns = places_px.shape[:2]
+    return np.sqrt(own[..., 0]) / (columns - 1), np.sqrt(own[..., 1]) / (rows - 1)
+
+
+def _steps(places_px: FloatArray, axis: int) -> FloatArray:
+    """Return how the place in the photo changes from dot to dot along an axis: over both neighbours, or one."""
+    forward = np.full(places_px.shape, np.nan)
+    backward = forward.copy()
+    change = np.diff(places_px, axis=axis)
+    forward[tuple(slice(None, -1) if k == axis else slice(None) for k in range(2))] = change
+    backward[tuple(slice(1, None) if k == axis else slice(None) for k in range(2))] = change
+    both = np.stack([forward, backward])
+    count = np.isfinite(both).sum(axis=0)
+    total = np.nansum(both, axis=0)
+    return np.asarray(np.where(count > 0, total / np.maximum(count, 1), np.nan))

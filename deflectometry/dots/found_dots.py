@@ -1,0 +1,285 @@
+"""Dots of a pattern in a photo: found, centred to hundredths of a pixel, and given their places in a lattice."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from heliogauge.adjust.robust_scale import robust_scale
+from heliogauge.errors import EstimationError
+from heliogauge.validate import BoolArray, FloatArray, IntArray
+from photogrammetry.centers import Ellipse, TargetCenter, measure_centers
+from photogrammetry.detection import SearchLimits, find_candidates
+from photogrammetry.targets import Polarity
+
+#: Dots in a mirror are small and may be drawn out: nothing that the finder can see is left out beforehand.
+_SMALLEST_PX, _LARGEST_PX, _LEAST_CONTRAST_DN, _MOST_TILT_RAD = 3.0, 60.0, 8.0, 1.3
+#: Fewer dots than this have no lattice: a row and a column of five with what is between them.
+_FEWEST = 25
+#: Neighbours that may be the next ones of a lattice, and those whose usual steps hold around a dot.
+_NEXT, _AROUND = 8, 24
+#: Rounds in which the steps follow the lattice found with them; further ones change nothing on the photos tried.
+_ROUNDS = 4
+#: Right, left, down and up in numbers of columns and rows.
+_STEPS = np.array([[1, 0], [-1, 0], [0, 1], [0, -1]])
+_OPPOSITE = (1, 0, 3, 2)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FoundDots:
+    """Dots of one photo on one lattice.
+
+    centers_px (n, 2): Their centres (x, y) [px].
+    covariance_px2 (n, 2, 2): Covariances of the centres [px^2].
+    number (n, 2): Column and row in the lattice, counted from any of its dots; columns run to the right and rows down
+        in the image, as nearly as the lattice lets them.
+    contrast_dn (n,): Difference of dot and ground [DN].
+    residual_dn: Usual noise of a pixel about the fitted dots [DN].
+    n_coarse: Dots that no blurred disc fits: the last ones, with the centre of their outline.
+    """
+
+    centers_px: FloatArray
+    covariance_px2: FloatArray
+    number: IntArray
+    contrast_dn: FloatArray
+    residual_dn: float
+    n_coarse: int = 0
+
+    @property
+    def spacing_px(self) -> float:
+        """Usual distance of neighbouring dots [px]."""
+        from scipy.spatial import cKDTree
+
+        return float(np.median(cKDTree(self.centers_px).query(self.centers_px, 2)[0][:, 1]))
+
+    def renumbered(self, number: IntArray) -> "FoundDots":
+        """Return the dots with other columns and rows."""
+        return replace(self, number=number)
+
+
+def find_dots(image_dn: npt.NDArray[Any], region: BoolArray, polarity: Polarity) -> FoundDots:
+    """Find the dots that a mirror shows, and their lattice.
+
+    image_dn (h, w): Grey values [DN].
+    region (h, w): Pixels that see the mirror.
+    EstimationError: Too few dots, or dots that are not in rows and columns.
+
+    Dots that the search leaves out (small, beside dust) are measured where the lattice expects them.
+    """
+    limits = SearchLimits(_SMALLEST_PX, _LARGEST_PX, _LEAST_CONTRAST_DN, _MOST_TILT_RAD, (polarity,))
+    starts = [one.ellipse for one in find_candidates(image_dn, limits) if _sees(region, one.ellipse.center_px)]
+    if len(starts) < _FEWEST:
+        raise EstimationError(
+            f"the mirror shows {len(starts)} dots, fewer than {_FEWEST}; check exposure and focus, that the pattern is "
+            f"seen in the mirror, and whether its dots are {polarity.value.split('-')[0]}"
+        )
+    places = np.array([one.center_px for one in starts])
+    number = index_lattice(places)
+    on_lattice = number[:, 0] != _NO_NUMBER
+    chosen = [one for one, there in zip(starts, on_lattice, strict=True) if there]
+    places, number = places[on_lattice], number[on_lattice]
+    first = measure_centers(image_dn, chosen)
+    good = np.array([isinstance(one, TargetCenter) for one in first])
+    fitted = [one for one in first if isinstance(one, TargetCenter)]
+    if len(fitted) < _FEWEST:
+        raise EstimationError(
+            f"of {len(chosen)} dots only {len(fitted)} have a centre; check focus and exposure: dots need 4 px and more"
+        )
+    expected, their_number = _expected(places, number)
+    more = measure_centers(image_dn, [_like_neighbours(place, places, chosen) for place in expected])
+    there = np.array([isinstance(one, TargetCenter) for one in more], dtype=np.bool_)
+    fitted += [one for one in more if isinstance(one, TargetCenter)]
+    # What no blurred disc fits keeps the centre of its outline, as sure as those of its neighbours are.
+    off = np.array([one.center_px for one in first if isinstance(one, TargetCenter)]) - places[good]
+    coarse = np.diag([robust_scale(off[:, axis]) ** 2 for axis in (0, 1)])
+    n_coarse = int(np.count_nonzero(~good))
+    return FoundDots(
+        np.concatenate([[one.center_px for one in fitted], places[~good]]),
+        np.concatenate([[one.covariance_px2 for one in fitted], np.tile(coarse, (n_coarse, 1, 1))]),
+        np.concatenate([number[good], their_number[there], number[~good]]),
+        np.concatenate([[abs(one.contrast_dn) for one in fitted], np.full(n_coarse, np.nan)]),
+        float(np.median([one.residual_dn for one in fitted])),
+        n_coarse,
+    )
+
+
+def _sees(region: BoolArray, place_px: FloatArray) -> bool:
+    column, row = np.rint(place_px).astype(np.intp)
+    return bool(0 <= row < region.shape[0] and 0 <= column < region.shape[1] and region[row, column])
+
+
+#: Column and row of a dot that is on no lattice.
+_NO_NUMBER = np.iinfo(np.intp).min
+
+
+def index_lattice(places_px: FloatArray) -> IntArray:
+    """Give dots their columns and rows.
+
+    Shapes: places_px (n, 2).
+    Returns (n, 2): Column and row of the largest connected lattice; the smallest whole number where a dot is not on it.
+    EstimationError: No lattice, or one that contradicts itself.
+
+    Two dots are next to each other where each is the other's best for a step: so a missing dot or dust breaks single
+    links, never the numbers. The steps are those around each dot, which follow the lattice from place to place; the
+    numbers follow from the links, and a dot to which they give two numbers has none.
+    """
+    from scipy.spatial import cKDTree
+
+    count = len(places_px)
+    distances, near = cKDTree(places_px).query(places_px, min(_AROUND, count - 1) + 1)
+    distances, near = distances[:, 1:], near[:, 1:]
+    apart = places_px[near] - places_px[:, None]
+    angles = np.arctan2(apart[:, :4, 1], apart[:, :4, 0])
+    turn = float(np.angle(np.mean(np.exp(4j * angles)))) / 4
+    across = np.array([np.cos(turn), np.sin(turn)])
+    steps = np.tile(np.stack([across, [-across[1], across[0]]]) * float(np.median(distances[:, 0])), (count, 1, 1))
+    links = _links(near, apart, steps)
+    for _ in range(1, _ROUNDS):
+        steps = _steps_around(places_px, near, links, steps)
+        links = _links(near, apart, steps)
+    return _numbered(links)
+
+
+def _links(near: IntArray, apart: FloatArray, steps: FloatArray) -> IntArray:
+    """Return the next dot to the right, left, below and above, shape (n, 4); -1 where there is none.
+
+    Shapes: near (n, k), apart (n, k, 2).
+    steps (n, 2, 2): Step to the right and step down around each dot [px].
+    """
+    wanted = np.stack([steps[:, 0], -steps[:, 0], steps[:, 1], -steps[:, 1]], axis=1)
+    off = np.linalg.norm(apart[:, None, :_NEXT] - wanted[:, :, None], axis=-1)
+    best = np.take_along_axis(near[:, :_NEXT], off.argmin(axis=-1), axis=1)
+    # Farther off than half a step it is another place of the lattice.
+    best = np.where(off.min(axis=-1) < 0.5 * np.linalg.norm(wanted, axis=-1), best, -1)
+    mutual = np.stack([best[best[:, k], _OPPOSITE[k]] == np.arange(len(near)) for k in range(4)], axis=1) & (best >= 0)
+    return np.where(mutual, best, -1)
+
+
+def _steps_around(places_px: FloatArray, near: IntArray, links: IntArray, before: FloatArray) -> FloatArray:
+    """Return the usual step to the right and step down around each dot: the median of the links there."""
+    own = np.full((len(links), 2, 2), np.nan)
+    for axis, (onwards, back) in enumerate(((0, 1), (2, 3))):
+        both = np.full((len(links), 2, 2), np.nan)
+        for side, (link, sign) in enumerate(((onwards, 1.0), (back, -1.0))):
+            there = links[:, link] >= 0
+            both[there, side] = sign * (places_px[links[there, link]] - places_px[there])
+        linked = np.isfinite(both[..., 0]).any(axis=1)
+        own[linked, axis] = np.nanmean(both[linked], axis=1)
+    around = own[near]
+    known = np.isfinite(around[..., 0]).any(axis=1)
+    steps = before.copy()
+    for axis in range(2):
+        steps[known[:, axis], axis] = np.nanmedian(around[known[:, axis], :, axis], axis=1)
+    return steps
+
+
+def _numbered(links: IntArray) -> IntArray:
+    """Give the largest group of linked dots their numbers; one that two ways give two numbers has none.
+
+    A wrong link closes no cell of four dots, so cells come first: dots of cells that share a link are one patch. The
+    links between two patches then vote on how they belong together, the most votes first.
+    """
+    number, group = _patches(links)
+    usual = int(np.bincount(group).max())
+    if usual < max(_FEWEST, len(links) // 2):
+        raise EstimationError(
+            f"of {len(links)} dots only {usual} are in rows and columns of one lattice; check focus and that the "
+            "pattern's dots, not other spots, are seen in the mirror"
+        )
+    start, direction = np.nonzero(links >= 0)
+    end = links[start, direction]
+    while True:
+        between = group[start] != group[end]
+        if not between.any():
+            break
+        # The shift that the second patch needs for each link to hold.
+        first, second = start[between], end[between]
+        shift = number[first] + _STEPS[direction[between]] - number[second]
+        votes, counts = np.unique(np.column_stack([group[first], group[second], shift]), axis=0, return_counts=True)
+        keep, joined, *by = votes[int(np.argmax(counts))].tolist()
+        moved = group == joined
+        number[moved] += by
+        group[moved] = keep
+    largest = int(np.argmax(np.bincount(group)))
+    on_lattice = group == largest
+    holds = (number[end] - number[start] == _STEPS[direction]).all(axis=1)
+    agreeing, contradicting = (np.bincount(start[which], minlength=len(links)) for which in (holds, ~holds))
+    on_lattice &= agreeing > contradicting
+    number[~on_lattice | _shared(number, on_lattice)] = _NO_NUMBER
+    return number
+
+
+def _patches(links: IntArray) -> tuple[IntArray, IntArray]:
+    """Return the numbers of dots within their patch (n, 2), and the patch of each (n,): cells that share links.
+
+    A cell is a dot from which right and down leads to the same dot as down and right.
+    """
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import breadth_first_order, connected_components
+
+    count = len(links)
+    # A dot beyond all others stands for none: it leads to itself.
+    padded = np.vstack([np.where(links >= 0, links, count), np.full((1, 4), count)])
+    corner = np.arange(count)
+    right, down = padded[corner, 0], padded[corner, 2]
+    last = padded[right, 2]
+    closed = (last < count) & (last == padded[down, 0])
+    corner, right, down, last = corner[closed], right[closed], down[closed], last[closed]
+    start = np.concatenate([corner, down, corner, right])
+    end = np.concatenate([right, last, down, last])
+    step = np.repeat(np.array([0, 0, 2, 2]), len(corner))
+    graph = coo_matrix((step + 1, (start, end)), shape=(count, count)).tocsr()
+    graph.data[:] = 1
+    n_groups, group = connected_components(graph, directed=False)
+    way = {(a, b): _STEPS[k] for a, b, k in zip(start.tolist(), end.tolist(), step.tolist(), strict=True)}
+    number = np.zeros((count, 2), dtype=np.intp)
+    roots = np.full(n_groups, count)
+    np.minimum.at(roots, group, np.arange(count))
+    for root in roots[np.bincount(group) > 1].tolist():
+        order, parent = breadth_first_order(graph, root, directed=False)
+        for dot in order[1:].tolist():
+            before = int(parent[dot])
+            forward = way.get((before, dot))
+            number[dot] = number[before] + (forward if forward is not None else -way[dot, before])
+    return number, group
+
+
+def _shared(number: IntArray, on_lattice: BoolArray) -> BoolArray:
+    """Return which dots have the number of another one."""
+    shared = np.zeros(len(number), dtype=np.bool_)
+    rows = np.flatnonzero(on_lattice)
+    _, inverse, counts = np.unique(number[rows], axis=0, return_inverse=True, return_counts=True)
+    shared[rows] = counts[inverse.ravel()] > 1
+    return shared
+
+
+def _expected(places_px: FloatArray, number: IntArray) -> tuple[FloatArray, IntArray]:
+    """Return where further dots are expected, between or beside two of a row or column, and their numbers."""
+    low = number.min(axis=0) - 1
+    columns, rows = number.max(axis=0) - low + 2
+    grid = np.full((rows, columns, 2), np.nan)
+    column, row = (number - low).T
+    grid[row, column] = places_px
+    between = np.full((2, rows, columns, 2), np.nan)
+    between[0, :, 1:-1] = 0.5 * (grid[:, :-2] + grid[:, 2:])
+    between[1, 1:-1] = 0.5 * (grid[:-2] + grid[2:])
+    beyond = np.full((4, rows, columns, 2), np.nan)
+    beyond[0, :, 2:] = 2 * grid[:, 1:-1] - grid[:, :-2]
+    beyond[1, :, :-2] = 2 * grid[:, 1:-1] - grid[:, 2:]
+    beyond[2, 2:] = 2 * grid[1:-1] - grid[:-2]
+    beyond[3, :-2] = 2 * grid[1:-1] - grid[2:]
+    guess = grid.copy()
+    for guesses in (between, beyond):
+        open_to = np.isnan(guess[..., 0]) & np.isfinite(guesses[..., 0]).any(axis=0)
+        guess[open_to] = np.nanmean(guesses[:, open_to], axis=0)
+    wanted = np.isfinite(guess[..., 0]) & np.isnan(grid[..., 0])
+    row, column = np.nonzero(wanted)
+    return guess[wanted], np.stack([column, row], axis=-1) + low
+
+
+def _like_neighbours(place_px: FloatArray, places_px: FloatArray, shapes: Sequence[Ellipse]) -> Ellipse:
+    """Return the outline of a dot at a place, as large as those around it."""
+    nearest = np.argsort(np.linalg.norm(places_px - place_px, axis=1))[:4]
+    return Ellipse(place_px, np.mean([shapes[k].shape_px2 for k in nearest], axis=0))

@@ -1,0 +1,100 @@
+"""What measurement.toml of ``kind = "deflectometry-dots"`` may say, and how it is read."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal, Self
+
+from pydantic import Field, model_validator
+
+from deflectometry.keys import BenchMeasurement, BenchModel, DotScreenSection
+from heliogauge.errors import InputError
+from heliogauge.measurement.load import MEASUREMENT_FILE, read_measurement
+from heliogauge.measurement.models import Section, Text, Vector2
+
+
+class KnownDotSection(Section):
+    """A dot whose place in the photo is known: ``[pattern.known_dot]``."""
+
+    image_px: Vector2 = Field(description="Where it is in the photo, x and y, to half the distance of two dots [px].")
+    column: int = Field(0, description="Its column in the table of the dots.")
+    row: int = Field(0, description="Its row in the table of the dots.")
+
+
+class DotPatternSection(Section):
+    """The pattern that the mirror shows."""
+
+    dots: Literal["dark", "light"] = Field("dark", description="Dark dots on light ground, or light ones on dark.")
+    origin: Literal["light", "unmarked"] = Field(
+        "unmarked",
+        description="Whether a point light stands beside dot (0, 0); without, the geometry decides, with its odds.",
+    )
+    known_dot: KnownDotSection | None = Field(None, description="A dot whose place in the photo is known.")
+
+    @model_validator(mode="after")
+    def _one_origin(self) -> Self:
+        if self.origin == "light" and self.known_dot is not None:
+            raise ValueError('origin = "light" and [pattern.known_dot] are both given; leave one')
+        return self
+
+
+class DotsModel(BenchModel):
+    """The whole measurement.toml of ``kind = "deflectometry-dots"``."""
+
+    kind: Literal["deflectometry-dots"] = Field(description="A photo of a field of dots seen in a mirror.")
+    screen: DotScreenSection = Field(description="The field of dots: the place of each, and the pose of them all.")
+    photo: Text = Field(description="The photo in which the mirror shows the dots.")
+    pattern: DotPatternSection = Field(DotPatternSection(), description="The pattern that the mirror shows.")
+
+    def named_files(self) -> Iterator[tuple[str, str]]:
+        """Yield the key path and the text of every file that is named."""
+        yield "photo", self.photo
+        yield "screen.file", self.screen.file
+        if (camera := getattr(self.camera, "file", None)) is not None:
+            yield "camera.file", camera
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DotsMeasurement(BenchMeasurement):
+    """A checked measurement with dots.
+
+    model: What measurement.toml says.
+    """
+
+    model: DotsModel
+
+    @property
+    def input_files(self) -> tuple[Path, ...]:
+        """All files the measurement consists of, measurement.toml first."""
+        return (self.folder / MEASUREMENT_FILE, *(self.path(text) for _, text in self.model.named_files()))
+
+
+def load_dots(folder: Path) -> DotsMeasurement:
+    """Read and check the folder of a measurement with dots.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder with measurement.toml; the files it names are relative to it.
+
+    Returns
+    -------
+    DotsMeasurement
+        The measurement; every file it names exists.
+
+    Raises
+    ------
+    InputError
+        No such folder or file, not TOML, another kind, an unknown or missing key, or a value that cannot be.
+    """
+    file, model = read_measurement(folder, DotsModel)
+    missing = [f"{key} = {text!r}" for key, text in model.named_files() if not (folder / text).is_file()]
+    if missing:
+        raise InputError(f"{file}: {', '.join(missing)}: there is no such file in {folder}")
+    if model.screen.response_file is not None:
+        raise InputError(f"{file}: screen.response_file is for fringes; leave it out")
+    if model.mirror.facet:
+        raise InputError(
+            f"{file}: [[mirror.facet]]: dots are measured one facet at a time; give the outline_m of the facet"
+        )
+    return DotsMeasurement(folder, model)

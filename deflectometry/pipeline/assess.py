@@ -1,0 +1,126 @@
+"""From images in memory to a judged result: the stages that all sources share follow each other in `measure_source`."""
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+from deflectometry.keys import BenchMeasurement
+from deflectometry.pipeline.choices import Choices
+from deflectometry.pipeline.contradictions import refuse_contradictions
+from deflectometry.pipeline.curl_test import with_curl_contained
+from deflectometry.pipeline.evaluate import evaluate_source
+from deflectometry.pipeline.headline import canting_numbers, curl_numbers, facet_numbers, numbers_of_maps, pose_numbers
+from deflectometry.pipeline.inputs import build_mounts, check_missing_sigmas, check_screen, inputs_without_sigma
+from deflectometry.pipeline.plausibility import implausible, refuse_impossible, size_doubt
+from deflectometry.pipeline.result import Result
+from deflectometry.pipeline.setup_test import contradiction_of_setup, with_camera_contained
+from deflectometry.pipeline.stated_inputs import stated_inputs, unconfirmed_note, with_sigmas_of_images
+from deflectometry.pose.find_pose import MirrorInput
+from deflectometry.setup.camera_and_screen import Setup
+from deflectometry.setup.screen_table import check_beyond_table
+from deflectometry.shape.assemble import assemble_maps
+from deflectometry.shape.facet_canting import canting_of_facets, doubt_of_canting
+from deflectometry.sources.source import Source
+from heliogauge.doubts import Doubt, gather_doubts
+from heliogauge.errors import FailurePicture, showing
+from heliogauge.results.folder import hash_files
+from heliogauge.running.progress import Progress
+from heliogauge.short_repr import ShortRepr
+from heliogauge.slopes.removal import Removal, remove
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SourceMeasurement(ShortRepr):
+    """What a source gives to be evaluated.
+
+    measurement: What the file states.
+    source: Images that show known points in the mirror.
+    setup: Camera and screen, with what the source adds to their sigmas.
+    mirror: What is known of the mirror.
+    choices: How the slopes are reported.
+    pattern: What was shown, in words.
+    pictures: Shows the images where the evaluation fails.
+    input_files: Every file that was read.
+    doubts: What was found doubtful in the images.
+    is_adjusted: Whether camera and screen come from an adjustment of several poses.
+    """
+
+    measurement: BenchMeasurement
+    source: Source
+    setup: Setup
+    mirror: MirrorInput
+    choices: Choices
+    pattern: str
+    pictures: Callable[[], Iterable[FailurePicture]]
+    input_files: tuple[Path, ...]
+    doubts: tuple[Doubt, ...] = ()
+    is_adjusted: bool = False
+
+
+def measure_source(ready: SourceMeasurement, progress: Progress) -> Result:
+    """Evaluate the images of one source and judge the result.
+
+    Returns: Maps, samples, poses and doubts.
+    EstimationError: No mirror, no slopes, or a result that contradicts itself.
+    """
+    measurement, setup, mirror, choices = ready.measurement, ready.setup, ready.mirror, ready.choices
+    with showing(ready.pictures):
+        evaluation = evaluate_source(ready.source, setup, mirror, choices, progress)
+    refuse_impossible(setup, evaluation.solution.cam_from_mirror)
+    with progress.stage("stated inputs"):
+        # Curl is held against what was stated: sigmas enlarged for it would explain it away.
+        curls = {name: curl_numbers(one) for name, one in evaluation.maps.items()}
+        evaluation = with_curl_contained(evaluation, curls)
+        inputs, unstated = stated_inputs(setup, evaluation), inputs_without_sigma(measurement, setup)
+        contradiction = contradiction_of_setup(evaluation, inputs)
+        # Of several poses of one mirror the adjustment finds what the inputs are.
+        if not ready.is_adjusted:
+            evaluation = with_sigmas_of_images(evaluation, inputs, unstated, contradicted=contradiction is not None)
+            evaluation = evaluation if contradiction is None else contradiction.contained(evaluation)
+            evaluation = with_camera_contained(setup, evaluation)
+    facets, align = evaluation.located.facets, choices.align
+    as_measured = assemble_maps(facets, evaluation.maps, align, Removal.NOTHING)
+    maps = {name: remove(one, choices.removal) for name, one in evaluation.maps.items()}
+    assembled = assemble_maps(facets, maps, align, choices.removal)
+    with progress.stage("statistics"):
+        mounts_m = build_mounts(measurement.model.mirror)
+        cantings = canting_of_facets(facets, evaluation.maps, mounts_m) if len(facets) > 1 else ()
+        numbers = facet_numbers(assembled, as_measured) | pose_numbers(evaluation.located, evaluation)
+        numbers |= canting_numbers(cantings)
+        numbers_by_facet = numbers_of_maps(maps, evaluation.maps, cantings)
+        numbers |= next(iter(curls.values())) if len(facets) == 1 else {}
+        numbers_by_facet = {name: one | curls[name] for name, one in numbers_by_facet.items()}
+    doubts = gather_doubts(
+        check_screen(measurement, setup.screen),
+        ready.doubts,
+        check_missing_sigmas(unstated),
+        size_doubt(inputs, unstated),
+        evaluation.doubts,
+        check_beyond_table(setup.screen, *evaluation.screen_map.points_seen()),
+        doubt_of_canting(cantings),
+        implausible(numbers, numbers_by_facet, evaluation),
+    )
+    if contradiction is not None and not any(doubt.code == "slopes_of_no_surface" for doubt in doubts):
+        doubts = gather_doubts(doubts, contradiction.doubt)
+    doubts = gather_doubts(doubts, unconfirmed_note([one for one in inputs if one.key not in unstated]))
+    with progress.stage("check result"):
+        by_code = {doubt.code: doubt for doubt in doubts}
+        refuse_contradictions(ready.source, setup, mirror, evaluation, by_code)
+    with progress.stage("hash inputs"):
+        hashes = hash_files(ready.input_files, measurement.folder)
+    return Result(
+        setup,
+        ready.pattern,
+        evaluation,
+        maps,
+        assembled,
+        as_measured,
+        numbers,
+        numbers_by_facet,
+        cantings,
+        inputs,
+        name=measurement.model.name,
+        doubts=doubts,
+        durations_s=dict(progress.durations_s),
+        input_sha256=hashes,
+    )

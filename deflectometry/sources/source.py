@@ -1,0 +1,35 @@
+"""What a measurement needs of its source of known points; each source is a room of its own."""
+
+from collections.abc import Iterator
+from typing import Protocol, Self
+
+from deflectometry.sources.display_edge import DisplayEdge
+from deflectometry.sources.screen_map import ScreenMap
+from heliogauge.validate import BoolArray, Float32Array
+
+
+class Source(Protocol):
+    """Images in which a mirror shows known points."""
+
+    @property
+    def size_px(self) -> tuple[int, int]:
+        """Width and height of the images [px]."""
+
+    def mirror_image(self) -> Float32Array:
+        """Return an image in which the mirror is bright, shape (h, w) [DN]."""
+
+    def screen_map(self, region: BoolArray) -> ScreenMap:
+        """Measure which point of the screen each sample sees.
+
+        region (h, w): Pixels of the image that see the mirror.
+        """
+
+    def display_edge(self, screen_map: ScreenMap, region: BoolArray, margin_px: float) -> DisplayEdge:
+        """Say where the mirror looks past the screen, and flag what mixes both.
+
+        region: Samples on the mirror, in the rows and columns of the map.
+        margin_px: Half a pixel's diagonal and the blur of an edge [px].
+        """
+
+    def exchanges(self) -> Iterator[tuple[str, Self]]:
+        """Yield what programs and people exchange in images or pattern, in words, and the source put right."""
