@@ -41,7 +41,8 @@ def drone_tag(content: bytes) -> DroneTag | None:
     """Return where a photo was taken from the beginning of its file.
 
     content: The first `heliogauge.images.exif.EXIF_BYTES`, or more.
-    Returns: By XMP where it is there, which has more digits than EXIF; None where the file says nothing.
+    Returns: By XMP where it is there, which has more digits than EXIF; None where the file says nothing, or latitude
+        and longitude 0, as drones write before they have a position.
     """
     said = {}
     for name, attribute, element in _XMP.findall(content):
@@ -55,6 +56,8 @@ def drone_tag(content: bytes) -> DroneTag | None:
         if found is None:
             return None
         place = list(found)
+    if place[0] == place[1] == 0:
+        return None
     sigmas = tuple(said.get(name, np.nan) for name in _SIGMAS)
     is_known = np.isfinite(sigmas).all() and min(sigmas) > 0
     turns = tuple(said.get(name, np.nan) for name in _TURNS)

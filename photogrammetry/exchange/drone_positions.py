@@ -25,11 +25,13 @@ TURN_COLUMNS = ("yaw_deg", "pitch_deg", "roll_deg")
 _ENU_FROM_NED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 #: A line of a ``.MRK`` file: number, time, week, antenna to sensor [mm], place of the sensor ("after compensation"; DJI
 #: Matrice 4 user manual, p. 92), sigmas north, east, up [m], status 50 (fixed), 34 (float), 16 (single).
-_NUMBER = r"([-+]?[\d.]+)"
+_NUMBER = r"([-+]?(?:\d+\.?\d*|\.\d+))"
 _MRK = re.compile(
     rf"^(\d+)\s+{_NUMBER}\s+\[\d+\]\s+{_NUMBER},N\s+{_NUMBER},E\s+{_NUMBER},V\s+{_NUMBER},Lat\s+{_NUMBER},Lon\s+"
     rf"{_NUMBER},Ellh\s+{_NUMBER},\s*{_NUMBER},\s*{_NUMBER}\s+(\d+),Q"
 )
+#: Status of a line without a position.
+_NO_POSITION = 0
 #: DJI numbers the photos of a flight in their names.
 _NUMBER_IN_NAME = re.compile(r"_(\d{4})(?:_\w*)?\.\w+$")
 
@@ -91,11 +93,13 @@ def read_positions(path: Path, files: Sequence[Path], default_sigma_m: float) ->
         east_m, north_m, up_m; with sigma_east_mm, sigma_north_mm, sigma_up_mm, and yaw_deg, pitch_deg, roll_deg of the
         camera, where they are known.
     files: The photos; a ``.MRK`` file counts them by the numbers in their names, or else in their order.
-    default_sigma_m: Standard deviation where the log says none [m].
-    InputError: A file that is neither, a cell that is no number, or as many lines as no photos have.
+    default_sigma_m: Standard deviation where the log says none, or 0 in a ``.MRK`` file [m].
+    Returns: Of the photos that have a position.
+    InputError: A file that is neither, a cell that is no number, a photo or a number given twice, or as many lines as
+        no photos have.
     """
     if path.suffix.lower() == ".mrk":
-        return _read_mrk(path, files)
+        return _read_mrk(path, files, default_sigma_m)
     table = read_table_csv(path, ("image",))
     columns = next((one for one in (GEODETIC_COLUMNS, LOCAL_COLUMNS) if set(one) <= set(table)), None)
     if columns is None:
@@ -123,29 +127,41 @@ def read_positions(path: Path, files: Sequence[Path], default_sigma_m: float) ->
     return DronePositions(tuple(rows), values[:, :3], values[:, 3:6], values[:, 6:])
 
 
-def _read_mrk(path: Path, files: Sequence[Path]) -> DronePositions:
-    lines: dict[int, tuple[float, ...]] = {}
+def _read_mrk(path: Path, files: Sequence[Path], default_sigma_m: float) -> DronePositions:
+    lines: dict[int, tuple[float, ...] | None] = {}
     for number, text in enumerate(read_text(path, "a .MRK file").splitlines(), start=1):
         if not text.strip():
             continue
         found = _MRK.match(text.strip())
         if found is None:
             raise InputError(f"{path}, line {number}: not a line of a .MRK file: {text[:60]!r}")
-        lines[int(found[1])] = (
-            *map(float, (found[6], found[7], found[8], found[10], found[9], found[11])),
-            *(np.nan,) * 3,
-        )
+        count = int(found[1])
+        if count in lines:
+            raise InputError(f"{path}, line {number}: number {count} is given twice; give the log of one flight")
+        sigma = [float(found[k]) or default_sigma_m for k in (10, 9, 11)]
+        place = [float(found[k]) for k in (6, 7, 8)]
+        lines[count] = None if int(found[12]) == _NO_POSITION else (*place, *sigma, *(np.nan,) * 3)
     named = {file.name: _NUMBER_IN_NAME.search(file.name) for file in files}
+    found_lines: dict[str, tuple[float, ...] | None] = {}
     if all(named.values()):
-        rows = {name: lines[int(hit[1])] for name, hit in named.items() if hit and int(hit[1]) in lines}
+        numbers = {name: int(hit[1]) for name, hit in named.items() if hit}
+        # Lenses of one camera have letters of their own: DJI_0001_V.JPG, DJI_0001_W.JPG.
+        ends = [hit[0] for hit in named.values() if hit]
+        twice = [name for name, end in zip(numbers, ends, strict=True) if ends.count(end) > 1]
+        if twice:
+            raise InputError(
+                f"{path}: {' and '.join(sorted(twice)[:2])} have one number, as photos of two flights: which is whose? "
+                "Give a table with the column image instead"
+            )
+        found_lines = {name: lines.get(count) for name, count in numbers.items()}
     elif len(files) == len(lines):
-        rows = dict(zip([file.name for file in files], [lines[key] for key in sorted(lines)], strict=True))
+        found_lines = dict(zip([file.name for file in files], [lines[key] for key in sorted(lines)], strict=True))
     else:
         raise InputError(
             f"{path}: {len(lines)} lines for {len(files)} photos whose names have no numbers like DJI_0001.JPG: which "
             "is whose? Give a table with the column image instead"
         )
-    return _of_degrees(rows)
+    return _of_degrees({name: row for name, row in found_lines.items() if row is not None})
 
 
 def _of_degrees(rows: Mapping[str, tuple[float, ...]]) -> DronePositions:

@@ -3,12 +3,12 @@
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import permutations
-from math import comb
 from typing import NamedTuple
 
 import cv2
 import numpy as np
 
+from heliogauge.adjust.binomial_distribution import binomial_tail
 from heliogauge.adjust.chi_square import chi_square_limit
 from heliogauge.camera.model import Camera
 from heliogauge.errors import EstimationError, InputError
@@ -318,8 +318,7 @@ def _accidents(scene: _Scene, pose: RigidTransform, pairs: IntArray, tried: int)
     chance = min(len(scene.pixels) * float(area) / (scene.camera.width_px * scene.camera.height_px), 1.0)
     # Three targets were put on their dots.
     free, hits = max(int(inside.sum()) - 3, 1), len(pairs) - 3
-    tail = sum(comb(free, k) * chance**k * (1 - chance) ** (free - k) for k in range(hits, free + 1))
-    return float(tried * tail) if np.isfinite(pixels[inside]).all() else float("inf")
+    return tried * binomial_tail(hits, free, chance) if np.isfinite(pixels[inside]).all() else float("inf")
 
 
 class _Images(NamedTuple):

@@ -1,9 +1,11 @@
 """Whether a network is as large as the drone's own positions say: the only length of a flight that no target gives."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
+from heliogauge.adjust.chi_square import chi_square_limit
 from heliogauge.doubts import Doubt, Severity
 from heliogauge.errors import EstimationError
 from heliogauge.geometry.rigid import skew
@@ -12,6 +14,8 @@ from photogrammetry.bundle.adjustment import BundleResult
 
 #: Two photos have a distance; a third one says whether positions and network fit.
 _FEWEST = 3
+#: Positions are said not to fit where chance makes so large a misfit once in a thousand flights.
+_CHANCE = 1e-3
 #: A scale is contradicted from so many standard deviations on: by chance in 0.3 % of the flights.
 _CONTRADICTED = 3.0
 
@@ -20,15 +24,18 @@ _CONTRADICTED = 3.0
 class PositionScale:
     """Size of the flight by the drone's positions over that by the network.
 
-    ratio, sigma_ratio: The ratio and its standard deviation, of both together.
+    ratio, sigma_ratio: The ratio and its standard deviation, of both together; larger by the misfit where positions do
+        not fit (Birge, The calculation of errors by the method of least squares, 1932).
     photos: Photos with a position.
-    misfit: RMS of what a similarity leaves over what the positions' sigmas and the network let expect.
+    misfit: RMS of what a similarity leaves over what the positions' sigmas and the network let expect: 1 on average.
+    fits: Whether chance makes so much.
     """
 
     ratio: float
     sigma_ratio: float
     photos: int
     misfit: float
+    fits: bool
 
     @property
     def numbers(self) -> dict[str, float]:
@@ -41,11 +48,22 @@ class PositionScale:
 
     @property
     def doubts(self) -> tuple[Doubt, ...]:
-        """What contradicts the network."""
-        if abs(self.ratio - 1) < _CONTRADICTED * self.sigma_ratio:
-            return ()
-        return (
-            Doubt(
+        """What contradicts the network, or the positions themselves."""
+        return (*self._misfit_doubt(), *self._scale_doubt())
+
+    def _misfit_doubt(self) -> Iterator[Doubt]:
+        if not self.fits:
+            yield Doubt(
+                "positions_do_not_fit",
+                f"the drone's own positions are {self.misfit:.3g} times as far from the network's cameras as their "
+                "sigmas let expect, whatever the scale; the scale's sigma was enlarged by as much. Was the receiver "
+                "without corrections ([positions] sigma_mm), or does the log belong to another flight?",
+                {"positions_misfit_ratio": self.misfit, "photos_count": self.photos},
+            )
+
+    def _scale_doubt(self) -> Iterator[Doubt]:
+        if not abs(self.ratio - 1) < _CONTRADICTED * self.sigma_ratio:
+            yield Doubt(
                 "positions_contradict_scale",
                 f"the drone's own positions of {self.photos} photos say that the flight is {self.ratio:.4f} +- "
                 f"{self.sigma_ratio:.4f} times as large as by the network: lengths and coordinates of the targets, the "
@@ -56,8 +74,7 @@ class PositionScale:
                     "photos_count": self.photos,
                 },
                 Severity.SERIOUS,
-            ),
-        )
+            )
 
 
 def scale_by_positions(
@@ -101,10 +118,28 @@ def scale_by_positions(
     from_network = float(d_steps @ covariance @ d_steps) * ratio**2
     from_positions = float(((a @ turn.T) ** 2 * sigma_m**2).sum())
     left_over = b - ratio * a @ turn.T
-    expected = (sigma_m**2).sum()
-    return PositionScale(
-        ratio,
-        float(np.sqrt(from_network + from_positions)) / size,
-        len(photos),
-        float(np.sqrt((left_over**2).sum() / expected)),
-    )
+    n, moved = len(poses), ratio * turn @ np.array(steps)
+    joint = np.einsum("nij,njmk,mlk->niml", moved, covariance.reshape(n, 6, n, 6), moved, optimize=True)
+    joint = joint.reshape(3 * n, 3 * n) + np.diag(sigma_m.ravel() ** 2)
+    chi_square, redundancy = _beside_similarities(left_over, ratio * a @ turn.T, joint)
+    misfit = float(np.sqrt(chi_square / redundancy))
+    fits = chi_square < chi_square_limit(_CHANCE, redundancy)
+    sigma = float(np.sqrt(from_network + from_positions)) / size
+    return PositionScale(ratio, sigma if fits else sigma * misfit, len(photos), misfit, fits)
+
+
+def _beside_similarities(left_over: FloatArray, places: FloatArray, covariance: FloatArray) -> tuple[float, int]:
+    """Return the chi-square of what no small similarity of some places explains, and its degrees of freedom.
+
+    left_over, places (n, 3): What is left, and the places about their mean [m].
+    covariance (3 n, 3 n): Of what is left [m^2].
+
+    What is common to the whole network, as its frame and size by the list, is no misfit.
+    """
+    shifts = np.tile(np.eye(3), (len(places), 1))
+    turns = np.concatenate([-skew(place) for place in places])
+    similarities = np.column_stack([shifts, turns, places.ravel()])
+    whitened = np.linalg.solve(np.linalg.cholesky(covariance), np.column_stack([left_over.ravel(), similarities]))
+    rest = whitened[:, 0]
+    solved, _, rank, _ = np.linalg.lstsq(whitened[:, 1:], rest, rcond=None)
+    return float(((rest - whitened[:, 1:] @ solved) ** 2).sum()), rest.size - int(rank)

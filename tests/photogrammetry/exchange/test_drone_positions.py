@@ -119,6 +119,35 @@ def test_mrk_counts_photos_by_the_numbers_in_their_names(tmp_path: Path) -> None
         read_positions(log, [], 0.05)
 
 
+def test_mrk_lines_without_a_position_or_a_sigma(tmp_path: Path) -> None:
+    log = tmp_path / "flight.MRK"
+    nowhere = "8\t261340.1\t[2033]\t0,N\t0,E\t0,V\t0.0,Lat\t0.0,Lon\t0.0,Ellh\t0.0, 0.0, 0.0\t0,Q"
+    log.write_text("\n".join([mrk(0, 7).replace("0.012, 0.011, 0.025", "0.0, 0.0, 0.0"), nowhere, mrk(2, 9)]))
+    found = read_positions(log, [tmp_path / f"DJI_000{k}.JPG" for k in (7, 8, 9)], 0.05)
+    assert found.photos == ("DJI_0007.JPG", "DJI_0009.JPG")
+    np.testing.assert_allclose(found.enu_m[1] - found.enu_m[0], ENU_M[2] - ENU_M[0], atol=2e-4)
+    np.testing.assert_array_equal(found.sigma_m, [[0.05] * 3, DJI_SIGMA])
+
+
+def test_mrk_that_cannot_be_meant(tmp_path: Path) -> None:
+    log, one = tmp_path / "flight.MRK", [tmp_path / "DJI_0007.JPG"]
+    log.write_text(f"{mrk(0, 7)}\n{mrk(1, 7)}\n")
+    with pytest.raises(InputError, match="line 2: number 7 is given twice"):
+        read_positions(log, one, 0.05)
+    log.write_text(mrk(0, 7).replace(".025", ".0.25"))
+    with pytest.raises(InputError, match="line 1: not a line"):
+        read_positions(log, one, 0.05)
+    log.write_text(mrk(0, 7))
+    with pytest.raises(InputError, match=r"DJI_1_0007_V.JPG and DJI_2_0007_V.JPG have one number"):
+        read_positions(log, [tmp_path / f"DJI_{k}_0007_V.JPG" for k in (1, 2)], 0.05)
+    lenses = read_positions(log, [tmp_path / f"DJI_1_0007_{lens}.JPG" for lens in "VW"], 0.05)
+    assert len(lenses.photos) == 2
+
+
+def test_a_drone_without_a_position_yet() -> None:
+    assert drone_tag(jpeg(exif(0.0, 0.0, 12.0))) is None
+
+
 def test_tables(tmp_path: Path) -> None:
     table = tmp_path / "log.csv"
     table.write_text("image,east_m,north_m,up_m\na.png,1,2,3\nb.png,4,5,6\n")

@@ -6,7 +6,7 @@ import pytest
 from heliogauge.camera.distortion import BrownDistortion
 from heliogauge.camera.model import Camera
 from heliogauge.errors import EstimationError, InputError
-from photogrammetry.matching.assignment import Sense, assign_targets
+from photogrammetry.matching.assignment import Sense, assign_near, assign_targets
 from photogrammetry.matching.uncoded_names import ListedTargets
 from tests.photogrammetry.bundle_networks import look_at
 
@@ -110,3 +110,15 @@ def test_too_few_and_bad_values() -> None:
         ListedTargets(("a", "a"), np.zeros((2, 3)), np.ones((2, 3)))
     with pytest.raises(InputError, match="positive sigma"):
         ListedTargets(("a", "b"), np.zeros((2, 3)), np.array([[1, 1, 1], [0, 1, 1.0]]))
+
+
+def test_a_thousand_listed_targets() -> None:
+    """Their binomial coefficients are no floating-point numbers any more."""
+    rng = np.random.default_rng(3)
+    points = np.column_stack([rng.uniform(-3, 3, 1200), rng.uniform(0, 12, 1200), rng.uniform(0, 1, 1200)])
+    pixels, who, pose = photo(points, rng, missing=tuple(range(40, 1200)), false=4)
+    found = assign_near(CAMERA, pixels, covariances(pixels), listed(points, rng), pose)
+    assert found is not None
+    named = found.target_of_dot >= 0
+    assert np.mean(found.target_of_dot[named] == who[named]) > 0.9
+    assert np.isfinite(found.accidents)

@@ -18,8 +18,11 @@ SIGMA_M = np.array([0.02, 0.02, 0.04])
 PHOTOS, LISTED_M = 12, 5e-3
 
 
-def flight(seed: int, *, is_straight: bool, size: float = 1.0) -> PositionScale:
-    """Adjust a pass over listed targets, all with errors, and compare with positions ``size`` times apart."""
+def flight(seed: int, *, is_straight: bool, size: float = 1.0, worse: float = 1.0) -> PositionScale:
+    """Adjust a pass over listed targets, all with errors, and compare with positions ``size`` times apart.
+
+    worse: Errors of the positions over their sigmas.
+    """
     rng = np.random.default_rng([seed, int(is_straight)])
     points = np.column_stack([rng.uniform(-3, 3, (14, 2)), rng.uniform(0, 1, 14)])
     beside = np.zeros(PHOTOS) if is_straight else rng.uniform(-1.5, 1.5, PHOTOS)
@@ -37,7 +40,7 @@ def flight(seed: int, *, is_straight: bool, size: float = 1.0) -> PositionScale:
     bundle = adjust(BundleProblem(seen, (CameraModel("camera", free=()),), None, known), truth)
     antennas = np.array([pose.inverse().apply(LEVER_M) for pose in poses])
     world = RigidTransform(rotation_from_vector(np.array([0.1, -0.2, 2.0])), np.array([30.0, -20.0, 5.0]))
-    enu = size * world.apply(antennas) + SIGMA_M * rng.standard_normal(antennas.shape)
+    enu = size * world.apply(antennas) + worse * SIGMA_M * rng.standard_normal(antennas.shape)
     return scale_by_positions(bundle, np.arange(PHOTOS), enu, np.tile(SIGMA_M, (PHOTOS, 1)), LEVER_M)
 
 
@@ -49,7 +52,9 @@ def test_sigma_is_the_scatter(is_straight: bool) -> None:
     # Sixty pulls: mean +- 0.13, mean square 1 +- 0.18.
     assert abs(pulls.mean()) < 0.45
     assert 0.5 < np.mean(pulls**2) < 1.6
-    assert 0.7 < np.mean([one.misfit**2 for one in found]) < 1.2
+    # Chi-square of 29 over 29: the mean of sixty is 1 +- 0.034.
+    assert 0.88 < np.mean([one.misfit**2 for one in found]) < 1.12
+    assert sum(one.fits for one in found) >= 59
 
 
 def test_positions_say_where_the_list_is_too_small_and_are_silent_else() -> None:
@@ -59,6 +64,16 @@ def test_positions_say_where_the_list_is_too_small_and_are_silent_else() -> None
     wrong = flight(1, is_straight=True, size=1 + 6 * right.sigma_ratio)
     assert [one.code for one in wrong.doubts] == ["positions_contradict_scale"]
     assert wrong.ratio - right.ratio == pytest.approx(6 * right.sigma_ratio, rel=1e-2)
+
+
+@pytest.mark.slow
+def test_positions_without_corrections_contradict_themselves_not_the_list() -> None:
+    """Errors of two metres with sigmas of RTK: the scale's sigma is the scatter still."""
+    found = [flight(seed, is_straight=False, worse=100.0) for seed in range(20)]
+    assert all([one.code for one in each.doubts][:1] == ["positions_do_not_fit"] for each in found)
+    pulls = np.array([(one.ratio - 1) / one.sigma_ratio for one in found])
+    assert 0.4 < np.mean(pulls**2) < 1.9
+    assert sum(len(one.doubts) == 1 for one in found) >= 18
 
 
 def test_two_photos_say_nothing() -> None:
