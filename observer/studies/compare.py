@@ -46,8 +46,10 @@ from observer.trough.collector import Collector
 KIND = "observer-compare"
 FIGURE = "orientations.svg"
 CHANGES_FIGURE = "theta_r_change.svg"
-#: Spans whose supports differ by less are the same one [m].
+#: Spans whose supports, and panels whose edges differ by less are the same ones [m].
 _SAME_M = 0.05
+#: Angles are against the design: another focal length by so much changes them by 5 urad at the rim of a trough [m].
+_SAME_FOCAL_M = 1e-5
 #: A sag that departs from weight and bend by more than so many sigma is reported.
 _DOUBT_TIMES = 3.5
 
@@ -175,10 +177,8 @@ def run(folders: Sequence[Path]) -> Comparison:
     if len(folders) < 2:
         raise InputError(f"observer compare: {len(folders)} result given, two are needed")
     found = _with_own_labels([_read(folder) for folder in folders])
-    sizes = {(one.collector.aperture_width_m, one.collector.length_m) for one in found if one.slope_map is None}
-    if len(sizes) > 1:
-        listed = "; ".join(f"parabolic trough, aperture {width:g} m x {length:g} m" for width, length in sorted(sizes))
-        raise InputError(f"observer compare: results of different collectors: {listed}")
+    for one in found[1:]:
+        _refuse_other_collector(found[0], one)
     sags: list[WeightSag | None] = []
     doubts: list[Doubt] = []
     # Results at one orientation are compared for what changed; of weight they say nothing.
@@ -218,6 +218,19 @@ def run(folders: Sequence[Path]) -> Comparison:
         doubts=tuple(doubts),
         input_sha256={f"{k}/{one.name}": next(iter(hash_files([one]).values())) for k, one in inputs},
     )
+
+
+def _refuse_other_collector(first: OneOrientation, one: OneOrientation) -> None:
+    """Refuse results whose panels and angles are not of the same things."""
+    limits = dict.fromkeys(("aperture_width_m", "length_m", "panel_edges_x_m", "panel_edges_y_m"), _SAME_M)
+    for name, limit in {"focal_length_m": _SAME_FOCAL_M, **limits}.items():
+        sizes = [np.atleast_1d(getattr(each.collector, name)) for each in (first, one)]
+        if sizes[0].shape != sizes[1].shape or np.abs(sizes[0] - sizes[1]).max() > limit:
+            was, now = (", ".join(f"{value:g}" for value in each) for each in sizes)
+            raise InputError(
+                f"observer compare: results of different collectors: {name} is {was} in {first.folder} and {now} in "
+                f"{one.folder}; measure both with one design"
+            )
 
 
 def _read(folder: Path) -> OneOrientation:
@@ -290,6 +303,8 @@ def _sags_of(found: Sequence[OneOrientation], number: int) -> SpanSags:
     ends = [found[0].spans[name][number] for name in ("from_y_m", "to_y_m")]
     rows = []
     for one in found:
+        if not one.spans["from_y_m"].size:
+            continue
         apart = np.hypot(one.spans["from_y_m"] - ends[0], one.spans["to_y_m"] - ends[1])
         same = int(np.argmin(apart))
         values = [one.spans[name][same] for name in ("sag_x_m", "sag_z_m", "sigma_sag_x_m", "sigma_sag_z_m")]

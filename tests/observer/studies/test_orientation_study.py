@@ -4,6 +4,7 @@ import base64
 import re
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree
 
 import cv2
@@ -184,6 +185,35 @@ def test_what_is_not_a_result_is_said(tmp_path: Path) -> None:
     assert found.sags == ()
     # Of one orientation nothing is asked of weight.
     assert found.doubts == ()
+
+
+@pytest.mark.parametrize(
+    ("other", "said"),
+    [
+        ({"focal_length_m": 1.5}, r"focal_length_m is 1\.49 in .* and 1\.5 in"),
+        ({"panel_edges_x_m": [-2.5, 0.3, 2.5]}, r"panel_edges_x_m is -2\.5, 0, 2\.5 in .* and -2\.5, 0\.3, 2\.5 in"),
+        ({"panel_edges_y_m": [-3.9, 0.0, 3.9]}, "panel_edges_y_m"),
+    ],
+)
+def test_other_collectors_are_refused(tmp_path: Path, other: dict[str, Any], said: str) -> None:
+    """Eight panels with other edges are other panels; another focal length turns all of them."""
+    folders = [result_at(tmp_path / name, 0.0) for name in ("one", "other")]
+    design = replace(COLLECTOR, panel_edges_x_m=[-2.5, 0.0, 2.5])
+    write_collector(folders[0] / COLLECTOR_FILE, design)
+    write_collector(folders[1] / COLLECTOR_FILE, replace(design, **other))
+    with pytest.raises(InputError, match=said):
+        run(folders)
+    write_collector(folders[1] / COLLECTOR_FILE, replace(design, panel_edges_x_m=[-2.5, 0.004, 2.5]))
+    assert run(folders).doubts == ()
+
+
+def test_a_result_without_spans_has_no_sags(tmp_path: Path) -> None:
+    folders = [result_at(tmp_path / name, degrees) for name, degrees in (("one", 0.0), ("other", 60.0))]
+    spans = folders[1] / "absorber_spans.csv"
+    spans.write_text(spans.read_text().splitlines()[0] + "\n")
+    found = run(folders)
+    assert found.sags == (None,)
+    assert [one.code for one in found.doubts] == ["sag_not_determined"]
 
 
 def test_a_turned_mirror_is_a_tilt() -> None:
