@@ -24,17 +24,17 @@ class TargetKinds:
     plain: Names of dots without a code.
     name_of: Name in the list of what a photo shows under another name, as its code or a marker's corner.
     middle_of: Name in the list of a square marker whose middle is listed, by the marker's number.
-    diameter_m: Diameter of dots, by name, where the list has it [m].
+    diameter_m: Diameter of each listed dot, by name; None where the list says none [m].
     """
 
     plain: frozenset[str] = frozenset()
     name_of: Mapping[str, str] = field(default_factory=dict)
     middle_of: Mapping[str, str] = field(default_factory=dict)
-    diameter_m: Mapping[str, float] = field(default_factory=dict)
+    diameter_m: Mapping[str, float | None] = field(default_factory=dict)
 
     @property
     def common_diameter_m(self) -> float | None:
-        """Diameter of all listed dots, where they have one [m]."""
+        """Diameter of all listed dots, where each has the same one [m]."""
         sizes = set(self.diameter_m.values())
         return sizes.pop() if len(sizes) == 1 else None
 
@@ -63,7 +63,8 @@ def target_kinds(table: Mapping[str, Sequence[str]], path: Path) -> TargetKinds:
     """
     count = len(table["target"])
     codes, kinds, sizes = ([cell.strip() for cell in table.get(name, [""] * count)] for name in KIND_COLUMNS)
-    plain, diameter_m = set(), {}
+    plain: set[str] = set()
+    diameter_m: dict[str, float | None] = {}
     names: dict[str, str] = {}
     middles: dict[str, str] = {}
     lines: dict[str, int] = {}
@@ -82,8 +83,10 @@ def target_kinds(table: Mapping[str, Sequence[str]], path: Path) -> TargetKinds:
             middles[shown] = target
         elif shown != target:
             names[shown] = target
-        if size:
-            diameter_m[target] = 1e-3 * _positive(size, f"{path}, line {line}: diameter_mm")
+        # `7.2` is a corner of a square marker.
+        if kind != "square" and "." not in shown:
+            where = f"{path}, line {line}: diameter_mm"
+            diameter_m[target] = 1e-3 * _positive(size, where) if size else None
     # A name that is another target's code would be taken for that one.
     doubled = sorted(set(names) & (set(table["target"]) - set(names.values())))
     if doubled:

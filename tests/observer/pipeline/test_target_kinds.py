@@ -66,6 +66,14 @@ def test_list_with_all_kinds():
 
 
 @pytest.mark.parametrize(
+    ("sizes", "common"), [(["60", ""], None), (["60", "40"], None), (["", ""], None), (["60", "60"], 0.06)]
+)
+def test_one_diameter_is_that_of_all_only_where_each_has_it(sizes, common):
+    table = {"target": ["1", "2", "7.0", "8"], "kind": ["", "", "", "square"], "diameter_mm": [*sizes, "", ""]}
+    assert target_kinds(table, Path("targets.csv")).common_diameter_m == common
+
+
+@pytest.mark.parametrize(
     ("change", "said"),
     [
         ({"kind": ["round", ""]}, "kind = 'round': one of coded, plain, square"),
