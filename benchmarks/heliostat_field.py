@@ -3,7 +3,9 @@
 Run: python benchmarks/heliostat_field.py [HELIOSTATS OBSERVATIONS], or heliostat_field.py real [FOLDER].
 With "real", every heliostat of the real folders beside the project is predicted, split by split, with what the others
 of the field know (as many folds as heliostats): beam RMS of rows left aside, over the error that was expected; then by
-models that a user states, whose errors are judged by the same.
+models that a user states, whose errors are judged by the same. Rows that one fit predicts miss together and are worth
+two to twenty independent components: where what is expected is true, the median ratio of six heliostats still lies
+anywhere from 0.5 to 1.3, and one of 85 is above 2 more often than not.
 Asked: 10,000 heliostats x 100 observations within 10 minutes on 2 cores, memory flat. A smaller field is calibrated
 (200 by default) and the time of each heliostat is taken 10,000 times; what does not grow with their number is reported
 apart by the field of twice the size. Each process has one thread.
@@ -23,6 +25,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from calibration.heliostat import Options, run
+from calibration.heliostat.fitting.splits import Misses
 from calibration.heliostat.kinematic_model import PlaneTarget, aim, azimuth_elevation
 from heliogauge import load
 from heliogauge.geometry.sun import Site, sun_directions
@@ -176,6 +179,7 @@ STATED = ("8", "15")
 #: Both halves of an azimuth split have 30 rows.
 WHOLE_SPLIT = 60
 _INSIDE_95 = 5.99
+_WIDTHS = (7, 8, 8, 8, 12, 8, 8, 9)
 
 
 def joined(place: Path, folders: list[Path]) -> Path:
@@ -217,14 +221,29 @@ def told(whole: list[Any], sound: list[Any]) -> None:
     """Print what came of each split, for the heliostats with enough rows and for all."""
     for title, some in ((f"with at least {WHOLE_SPLIT} rows", whole), ("all sound ones", sound)):
         print(f"\n{len(some)} {title}: beam RMS of rows left aside [mrad]; found over expected; rows inside their 95 %")
-        print(f"  {'split':18}{'asked':>7}{'median':>8}{'worst':>8}{'ratio':>8}{'worst':>8}{'inside':>9}")
+        print("(where what is expected is true: 95 % of medians, and the chance of so large a worst one)")
+        head = ("asked", "median", "worst", "ratio", "if true", "worst", "chance", "inside")
+        print(f"  {'split':18}" + "".join(f"{name:>{width}}" for name, width in zip(head, _WIDTHS, strict=True)))
         for split in SPLITS:
-            rows = [figures(one.held[split]) for one in some if split in one.held]
-            rms, ratio, inside, count = (np.array(column) for column in zip(*rows, strict=True))
-            print(
-                f"  {split:18}{ASKED_MRAD.get(split, ''):>7}{np.median(rms):>8.2f}{rms.max():>8.2f}"
-                f"{np.median(ratio):>8.2f}{ratio.max():>8.2f}{100 * np.sum(inside) / np.sum(count):>8.0f}%"
+            tried = [one for one in some if split in one.held]
+            rows = [figures(one.held[split]) for one in tried]
+            rms, inside, count = (np.array(column) for column in zip(*rows, strict=True))
+            found = [misses for one in tried if (misses := Misses.of(one.held[split], one.fit.observations))]
+            ratio, freedom = np.array([one.ratio for one in found]), np.array([one.freedom for one in found])
+            true = np.sqrt(np.random.default_rng(0).chisquare(freedom, (20_000, freedom.size)) / freedom)
+            low, high = np.quantile(np.median(true, axis=1), (0.025, 0.975))
+            chance = float(np.mean(true.max(axis=1) >= ratio.max()))
+            cells = (
+                ASKED_MRAD.get(split, ""),
+                f"{np.median(rms):.2f}",
+                f"{rms.max():.2f}",
+                f"{np.median(ratio):.2f}",
+                f"{low:.2f}-{high:.2f}",
+                f"{ratio.max():.2f}",
+                f"{chance:.3f}",
+                f"{100 * np.sum(inside) / np.sum(count):.0f}%",
             )
+            print(f"  {split:18}" + "".join(f"{cell:>{width}}" for cell, width in zip(cells, _WIDTHS, strict=True)))
 
 
 def with_and_without(one: Any, split: str) -> tuple[float, float]:
@@ -238,8 +257,8 @@ def with_and_without(one: Any, split: str) -> tuple[float, float]:
     return with_all, without
 
 
-def figures(held: Any) -> tuple[float, float, float, int]:
-    """Return RMS of the test rows [mrad], that over the expected one, rows inside their 95 %, and rows."""
+def figures(held: Any) -> tuple[float, float, int]:
+    """Return RMS of the test rows [mrad], rows inside their 95 %, and rows."""
     prediction = held.prediction
     tested = held.split.test[held.split.train | held.split.test]
     missed = held.residuals.beam_rad[tested]
@@ -249,9 +268,7 @@ def figures(held: Any) -> tuple[float, float, float, int]:
     missed, covariance = missed[known], covariance[known]
     squared = np.sum(missed**2, axis=1)
     distance = np.einsum("ni,nij,nj->n", missed, np.linalg.inv(covariance), missed)
-    expected = np.trace(covariance, axis1=1, axis2=2)
-    ratio = float(np.sqrt(squared.mean() / expected.mean()))
-    return 1e3 * float(np.sqrt(squared.mean())), ratio, float(np.sum(distance < _INSIDE_95)), int(known.sum())
+    return 1e3 * float(np.sqrt(squared.mean())), float(np.sum(distance < _INSIDE_95)), int(known.sum())
 
 
 def main() -> None:

@@ -97,6 +97,42 @@ def predict_rows(found: HeliostatFit, observations: Observations) -> Prediction:
     return _assembled(found, whole, parameters, positions, observations.readings, rows.computable, sigma)
 
 
+def covariance_of_misses(found: HeliostatFit, observations: Observations, prediction: Prediction) -> FloatArray:
+    """Return the covariance of the misses of all rows together, without what each was measured wrong.
+
+    observations: Rows that the fit has not seen, n of them.
+    prediction: What was predicted of them.
+    Returns (n, 2, n, 2): Rows and axes, twice; the blocks of single rows are the prediction's own [rad^2].
+
+    Rows that are predicted by one fit miss together: its parameters are wrong for all of them, and drives that stand
+    off do so for days. What thirty rows show of an expected error is then no more than two or three would.
+    """
+    judge = _judge(found)
+    if judge is not None:
+        apart = _between(found, judge, observations)
+        together = _moved_together(judge, observations) + apart[:, :, None, None] * apart
+    else:
+        together = _moved_together(found, observations)
+    rows = np.arange(len(observations))
+    together[rows, :, rows] = prediction.covariance_rad2
+    return together
+
+
+def _moved_together(found: HeliostatFit, observations: Observations) -> FloatArray:
+    """Return the covariance that rows share by parameters and drives, (n, 2, n, 2) [rad^2]."""
+    seen = _AlongDrives.of(found, observations)
+    count = len(observations)
+    by_parameter = seen.by_parameter.reshape(2 * count, -1)
+    together = (by_parameter @ found.solution.covariance @ by_parameter.T).reshape(count, 2, count, 2)
+    if found.drift is None:
+        return together
+    occasions = occasions_of(found.design, found.values, observations)
+    kernel = found.drift.noise.covariance(occasions, occasions)
+    followed = found.drift.shared(occasions, seen.by_drive).reshape(2 * count, -1) @ by_parameter.T
+    both = (followed + followed.T).reshape(count, 2, count, 2)
+    return np.asarray(together + np.einsum("icv,ij,jdv->icjd", seen.by_drive, kernel, seen.by_drive) - both)
+
+
 def _judge(found: HeliostatFit) -> HeliostatFit | None:
     """Return what is known of all that may be wrong; None where the fit has it all, or nothing refutes it."""
     if found.beside is not None or found.drift is not None:

@@ -8,11 +8,12 @@ import numpy as np
 
 from calibration.heliostat.fitting.fit_result import FitOptions, HeliostatFit
 from calibration.heliostat.fitting.model_choice import ModelChoice
-from calibration.heliostat.fitting.prediction import Prediction, predict_rows
+from calibration.heliostat.fitting.prediction import Prediction, covariance_of_misses, predict_rows
 from calibration.heliostat.fitting.robust_fit import fit
 from calibration.heliostat.kinematic_model.design import HeliostatDesign
 from calibration.heliostat.observations.observations import Observations
 from calibration.heliostat.observations.residuals import Residuals, evaluate
+from heliogauge.adjust.chi_square import chi_square_cdf
 from heliogauge.doubts import Doubt, gather_doubts
 from heliogauge.errors import EstimationError, InputError
 from heliogauge.validate import BoolArray, FloatArray, IntArray, freeze
@@ -183,6 +184,49 @@ def held_out(
     tested = split.test[place] & residuals.computable
     summaries = AngleSummary.of(residuals, used[place]), AngleSummary.of(residuals, tested)
     return HeldOut(split, found, *summaries, residuals, prediction, _beyond_training(prediction))
+
+
+@dataclass(frozen=True, slots=True)
+class Misses:
+    """What test rows missed, beside what was expected of them.
+
+    ratio: RMS of the beam's misses over the expected one, the measurement's own errors included.
+    freedom: Independent components that all rows together are worth.
+    """
+
+    ratio: float
+    freedom: float
+
+    @property
+    def chance(self) -> float:
+        """Probability of so large a ratio if what was expected is true."""
+        return 1.0 - chi_square_cdf(self.freedom * self.ratio**2, self.freedom)
+
+    @classmethod
+    def of(cls, held: HeldOut, observations: Observations) -> "Misses | None":
+        """Compare the misses of the test rows with their covariance.
+
+        observations: All rows that were split.
+        Returns: None where no test row has a beam that can be predicted.
+
+        The sum of squares of misses with covariance C is distributed as ``tr C / v`` times chi-square of ``v = (tr
+        C)^2 / tr C^2`` degrees (Satterthwaite 1946): mean and variance are exact.
+        """
+        missed = held.residuals.beam_rad[held.split.test[held.split.train | held.split.test]]
+        known = np.isfinite(missed).all(axis=1) & np.isfinite(held.prediction.covariance_rad2).all(axis=(1, 2))
+        if not known.any():
+            return None
+        covariance = covariance_of_misses(held.fit, observations.select(held.split.test), held.prediction)
+        # What is found holds the measurement's own errors too: as stated, or where the residuals show less, that.
+        share = min([1.0, *held.fit.sigma_factors.values()])
+        rows = np.arange(len(missed))
+        noise = 0.5 * (share * held.prediction.sigma_noise_rad) ** 2
+        covariance[rows, :, rows] += noise[:, None, None] * np.eye(2)
+        own = covariance[known][:, :, known].reshape(2 * int(known.sum()), -1)
+        expected = float(np.trace(own))
+        if expected <= 0:
+            return None
+        return cls(float(np.sqrt(np.sum(missed[known] ** 2) / expected)), expected**2 / float(np.sum(own**2)))
 
 
 def _beyond_training(prediction: Prediction) -> Doubt | None:

@@ -11,6 +11,7 @@ from calibration.heliostat.diagnosis.full_diagnosis import Diagnosis
 from calibration.heliostat.files.field_work import bad_row_dates, found_over_expected, work_of
 from calibration.heliostat.files.result import HeliostatResult, SkyMap
 from calibration.heliostat.files.store_field import field_row, worst_first
+from calibration.heliostat.fitting.splits import AngleSummary, Misses, held_out
 from calibration.heliostat.keys import load_heliostat
 from calibration.heliostat.pipeline.measure import Options, run
 from tests.calibration.heliostat_folders import write_paint
@@ -46,12 +47,38 @@ def test_a_sound_heliostat_needs_no_work_and_is_found_where_expected(sound: Heli
     assert doubled == pytest.approx(ratio / 2)
 
 
+def with_misses(result: HeliostatResult, ratio: float, rows: int) -> HeliostatResult:
+    """Hold out so many rows, and stretch their misses to an RMS over the expected one."""
+    main, seen = result.main, result.fit.observations
+    assert main is not None
+    test = main.split.test & (np.cumsum(main.split.test) <= rows)
+    held = held_out(main.fit.nominal, seen, replace(main.split, test=test))
+    before = found_over_expected(replace(result, held={result.split: held}))
+    assert before is not None
+    residuals = replace(held.residuals, beam_rad=held.residuals.beam_rad * ratio / before)
+    tested = held.split.test[held.split.train | held.split.test]
+    held = replace(held, residuals=residuals, test=AngleSummary.of(residuals, tested))
+    return replace(result, held={result.split: held})
+
+
+def chance_of(result: HeliostatResult) -> float:
+    assert result.main is not None
+    misses = Misses.of(result.main, result.fit.observations)
+    assert misses is not None
+    assert misses.ratio == pytest.approx(found_over_expected(result))
+    return misses.chance
+
+
 def test_beams_far_from_where_they_were_expected(sound: HeliostatResult) -> None:
-    ratio = found_over_expected(sound)
-    assert ratio is not None
-    text = work_of(with_sigma(sound, ratio / 2.2))
+    text = work_of(with_misses(sound, 2.2, 10))
     assert text.startswith("Held-out beams miss by 2.2 times of what was expected")
-    assert work_of(with_sigma(sound, ratio / 1.8)) == ""
+    assert work_of(with_misses(sound, 1.8, 10)) == ""
+    # One row is worth two components: chi-square of 2 x 2.2^2 is exceeded by one sound heliostat in 130.
+    few, many = (with_misses(sound, 2.2, rows) for rows in (1, 10))
+    assert 1e-3 < chance_of(few) < 0.1
+    assert chance_of(many) < 1e-4
+    assert work_of(few) == ""
+    assert work_of(with_misses(sound, 4.0, 1)) != ""
 
 
 def test_an_expected_error_beyond_the_radius_of_the_sun(sound: HeliostatResult) -> None:

@@ -1,19 +1,21 @@
 """What a field knows: algebra against dense matrices, truth against simulation, one foreign unit, groups."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
 from scipy.integrate import trapezoid
-from scipy.stats import multivariate_normal, norm
+from scipy.stats import kstest, multivariate_normal, norm
 
 from calibration.heliostat.fitting.drift_noise import LinearRows, NoiseShape, Occasions, row_days
 from calibration.heliostat.fitting.field_fit import field_names, fit_with_field, fit_within, linear_rows
 from calibration.heliostat.fitting.field_model import FieldUnit, learn_field, learn_model
 from calibration.heliostat.fitting.field_prior import FieldPrior, settle
-from calibration.heliostat.fitting.prediction import predict_aim, predict_rows
+from calibration.heliostat.fitting.prediction import covariance_of_misses, predict_aim
 from calibration.heliostat.fitting.priors import PRIORS, with_priors
 from calibration.heliostat.fitting.robust_fit import fit
+from calibration.heliostat.fitting.splits import Misses, Split, held_out
 from calibration.heliostat.fitting.unit_noise import unit_noise
 from calibration.heliostat.kinematic_model.aiming import aim
 from calibration.heliostat.kinematic_model.kinematics import mirror_poses
@@ -261,7 +263,7 @@ def test_rows_without_a_time_lie_between_their_neighbours_or_on_their_own():
 @pytest.mark.slow
 def test_errors_are_what_the_field_predicts_in_ten_fields():
     """One that was seen twelve times in the morning: its numbers and its evening, whitened jointly."""
-    numbers, rows, aims, gains = [], [], [], []
+    numbers, rows, together, chances, apart, aims, gains = [], [], [], [], [], [], []
     elsewhere = sun_arc(5, declination=0.1, hours=6.0)
     for seed in range(10):
         rng = np.random.default_rng(100 + seed)
@@ -273,16 +275,27 @@ def test_errors_are_what_the_field_predicts_in_ten_fields():
             misfit = drawn_misfit(rng)
             design, truth, seen = drawn(rng, f"new{index}", rows=48, misfit=misfit)
             east = seen.sun[:, 0] > 0
-            found = fit_with_field(fit(design, seen.select(east)), model.prior("new"))
+            within = partial(fit_with_field, prior=model.prior("new"))
+            held = held_out(design, seen, Split("column", east, ~east, ""), refine=within)
+            found, prediction = held.fit, held.prediction
             place = design.parameters.indices(found.solution.names)
             error = (found.values - truth)[place]
             numbers.append(error @ np.linalg.solve(found.solution.covariance, error) / error.size)
             later = seen.select(~east)
-            prediction = predict_rows(found, later)
             missed = evaluate(found.design, found.values, later).beam_rad
             noise = np.eye(2) * 0.5 * prediction.sigma_noise_rad[:, None, None] ** 2
             whole = prediction.covariance_rad2 + noise
             rows.append(np.einsum("ni,nij,nj->n", missed, np.linalg.inv(whole), missed) / 2)
+            every = covariance_of_misses(found, later, prediction)
+            index = np.arange(len(later))
+            np.testing.assert_array_equal(every[index, :, index], prediction.covariance_rad2)
+            every[index, :, index] += noise
+            every = every.reshape(missed.size, missed.size)
+            together.append(missed.ravel() @ np.linalg.solve(every, missed.ravel()) / missed.size)
+            misses = Misses.of(held, seen)
+            assert misses is not None
+            chances.append(misses.chance)
+            apart.append(replace(misses, freedom=float(missed.size)).chance)
             # On a day of which nothing is known: the truth, its drives' zeros drawn anew.
             aimed = predict_aim(found, elsewhere, TARGET.center_m)
             zeros = rng.normal(0, np.hypot(NOISE.day_rad, NOISE.wander_rad), (5, 2))
@@ -303,6 +316,11 @@ def test_errors_are_what_the_field_predicts_in_ten_fields():
     # What is asked for is the beam: 40 evenings in ten fields, known to 15 %.
     assert np.mean(np.concatenate(rows)) == pytest.approx(1.0, abs=0.3)
     assert 0.9 < np.mean(2 * np.concatenate(rows) < 5.99) < 0.98
+    # All rows of an evening at once, to 3 %; and how far its RMS may be from what was expected.
+    assert np.mean(together) == pytest.approx(1.0, abs=0.15)
+    assert kstest(chances, "uniform").pvalue > 0.01
+    # Rows taken for independent would let every other evening contradict what was expected.
+    assert kstest(apart, "uniform").pvalue < 1e-3
     assert np.mean(np.concatenate(aims)) == pytest.approx(1.0, abs=0.35)
     assert np.median(gains) < 0.85
 

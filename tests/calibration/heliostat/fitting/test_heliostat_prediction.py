@@ -115,7 +115,7 @@ def test_prediction_sigma_is_the_scatter_within_five_percent():
     elsewhere = sun_arc(5, declination=-0.3, hours=5.0)
     design = heliostat()
     aimed = aim(design, design.parameters.values, elsewhere, TARGET.center_m)
-    squares, expected = [], []
+    squares, expected, refuted = [], [], []
     for _ in range(400):
         _, truth, seen = observed(rng, sun=sun)
         found = fit(design, seen)
@@ -125,9 +125,15 @@ def test_prediction_sigma_is_the_scatter_within_five_percent():
         )
         squares.append((error**2).sum(axis=1))
         expected.append(prediction.sigma_beam_rad**2)
+        refuted.append(bool(found.sigma_estimated))
     assert aimed.converged.all()
-    # Each over its own: of 400 draws a few refute the model by chance, and their sigmas are much larger.
-    assert np.sqrt(np.mean(np.array(squares) / np.array(expected))) == pytest.approx(1.0, abs=0.05)
+    # Where the residuals refute the stated sigma, in one draw of a thousand, everything may be wrong, and sigma is five
+    # times as large.
+    assert sum(refuted) <= 3
+    believed = ~np.array(refuted)
+    assert np.sqrt(np.mean(np.array(squares)[believed]) / np.mean(np.array(expected)[believed])) == pytest.approx(
+        1.0, abs=0.05
+    )
 
 
 def test_leverage_and_distance_tell_where_nothing_was_measured():
