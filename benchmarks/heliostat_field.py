@@ -25,7 +25,6 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from calibration.heliostat import Options, run
-from calibration.heliostat.fitting.splits import Misses
 from calibration.heliostat.kinematic_model import PlaneTarget, aim, azimuth_elevation
 from heliogauge import load
 from heliogauge.geometry.sun import Site, sun_directions
@@ -228,7 +227,7 @@ def told(whole: list[Any], sound: list[Any]) -> None:
             tried = [one for one in some if split in one.held]
             rows = [figures(one.held[split]) for one in tried]
             rms, inside, count = (np.array(column) for column in zip(*rows, strict=True))
-            found = [misses for one in tried if (misses := Misses.of(one.held[split], one.fit.observations))]
+            found = [misses for one in tried if (misses := one.misses(split))]
             ratio, freedom = np.array([one.ratio for one in found]), np.array([one.freedom for one in found])
             true = np.sqrt(np.random.default_rng(0).chisquare(freedom, (20_000, freedom.size)) / freedom)
             low, high = np.quantile(np.median(true, axis=1), (0.025, 0.975))

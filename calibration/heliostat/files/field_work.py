@@ -6,7 +6,6 @@ import numpy as np
 
 from calibration.heliostat.diagnosis.findings import Finding
 from calibration.heliostat.files.result import HeliostatResult
-from calibration.heliostat.fitting.splits import Misses
 from heliogauge.sunlight.sun_shapes import SOLAR_DISC_RAD
 
 #: Held-out beams that miss by more than twice of what was expected, and not by chance: rows that one fit predicts miss
@@ -37,7 +36,8 @@ def work_of(result: HeliostatResult) -> str:
     if asked:
         return asked
     ratio = found_over_expected(result)
-    if ratio is not None and ratio > _FAR_OVER_EXPECTED and _chance(result) < _NO_CHANCE:
+    far = ratio is not None and ratio > _FAR_OVER_EXPECTED
+    if far and (misses := result.misses(result.split)) is not None and misses.chance < _NO_CHANCE:
         return (
             f"Held-out beams miss by {ratio:.1f} times of what was expected: something changes that the model does not "
             "have. Look at the residuals against time and sun."
@@ -48,11 +48,6 @@ def work_of(result: HeliostatResult) -> str:
             "radius of the sun. Measure more: heliogauge heliostat plan says at which suns."
         )
     return ""
-
-
-def _chance(result: HeliostatResult) -> float:
-    misses = None if result.main is None else Misses.of(result.main, result.fit.observations)
-    return 1.0 if misses is None else misses.chance
 
 
 def work_of_findings(findings: Sequence[Finding]) -> str:

@@ -11,7 +11,7 @@ from calibration.heliostat.diagnosis.full_diagnosis import Diagnosis
 from calibration.heliostat.fitting.field_model import Field
 from calibration.heliostat.fitting.fit_result import HeliostatFit
 from calibration.heliostat.fitting.model_choice import ModelChoice
-from calibration.heliostat.fitting.splits import HeldOut
+from calibration.heliostat.fitting.splits import HeldOut, Misses
 from calibration.heliostat.keys import HeliostatModel
 from calibration.heliostat.kinematic_model.design import HeliostatDesign
 from calibration.heliostat.observations.observed import Observed
@@ -125,3 +125,8 @@ class HeliostatResult:
     def main(self) -> HeldOut | None:
         """What came of the split whose residuals are reported; None where it could not be made."""
         return self.held.get(self.split)
+
+    def misses(self, split: str) -> Misses | None:
+        """Return what the rows that a split held out missed, beside what was expected; None where that is not known."""
+        held = self.held.get(split)
+        return None if held is None else Misses.of(held, self.fit.observations)

@@ -11,7 +11,7 @@ from calibration.heliostat.diagnosis.full_diagnosis import Diagnosis
 from calibration.heliostat.files.field_work import bad_row_dates, found_over_expected, work_of
 from calibration.heliostat.files.result import HeliostatResult, SkyMap
 from calibration.heliostat.files.store_field import field_row, worst_first
-from calibration.heliostat.fitting.splits import AngleSummary, Misses, held_out
+from calibration.heliostat.fitting.splits import AngleSummary, held_out
 from calibration.heliostat.keys import load_heliostat
 from calibration.heliostat.pipeline.measure import Options, run
 from tests.calibration.heliostat_folders import write_paint
@@ -62,8 +62,7 @@ def with_misses(result: HeliostatResult, ratio: float, rows: int) -> HeliostatRe
 
 
 def chance_of(result: HeliostatResult) -> float:
-    assert result.main is not None
-    misses = Misses.of(result.main, result.fit.observations)
+    misses = result.misses(result.split)
     assert misses is not None
     assert misses.ratio == pytest.approx(found_over_expected(result))
     return misses.chance
