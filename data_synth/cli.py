@@ -24,6 +24,7 @@ FringePreset = Literal[
     "plane",
     "curved-screen",
     "ensemble",
+    "laser-scan",
 ]
 TargetPreset = Literal["small", "panel", "single", "retro", "busy", "markers", "natural"]
 BoardPreset = Literal["chessboard", "charuco", "circles", "circles-asymmetric", "targets"]
@@ -85,7 +86,7 @@ def deflectometry(
     quiet: Quiet = False,
     verbose: Verbose = False,
 ) -> None:
-    """Draw fringe images of a screen seen in a mirror with known slope errors."""
+    """Draw fringe images of a screen seen in a mirror with known slope errors, or scan one with a laser."""
     from data_synth.fringes.dataset import DatasetOptions, PoseOptions, write_dataset, write_poses
     from data_synth.fringes.faults import Fault
     from data_synth.fringes.knowledge import Knowledge
@@ -93,6 +94,13 @@ def deflectometry(
     from deflectometry.setup import make_pattern
     from heliogauge.running.terminal import terminal_progress
 
+    if preset == "laser-scan":
+        from data_synth.lasers import write_laser_scan
+
+        write_laser_scan(folder, seed=seed, force=force)
+        if not quiet:
+            print(folder)
+        return
     numbers = parse_periods(periods)
     scene = preset_scene(preset)
     scene = replace(

@@ -4,6 +4,7 @@ from pathlib import Path
 
 from data_synth.fringes import DatasetOptions, preset_scene, write_dataset
 from data_synth.heliostats import HeliostatChoice, HeliostatOptions, heliostat_scene, write_heliostat_dataset
+from data_synth.lasers import write_laser_scan
 from data_synth.targets import (
     PhotoOptions,
     board_scene,
@@ -20,7 +21,10 @@ from heliogauge.running.progress import Progress
 def deflectometry(
     folder: Path, *, preset: str = "small", seed: int = 0, force: bool = False, progress: Progress | None = None
 ) -> None:
-    """Draw fringe images of a screen seen in a mirror."""
+    """Draw fringe images of a screen seen in a mirror, or scan one with a laser."""
+    if preset == "laser-scan":
+        write_laser_scan(folder, seed=seed, force=force)
+        return
     write_dataset(folder, preset_scene(preset), DatasetOptions(seed, force=force), progress)
 
 

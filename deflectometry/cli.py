@@ -59,6 +59,7 @@ def measure_command(
     """Evaluate a measurement folder: slope_map.nc, pixels.nc, cameras.json, summary.json, report.html."""
     from heliogauge.errors import InputError
     from heliogauge.measurement.load import kind_of
+    from heliogauge.results.frame import InstrumentResult
     from heliogauge.running.terminal import terminal_progress
     from heliogauge.slopes.removal import Removal
 
@@ -84,7 +85,6 @@ def measure_command(
     from deflectometry.pipeline.choices import Options
     from deflectometry.pipeline.measure import run
     from deflectometry.shape.smooth_shape import Align
-    from heliogauge.results.frame import InstrumentResult
 
     options = Options(
         align=None if align is None else Align(align),
@@ -95,7 +95,7 @@ def measure_command(
     )
 
     def measure() -> InstrumentResult:
-        # What the other kind needs is not loaded.
+        # What the other kinds need is not loaded.
         if kind == "deflectometry-poses":
             from deflectometry.poses.keys import load_poses
             from deflectometry.poses.pipeline.measure import run as run_poses
@@ -106,6 +106,11 @@ def measure_command(
             from deflectometry.dots.pipeline.measure import run as run_dots
 
             return run_dots(load_dots(folder), options, progress)
+        if kind == "laser-scan":
+            from deflectometry.laser.keys import load_laser
+            from deflectometry.laser.pipeline.measure import run as run_laser
+
+            return run_laser(load_laser(folder), options, progress)
         from deflectometry.keys import load_deflectometry
 
         return run(load_deflectometry(folder), options, progress)

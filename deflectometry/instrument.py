@@ -4,7 +4,7 @@ from heliogauge.instruments import Instrument, Kind
 
 INSTRUMENT = Instrument(
     name="deflectometry",
-    summary="Fringe images of a mirror -> slope map.",
+    summary="Fringe images or laser scans of a mirror -> slope map.",
     commands="deflectometry.cli:app",
     kinds=(
         Kind(
@@ -51,6 +51,17 @@ INSTRUMENT = Instrument(
             options="deflectometry.pipeline.choices:Options",
             check="deflectometry.poses.pipeline.check:find_faults",
         ),
+        Kind(
+            name="laser-scan",
+            model="deflectometry.laser.keys:LaserModel",
+            load="deflectometry.laser.keys:load_laser",
+            template="deflectometry.laser:template_laser.toml",
+            command="deflectometry measure",
+            init_option="--laser",
+            init_help="For beams of a laser and the spots they make after the mirror (VSHOT).",
+            run="deflectometry.laser.pipeline.measure:run",
+            options="deflectometry.pipeline.choices:Options",
+        ),
     ),
     synth="data_synth.preset_folders:deflectometry",
     synth_command="data_synth.cli:deflectometry",
@@ -58,5 +69,6 @@ INSTRUMENT = Instrument(
         "deflectometry": "deflectometry.report:report.ipynb",
         "slopes": "deflectometry.report:report_slopes.ipynb",
         "deflectometry-poses": "deflectometry.report:report_poses.ipynb",
+        "laser-scan": "deflectometry.report:report_slopes.ipynb",
     },
 )

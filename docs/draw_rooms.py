@@ -25,7 +25,7 @@ METHOD = {
         "networks",
         "surface",
     ),
-    "deflectometry": ("setup", "sources", "frames", "fringes", "dots", "pose", "shape", "poses"),
+    "deflectometry": ("setup", "sources", "frames", "fringes", "dots", "laser", "pose", "shape", "poses"),
     "observer": (
         "trough",
         "targets",
@@ -40,7 +40,7 @@ METHOD = {
         "studies",
     ),
     "calibration.heliostat": ("beam_photos", "kinematic_model", "observations", "fitting", "diagnosis", "exports"),
-    "data_synth": ("optics", "fringes", "targets", "troughs", "heliostats"),
+    "data_synth": ("optics", "fringes", "targets", "troughs", "heliostats", "lasers"),
     "heliogauge": (
         "geometry",
         "camera",

@@ -11,6 +11,7 @@ from deflectometry.setup.setup_steps import SetupStep, moved_setup, principal_st
 from deflectometry.shape.facet_pixels import PixelSamples, trace_samples
 from deflectometry.shape.smooth_shape import FacetSamples, RoundLimits, ShapeSolution, slopes_at, solve_shape
 from heliogauge.geometry.rigid import RigidTransform
+from heliogauge.geometry.surfaces import Facet
 from heliogauge.slopes.map import CommonModes, monomials
 from heliogauge.validate import FloatArray
 
@@ -61,24 +62,54 @@ def modes_of_inputs(
     solution, align: As in `common_modes`.
     inputs: Makes them from the pose of the mirror.
     """
+
+    def moved(cam_from_mirror: RigidTransform) -> Iterator[MovedSamples]:
+        for one in inputs(cam_from_mirror):
+            yield MovedSamples(one.source, trace_samples(one.setup, samples), one.cam_from_mirror)
+
+    return modes_of_samples(trace_samples(setup, samples), solution, moved, align=align)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MovedSamples:
+    """Lines of sight and the points seen along them with one input moved, and the name of its source."""
+
+    source: str
+    samples: Sequence[FacetSamples]
+    cam_from_mirror: RigidTransform
+
+
+def modes_of_samples(
+    samples: Sequence[FacetSamples],
+    solution: ShapeSolution,
+    moved: Callable[[RigidTransform], Iterable[MovedSamples]],
+    *,
+    align: bool,
+) -> list[CommonModes]:
+    """Return what other inputs do to the slopes of each facet, whatever the known points in the mirror are.
+
+    samples: Lines of sight and the points seen along them, as given.
+    solution, align: As in `common_modes`.
+    moved: Makes the same with one input moved after the other, from the pose of the mirror.
+    Returns: One mode for each input, for each facet.
+    """
     # The base must be at rest on these very samples, or the first step would move it too.
-    start = solve_shape(
-        trace_samples(setup, samples), solution.cam_from_mirror, align=align, start=solution, rounds=RoundLimits(30, 1)
-    )
-    base = _departures(trace_samples(setup, samples), start, start)
+    start = solve_shape(samples, solution.cam_from_mirror, align=align, start=solution, rounds=RoundLimits(30, 1))
+    base = departures(samples, start, start)
     sources: list[str] = []
     changes: list[list[FloatArray]] = []
     rounds = RoundLimits(2, 1, must_settle=False)
-    for one in inputs(start.cam_from_mirror):
-        traced = trace_samples(one.setup, samples)
-        shape = solve_shape(traced, one.cam_from_mirror, align=align, start=start, rounds=rounds)
+    for one in moved(start.cam_from_mirror):
+        shape = solve_shape(one.samples, one.cam_from_mirror, align=align, start=start, rounds=rounds)
         sources.append(one.source)
-        moved_on = _departures(traced, shape, start)
+        moved_on = departures(one.samples, shape, start)
         changes.append([after[1] - before[1] for after, before in zip(moved_on, base, strict=True)])
-    return [_as_modes(sources, [change[k] for change in changes], base[k][0], samples[k]) for k in range(len(samples))]
+    return [
+        _as_modes(sources, [change[k] for change in changes], base[k][0], samples[k].facet) for k in range(len(samples))
+    ]
 
 
-def _departures(
+def departures(
     samples: Sequence[FacetSamples], solution: ShapeSolution, start: ShapeSolution
 ) -> list[tuple[FloatArray, FloatArray]]:
     """Return the positions of each facet's samples, and their slopes minus those of the start's shape there."""
@@ -117,10 +148,10 @@ def moved_input(setup: Setup, cam_from_mirror: RigidTransform, located: Uncertai
     return MovedInput(step.source, moved, follows)
 
 
-def _as_modes(sources: list[str], changes: list[FloatArray], points_m: FloatArray, sample: PixelSamples) -> CommonModes:
+def _as_modes(sources: list[str], changes: list[FloatArray], points_m: FloatArray, facet: Facet) -> CommonModes:
     """Fit each change of slopes by polynomials over the facet."""
-    center = np.asarray(sample.facet.reference_point_m)
-    scale = 0.5 * float(np.ptp(sample.facet.outline_m, axis=0).max())
+    center = np.asarray(facet.reference_point_m)
+    scale = 0.5 * float(np.ptp(facet.outline_m, axis=0).max())
     terms = (MODE_DEGREE + 1) * (MODE_DEGREE + 2) // 2
     usable = np.isfinite(points_m).all(axis=0)
     for change in changes:

@@ -18,6 +18,7 @@ PIPELINES = {
     "deflectometry.pipeline.measure": "deflectometry",
     "deflectometry.poses.pipeline.measure": "deflectometry",
     "deflectometry.dots.pipeline.measure": "deflectometry",
+    "deflectometry.laser.pipeline.measure": "deflectometry",
     "photogrammetry.pipeline.measure": "photogrammetry",
     "observer.pipeline.measure": "observer",
     "calibration.screen.pipeline": "screen",

@@ -1,0 +1,102 @@
+"""What measurement.toml of a laser scan may say."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal, Self
+
+from pydantic import Field, model_validator
+
+from heliogauge.measurement.load import MEASUREMENT_FILE, read_measurement, refuse_missing
+from heliogauge.measurement.models import DesignKeys, MeasurementModel, Positive, Section, Sigma, Text, Vector2
+
+
+class ScanSection(Section):
+    """The beams and their spots, and how well the instrument is known."""
+
+    file: Text = Field(
+        description="Table (CSV): direction_x, direction_y, direction_z, spot_x_m, spot_y_m[, spot_z_m]."
+    )
+    sigma_spot_mm: Positive = Field(description="Standard deviation of a spot in x and in y, each by itself [mm].")
+    sigma_direction_mrad: Sigma = Field(
+        0.0, description="Standard deviation of a beam's direction, each by itself [mrad]."
+    )
+    sigma_laser_place_mm: Positive | None = Field(
+        None, description="Standard deviation of the laser's place on the target, each axis [mm]."
+    )
+    sigma_target_scale_permille: Positive | None = Field(
+        None, description="Standard deviation of the scale of the spots' coordinates, each axis [permille]."
+    )
+    sigma_angle_scale_permille: Positive | None = Field(
+        None, description="Standard deviation of the scale of the beams' angles, each axis [permille]."
+    )
+    sigma_roll_mrad: Positive | None = Field(
+        None, description="Standard deviation of the turn between the beams' axes and the target's [mrad]."
+    )
+
+
+class LaserMirrorSection(DesignKeys):
+    """The mirror's design, and where it stands before the laser."""
+
+    distance_m: Positive = Field(description="From the laser to the origin of the mirror's frame, along z [m].")
+    sigma_distance_mm: Positive | None = Field(None, description="Its standard deviation [mm].")
+    offset_m: Vector2 = Field(
+        (0.0, 0.0), description="The mirror's origin beside the laser: x to the right, y up, seen from there [m]."
+    )
+    sigma_offset_mm: Positive | None = Field(None, description="Standard deviation of each [mm].")
+
+    @model_validator(mode="after")
+    def _complete(self) -> Self:
+        if self.design is None:
+            raise ValueError("design is missing; say which shape the slopes are compared with")
+        return self
+
+
+class LaserEvaluationSection(Section):
+    """Choices of the evaluation."""
+
+    align: Literal["normal", "outline"] = Field(
+        "normal", description="Orientation: as the slopes have it, or the mirror's frame parallel to the laser's."
+    )
+    grid_step_mm: Positive | None = Field(None, description="Step of the map; default: the spacing of the points [mm].")
+    remove: Literal["nothing", "tilt", "focus", "quadratic"] = Field(
+        "nothing", description="What is taken out of the map and headline numbers."
+    )
+
+
+class LaserModel(MeasurementModel):
+    """The whole measurement.toml of ``kind = "laser-scan"``."""
+
+    kind: Literal["laser-scan"] = Field(description="Beams of a laser and the spots they make after a mirror.")
+    scan: ScanSection = Field(description="The beams and their spots.")
+    mirror: LaserMirrorSection = Field(description="The mirror's design and place.")
+    evaluation: LaserEvaluationSection = Field(LaserEvaluationSection(), description="Choices of the evaluation.")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LaserMeasurement:
+    """A checked laser scan: the content of measurement.toml, and where its files are."""
+
+    folder: Path
+    model: LaserModel
+
+    @property
+    def scan_file(self) -> Path:
+        """Table of the beams."""
+        return self.folder / self.model.scan.file
+
+    @property
+    def input_files(self) -> tuple[Path, ...]:
+        """All files the measurement consists of, measurement.toml first."""
+        return (self.folder / MEASUREMENT_FILE, self.scan_file)
+
+
+def load_laser(folder: Path) -> LaserMeasurement:
+    """Read and check the folder of a laser scan.
+
+    Returns: The measurement; its table exists.
+    InputError: As for `heliogauge.measurement.load.read_measurement`.
+    """
+    file, model = read_measurement(folder, LaserModel)
+    found = LaserMeasurement(folder, model)
+    refuse_missing(file, found.input_files)
+    return found

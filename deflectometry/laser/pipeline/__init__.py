@@ -1,0 +1,1 @@
+"""The stages of a laser scan, in a row in `measure`."""
