@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 from heliogauge.faces import lazy_face
 
 if TYPE_CHECKING:
-    from data_synth.lasers.dataset import LaserScene as LaserScene
     from data_synth.lasers.dataset import write_laser_scan as write_laser_scan
+    from data_synth.lasers.scan import LaserScene as LaserScene
 
 __getattr__, __dir__, __all__ = lazy_face(__name__)
