@@ -12,6 +12,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
+from heliogauge.adjust.robust_loss import Tukey
 from heliogauge.adjust.robust_scale import robust_scale
 from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.validate import BoolArray, Float32Array, FloatArray, IntArray
@@ -38,6 +39,8 @@ _NEAR_PX = 1.5
 #: Share of the pieces that show a line that is there, and that show something else in its place: in drawn photos 0.85
 #: to 0.98, and 0.2 to 0.3 where a pose is wrong. Pieces beside each other show the same thing.
 _SHOWN, _CHANCE, _ALIKE_PIECES = 0.9, 0.3, 4
+#: Weights of what lies beside a line, or beside a pose; rounds of the fit, and the change at which it ends.
+_TUKEY, _ROUNDS, _SETTLED = Tukey(), 12, 1e-2
 #: What grid of pixels and resampling leave of a line's place [px].
 _FLOOR_PX = 0.01
 
@@ -128,7 +131,8 @@ def find_line(profiles: Profiles, line: PanelLine, noise_dn: float) -> FoundLine
     """
     kernel = _kernel(is_rim=line.is_rim)
     margin = kernel.size // 2
-    response = np.apply_along_axis(np.convolve, 1, profiles.values, kernel, "valid")
+    windows = np.lib.stride_tricks.sliding_window_view(profiles.values, kernel.size, axis=1)
+    response = np.asarray(windows @ kernel[::-1], dtype=np.float64)
     noise = noise_dn * float(np.sqrt((kernel**2).sum() * _STEP_PX)) / np.sqrt(_PIECE_PX)
     found = [_vote(sign * response, profiles.share, noise) for sign in (1.0, -1.0)]
     signed = max((one for one in found if one is not None), key=lambda one: one.total, default=None)
@@ -230,32 +234,33 @@ def _fit(
 
 def _robust_line(share: FloatArray, offset_px: FloatArray) -> tuple[FloatArray, FloatArray, float, BoolArray] | None:
     """Fit a line with Tukey's weights: values, covariance, the middle of its places, and which count."""
-    kept: BoolArray = np.ones(share.size, dtype=np.bool_)
     weight: FloatArray = np.ones(share.size)
-    value: FloatArray = np.zeros(2)
-    centre, scatter = 0.5, 1.0
-    for _ in range(8):
-        centre = float(weight @ share / weight.sum())
-        design = np.stack([np.ones_like(share), share - centre], axis=1)
-        normal = (design * weight[:, None]).T @ design
-        if np.linalg.cond(normal) > 1e10:
+    for _ in range(_ROUNDS):
+        total = float(weight.sum())
+        centre = float(weight @ share) / total
+        arm = share - centre
+        square = float(weight @ arm**2)
+        if square <= 0:
             return None
-        value = np.asarray(np.linalg.solve(normal, (design * weight[:, None]).T @ offset_px), dtype=np.float64)
-        miss = offset_px - design @ value
+        value = np.array([float(weight @ offset_px) / total, float(weight @ (arm * offset_px)) / square])
+        miss = offset_px - value[0] - value[1] * arm
         scatter = max(robust_scale(miss), _FLOOR_PX)
-        weight = np.asarray(np.maximum(1 - (miss / (4.685 * scatter)) ** 2, 0.0) ** 2, dtype=np.float64)
-        kept = np.asarray(weight > 0)
-        if np.count_nonzero(kept) < _FEWEST_PIECES:
+        before, weight = weight, _TUKEY.weight(np.abs(miss) / scatter)
+        if np.count_nonzero(weight) < _FEWEST_PIECES:
             return None
-    design = np.stack([np.ones_like(share), share - centre], axis=1)
-    # Pieces beside each other share errors of the panels' edges and of the background: their scatter about the line
-    # tells, by the means of runs of four, how much larger that makes the line's error.
-    covariance = np.linalg.inv((design * weight[:, None]).T @ design) * scatter**2 * _growth(miss[kept], scatter)
-    return value, np.asarray(covariance + np.diag([_FLOOR_PX**2, 0.0])), centre, kept
+        if np.abs(weight - before).max() < _SETTLED:
+            break
+    kept = np.asarray(weight > 0)
+    variance = scatter**2 * _growth(miss[kept], scatter)
+    return value, np.diag([variance / total + _FLOOR_PX**2, variance / square]), centre, kept
 
 
 def _growth(miss_px: FloatArray, scatter_px: float) -> float:
-    """Return by how much means of four neighbours scatter more than independent ones would; 1 at least."""
+    """Return by how much means of four neighbours scatter more than independent ones would; 1 at least.
+
+    Pieces beside each other share errors of the panels' edges and of the background, which makes the line's error
+    larger than their scatter alone would.
+    """
     runs = miss_px.size // 4
     if runs < 3:
         return 2.0
@@ -292,7 +297,7 @@ def fit_pose(
     view: View,
     lattice: PanelLattice,
     noise_dn: float,
-    reaches_px: tuple[float, ...] = (24.0, 14.0, 9.0, 6.0),
+    reaches_px: tuple[float, ...] = (24.0, 12.0, 6.0),
 ) -> FittedPose | None:
     """Move a pose until the lines lie where it predicts them; None where too few are seen.
 
@@ -343,7 +348,7 @@ def _moved(view: View, lattice: PanelLattice, found: tuple[FoundLine | None, ...
         step = np.asarray(found_step, dtype=np.float64)
         miss = (value - jacobian @ step) / sigma
         scale = max(robust_scale(miss), 1.0)
-        weight = np.asarray(np.maximum(1 - (miss / (4.685 * scale)) ** 2, 0.0) / sigma)
+        weight = np.asarray(np.sqrt(_TUKEY.weight(np.abs(miss) / scale)) / sigma)
     if np.count_nonzero(weight) < 2 * _FEWEST_PIECES or not np.isfinite(step).all():
         return None
     scaled = jacobian * (weight > 0)[:, None] / sigma[:, None]
