@@ -37,9 +37,6 @@ from photogrammetry.start_values import LeftOut
 _START_PHOTOS = 3
 #: Turns about the line of sight that are tried, and how far a direction may be off, in sigmas of the turns.
 _TURNS, _REACH = (-2.0, -1.2, -0.4, 0.4, 1.2, 2.0), 3.0
-#: Two places of the drone against the drawing are the same within this [m]: positions of some centimetres, and poses of
-#: single photos that corners off by millimetres move by a decimetre. The next panels are a metre away.
-_SAME_M = 0.3
 #: A collector is found when the odds against the next best place are this large.
 _CLEAR_ODDS = float(np.log(1e3))
 #: A photo is refused when its place contradicts the drone's by so many sigmas: by chance one in 10^6.
@@ -64,6 +61,15 @@ class CornerSearch:
     lever_m: FloatArray
     enu_from_frame: FloatArray
     turn_sigma_rad: float
+
+    @property
+    def same_m(self) -> float:
+        """Two places of the drone against the drawing are the same within half a panel: wrong ones are panels off [m].
+
+        Positions are good to centimetres; poses of single photos are moved by a decimetre by corners that are off by
+        millimetres.
+        """
+        return 0.5 * min(float(np.diff(edges).min()) for edges in self.lattice.edges_m)
 
 
 class _Tied(NamedTuple):
@@ -177,9 +183,9 @@ def _tie(files: Sequence[Path], finder: Finder, search: CornerSearch, said: dict
             f"corners: the panels' edges of the drawing are in none of {', '.join(file.name for file in files)}; are "
             "panel_edges_x_m, panel_edges_y_m, azimuth_deg, the camera and its turns right?"
         )
-    totals = np.array([_agreeing(one, candidates, len(files)) for one in candidates])
+    totals = np.array([_agreeing(one, candidates, len(files), search.same_m) for one in candidates])
     best = candidates[int(np.argmax(totals))]
-    apart = np.array([np.linalg.norm(one.origin_m - best.origin_m) > _SAME_M for one in candidates])
+    apart = np.array([np.linalg.norm(one.origin_m - best.origin_m) > search.same_m for one in candidates])
     rival = float(totals[apart].max(initial=0.0))
     if totals.max() - rival < _CLEAR_ODDS:
         raise EstimationError(
@@ -203,11 +209,11 @@ def _candidate(number: int, fitted: FittedPose, photo: _Photo, search: CornerSea
     return _Candidate(number, fitted, turn, origin)
 
 
-def _agreeing(one: _Candidate, candidates: Sequence[_Candidate], count: int) -> float:
+def _agreeing(one: _Candidate, candidates: Sequence[_Candidate], count: int, same_m: float) -> float:
     """Return the logarithm of the odds of a place from all photos: of each its best candidate that agrees."""
     best = np.zeros(count)
     for other in candidates:
-        if float(np.linalg.norm(other.origin_m - one.origin_m)) <= _SAME_M:
+        if float(np.linalg.norm(other.origin_m - one.origin_m)) <= same_m:
             best[other.photo] = max(best[other.photo], other.fitted.log_odds)
     return float(best.sum())
 
@@ -234,7 +240,7 @@ def _look(
     off = tied.enu_from_frame @ (pose.inverse().apply(search.lever_m) - antenna)
     turned = tied.enu_from_frame @ pose.origin_covariance(fitted.covariance) @ tied.enu_from_frame.T
     expected = turned + np.diag(2 * photo.sigma_m**2)
-    if float(off @ np.linalg.solve(expected, off)) > _CONTRADICTED**2 and float(np.linalg.norm(off)) > _SAME_M:
+    if float(off @ np.linalg.solve(expected, off)) > _CONTRADICTED**2 and float(np.linalg.norm(off)) > search.same_m:
         reason = f"by its panels' edges it was taken {float(np.linalg.norm(off)):.2g} m from where the drone says"
         return _refused(file.name, shape, reason), None
     points = corner_points(View(camera, pose), lattice, fitted)
