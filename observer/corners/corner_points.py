@@ -13,13 +13,18 @@ from observer.photo_edges.views import View
 #: Both lines must cross under this angle at least (sine): under smaller ones the crossing runs along them.
 _LEAST_CROSSING = 0.2
 
+#: A corner is not the drawing's when its distance has this chi-square of two: by chance one of 10^4. What is found
+#: instead is an edge of the tube's reflection that runs along a gap.
+_FAR = 18.4
+
 
 class CornerPoints(NamedTuple):
     """Corners of a photo.
 
     pixels_px (n, 2): Where they are; NaN where flagged [px].
     covariance_px2 (n, 2, 2): Their covariance [px^2].
-    flags (n,): Why one is missing: beyond the photo's border, or not all of the lines that meet there are seen.
+    flags (n,): Why one is missing: beyond the photo's border, not all of the lines that meet there are seen, or farther
+        from the drawing than panels are mounted.
     """
 
     pixels_px: FloatArray
@@ -36,6 +41,10 @@ def corner_points(view: View, lattice: PanelLattice, fitted: FittedPose) -> Corn
     to it and averaged: panels lie off their places by millimetres, and one side alone would be another point.
     """
     count = len(lattice.corners)
+    seen = view.camera.project_posed(lattice.points_m, view.cam_from_frame)
+    places = np.arange(count)
+    mounted = lattice.covariance_m2.reshape(count, 3, count, 3)[places, :, places]
+    mounted_px2 = seen.d_pixel_d_point @ mounted @ np.swapaxes(seen.d_pixel_d_point, 1, 2)
     pixels = np.full((count, 2), np.nan)
     covariance = np.full((count, 2, 2), np.nan)
     flags = np.zeros(count, dtype=np.uint32)
@@ -52,6 +61,10 @@ def corner_points(view: View, lattice: PanelLattice, fitted: FittedPose) -> Corn
         crossing = _crossing(view, lattice, fitted, corner, sides[corner])
         if crossing is None:
             flags[k] = SampleFlag.PARTLY_COVERED
+            continue
+        off = crossing[0] - seen.pixels_px[k]
+        if float(off @ np.linalg.solve(mounted_px2[k] + crossing[1], off)) > _FAR:
+            flags[k] = SampleFlag.OUTLIER
             continue
         pixels[k], covariance[k] = crossing
     return CornerPoints(pixels, covariance, flags)

@@ -270,6 +270,7 @@ def _look(
 #: Why a corner is missing.
 _REASONS = {
     SampleFlag.CUT_BY_BORDER: "the lines that meet there reach beyond the border of the photo",
+    SampleFlag.OUTLIER: "farther from the drawing than panels are mounted: it may be an edge of the reflection",
     SampleFlag.PARTLY_COVERED: "not all of the lines that meet there are seen clearly",
 }
 
