@@ -16,13 +16,14 @@ from heliogauge.geometry.sun import angles_from_direction
 from heliogauge.validate import BoolArray, FloatArray
 
 #: What can be said of a row.
-GOOD, EXTRAPOLATED, OUTSIDE, NEVER, AWAY, BESIDE = (
+GOOD, EXTRAPOLATED, OUTSIDE, NEVER, AWAY, BESIDE, MISSING = (
     "good",
     "extrapolated",
     "outside the range of the drives",
     "no position does it",
     "away from the target",
     "beside the target",
+    "no readings",
 )
 
 
@@ -103,18 +104,22 @@ def beam_columns(known: Calibrated, readings: FloatArray, suns: FloatArray, targ
         centre), its distance from the centre as an angle at the mirror, sigmas.
     """
     design = known.design
-    poses = mirror_poses(design, design.parameters.values, readings, outside="nan")
+    given = np.isfinite(readings).all(axis=1)
+    somewhere = np.where(given[:, None], readings, design.limits.mean(axis=1))
+    poses = mirror_poses(design, design.parameters.values, somewhere, outside="nan")
     beams = reflect(-suns, poses.normals(design))
     travel = intersect_plane(poses.centre_m, beams, target.center_m, target.normal)
-    there = np.isfinite(travel) & (travel > 0)
+    there = given & np.isfinite(travel) & (travel > 0)
     places = target.coordinates(poses.centre_m + np.where(there, travel, np.nan)[:, None] * beams)
     wanted = target.center_m - poses.centre_m
     wanted /= np.linalg.norm(wanted, axis=1, keepdims=True)
     off_rad = 2 * np.arcsin(np.minimum(np.linalg.norm(beams - wanted, axis=1) / 2, 1.0))
+    off_rad = np.where(given, off_rad, np.nan)
     inside = np.asarray(((readings >= design.limits[:, 0]) & (readings <= design.limits[:, 1])).all(axis=1))
     sigma_rad, beyond = known.sigma(suns)
+    sigma_rad = np.where(given, sigma_rad, np.nan)
     on_target = np.asarray((np.abs(places) <= [target.width_m / 2, target.height_m / 2]).all(axis=1))
-    verdicts = {NEVER: np.isnan(travel), AWAY: ~there, OUTSIDE: ~inside, BESIDE: ~on_target}
+    verdicts = {MISSING: ~given, NEVER: np.isnan(travel), AWAY: ~there, OUTSIDE: ~inside, BESIDE: ~on_target}
     status = _status(len(suns), verdicts | {EXTRAPOLATED: beyond})
     return {
         "heliostat": [design.name] * len(suns),

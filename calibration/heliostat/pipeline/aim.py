@@ -36,7 +36,7 @@ sigma_beam_mrad   expected error of the beam (root of both axes' variances) at t
                   the sky; sigma_across_m the same of one axis at the target, across the line of sight.
 status            good; extrapolated: the sun stands beyond those of the calibration, the sigma says by how much that
                   counts; outside the range of the drives and no position does it: no readings are given; beside the
-                  target and away from the target: of given readings.
+                  target, away from the target and no readings: of given readings.
 """
 
 
@@ -137,7 +137,8 @@ class _Given:
             suns = direction_from_angles(azimuth, elevation)
         else:
             suns = sun_directions(np.array([_time(file, row, text) for row, text in enumerate(texts)]), site)
-        readings = np.column_stack([_numbers(file, table, name) for name in ("reading_1", "reading_2")])
+        # The table of a day has no readings where the drives cannot go.
+        readings = np.column_stack([_numbers(file, table, name, blank=True) for name in ("reading_1", "reading_2")])
         return cls(file, tuple(table["heliostat"]), readings, suns, tuple(texts))
 
     def check_names(self, known: list[str]) -> None:
@@ -168,9 +169,12 @@ def _time(file: Path, row: int, text: str) -> np.datetime64:
         raise InputError(f"{file}, row {row + 1}: {error}") from error
 
 
-def _numbers(file: Path, table: Mapping[str, list[str]], name: str) -> FloatArray:
-    values = np.empty(len(table[name]))
+def _numbers(file: Path, table: Mapping[str, list[str]], name: str, *, blank: bool = False) -> FloatArray:
+    """Return a column; NaN for empty cells where these may be."""
+    values = np.full(len(table[name]), np.nan)
     for row, text in enumerate(table[name]):
+        if blank and not text.strip():
+            continue
         try:
             values[row] = float(text)
         except ValueError:

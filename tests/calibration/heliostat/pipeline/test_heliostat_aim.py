@@ -68,6 +68,11 @@ def test_what_the_drives_cannot_do_is_said_and_has_no_readings(paint: Path, tmp_
     assert len(outside) > 5
     assert f"{len(outside)} outside the range of the drives" in sentences[0]
     assert {day[name][row] for name in ("reading_1", "reading_2", "sigma_beam_mrad") for row in outside} == {""}
+    # The same table on the way back: its rows stay, those without readings say so.
+    aim.run(tmp_path / "r", tmp_path / "back", aim.AimOptions(readings=tmp_path / "out" / aim.AIM_FILE))
+    back = table(tmp_path / "back", aim.BEAM_FILE)
+    assert [row for row, status in enumerate(back["status"]) if status == "no readings"] == outside
+    assert {back[name][row] for name in ("x_m", "off_centre_mrad", "sigma_beam_mrad") for row in outside} == {""}
 
 
 def test_a_beam_beside_its_target_is_said(paint: Path, tmp_path: Path) -> None:
