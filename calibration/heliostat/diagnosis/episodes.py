@@ -6,6 +6,7 @@ import numpy as np
 
 from calibration.heliostat.diagnosis.findings import Finding, Severity, dates_of
 from calibration.heliostat.diagnosis.linear_model import EXPLAINED_SIGMAS, FEWEST_ROWS
+from calibration.heliostat.fitting.drift_noise import USUAL_NOISE
 from calibration.heliostat.fitting.fit_result import HeliostatFit
 from calibration.heliostat.kinematic_model.design import RotaryDrive
 from calibration.heliostat.observations.residuals import evaluate
@@ -76,7 +77,7 @@ def find_episodes(fit: HeliostatFit, excluded: BoolArray) -> tuple[Episode, ...]
 
 
 def episode_finding(fit: HeliostatFit, episode: Episode) -> Finding:
-    """Return an episode as a finding: a fault from four rows on."""
+    """Return an episode as a finding: a fault from four rows on, and beyond what the zeros of drives wander."""
     seen, rows = fit.observations, episode.members
     first, last = seen.time[rows].min(), seen.time[rows].max()
     count = int(rows.sum())
@@ -92,9 +93,14 @@ def episode_finding(fit: HeliostatFit, episode: Episode) -> Finding:
     for axis in (0, 1):
         evidence[f"level_{axis + 1}_rad"] = float(episode.level_rad[axis])
         evidence[f"sigma_level_{axis + 1}_rad"] = float(episode.sigma_rad[axis])
-    severity: Severity = "fault" if count >= FAULT_ROWS else "rows"
+    # Drives wander anyhow, and rows of one time together: on any of the days.
+    spread = USUAL_NOISE.drive_variance_rad2 + episode.sigma_rad**2
+    days = np.unique(seen.time[~np.isnat(seen.time)].astype("datetime64[D]")).size
+    wandering = min(1.0, days * float(np.exp(-0.5 * np.sum(episode.level_rad**2 / spread))))
+    severity: Severity = "fault" if count >= FAULT_ROWS and wandering < _BY_CHANCE else "rows"
+    chance = max(episode.chance, wandering)
     return Finding(
-        "episode", severity, text, evidence, episode.chance, tuple(seen.row[rows].tolist()), dates_of(seen.time[rows])
+        "episode", severity, text, evidence, chance, tuple(seen.row[rows].tolist()), dates_of(seen.time[rows])
     )
 
 

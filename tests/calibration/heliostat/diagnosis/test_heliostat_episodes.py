@@ -56,6 +56,15 @@ class TestEpisodes:
         assert finding.chance < 1e-6
         assert "chance" in finding.doubt.text
 
+    @pytest.mark.parametrize(("level", "severity"), [(1.8e-3, "rows"), (6e-3, "fault")])
+    def test_what_drives_wander_anyhow_is_no_fault(self, rng, level, severity):
+        """Zeros wander by half a milliradian, and rows of one day together: three times that on one of twelve days."""
+        observations, rows = off_for_some_days(rng, level, [5])
+        (finding,) = [one for one in judged(observations).findings if one.kind == "episode"]
+        assert finding.severity == severity
+        assert set(finding.rows) == set(np.flatnonzero(rows).tolist())
+        assert (finding.chance > 0.01) is (severity == "rows")
+
     def test_at_the_end_nothing_came_back(self, rng):
         """A level that stays is a change on a date."""
         observations, _ = off_for_some_days(rng, 20e-3, [10, 11])
