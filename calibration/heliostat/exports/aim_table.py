@@ -104,12 +104,12 @@ def beam_columns(known: Calibrated, readings: FloatArray, suns: FloatArray, targ
         centre), its distance from the centre as an angle at the mirror, sigmas.
     """
     design = known.design
-    given = np.isfinite(readings).all(axis=1)
+    given = np.asarray(np.isfinite(readings).all(axis=1))
     somewhere = np.where(given[:, None], readings, design.limits.mean(axis=1))
     poses = mirror_poses(design, design.parameters.values, somewhere, outside="nan")
     beams = reflect(-suns, poses.normals(design))
     travel = intersect_plane(poses.centre_m, beams, target.center_m, target.normal)
-    there = given & np.isfinite(travel) & (travel > 0)
+    there = np.asarray(given & np.isfinite(travel) & (travel > 0))
     places = target.coordinates(poses.centre_m + np.where(there, travel, np.nan)[:, None] * beams)
     wanted = target.center_m - poses.centre_m
     wanted /= np.linalg.norm(wanted, axis=1, keepdims=True)
