@@ -33,6 +33,9 @@ _SIGNIFICANT = 6.0
 _FLICKER = 0.01
 #: Effect on the phase, over that of noise, from which a frame is corrected: below, sigma is right within an eighth.
 _LEAST_EFFECT = 0.5
+#: Scatter of readings, over the light, below which frames count as no quieter: that of 10^6 electrons, more than a pixel
+#: holds. What is left then is the model's own: fringes are no plane waves within a pixel.
+_LEAST_NOISE = 1e-3
 
 
 class OddityKind(StrEnum):
@@ -372,7 +375,8 @@ class _Equations:
         rights = np.concatenate(
             [np.einsum("pkc,pk->kc", by_frame, weighted).ravel(), np.einsum("pkh,pk->h", by_wave, weighted)]
         )
-        scale = max(float(robust_scale(kept)) * np.sqrt(n / freedom), 1e-9)
+        least = max(_LEAST_NOISE * float(np.median(pixels.offset)), 1e-9)
+        scale = max(float(robust_scale(kept)) * np.sqrt(n / freedom), least)
         whole = np.block([[normal, cross], [cross.T, among]]) / scale**2
         to_phase = _effects(pixels, pattern, scale)
         return cls(pixels, left, basis, triangle, columns, waves, whole, rights / scale**2, scale, to_phase)
