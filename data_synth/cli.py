@@ -72,6 +72,10 @@ def deflectometry(
             "gamma:EXPONENT, drift:SHARE. May be given several times."
         ),
     ] = None,
+    dots: Annotated[
+        Literal["light", "unmarked"] | None,
+        typer.Option(help="One photo of a field of dots instead of fringes, with or without a light at dot (0, 0)."),
+    ] = None,
     pose_known: Annotated[bool, typer.Option("--pose-known", help="State the mirror's pose exactly.")] = False,
     poses: Annotated[
         int,
@@ -101,6 +105,20 @@ def deflectometry(
         if not quiet:
             print(folder)
         return
+    knowledge = Knowledge(pose_known=pose_known, response=gamma != 1.0)
+    if dots is not None:
+        from data_synth.dots import dot_scene, write_dot_dataset
+
+        if poses > 1 or gamma != 1.0 or fault:
+            raise InputError("--dots: one photo has neither poses nor a display, nor the faults of frames")
+        drawn = dot_scene(preset, dots)
+        sensor = replace(drawn.scene.sensor, bits=bits, read_noise_dn=noise_dn, shot_gain_dn=shot_gain_dn)
+        drawn = replace(drawn, scene=replace(drawn.scene, sensor=sensor))
+        drawn = drawn if blur_px is None else replace(drawn, blur_sigma_px=blur_px)
+        write_dot_dataset(folder, drawn, DatasetOptions(seed, knowledge, force=force))
+        if not quiet:
+            print(folder)
+        return
     numbers = parse_periods(periods)
     scene = preset_scene(preset)
     scene = replace(
@@ -111,7 +129,6 @@ def deflectometry(
         blur_sigma_px=scene.blur_sigma_px if blur_px is None else blur_px,
         faults=tuple(Fault.parse(text) for text in fault or ()),
     )
-    knowledge = Knowledge(pose_known=pose_known, response=gamma != 1.0)
     progress = terminal_progress(quiet=quiet, verbose=verbose)
     if poses > 1:
         if pose_known or gamma != 1.0:

@@ -40,7 +40,7 @@ METHOD = {
         "studies",
     ),
     "calibration.heliostat": ("beam_photos", "kinematic_model", "observations", "fitting", "diagnosis", "exports"),
-    "data_synth": ("optics", "fringes", "targets", "troughs", "heliostats", "lasers"),
+    "data_synth": ("optics", "fringes", "dots", "targets", "troughs", "heliostats", "lasers"),
     "heliogauge": (
         "geometry",
         "camera",

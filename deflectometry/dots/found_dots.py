@@ -54,6 +54,18 @@ class FoundDots:
 
         return float(np.median(cKDTree(self.centers_px).query(self.centers_px, 2)[0][:, 1]))
 
+    @property
+    def cell_px2(self) -> float:
+        """Usual area of the photo between four dots [px^2]."""
+        by_number = {(int(column), int(row)): k for k, (column, row) in enumerate(self.number)}
+        areas = []
+        for (column, row), k in by_number.items():
+            across, down = by_number.get((column + 1, row)), by_number.get((column, row + 1))
+            if across is not None and down is not None:
+                (x, y), (x1, y1) = (self.centers_px[one] - self.centers_px[k] for one in (across, down))
+                areas.append(abs(x * y1 - y * x1))
+        return float(np.median(areas))
+
     def renumbered(self, number: IntArray) -> "FoundDots":
         """Return the dots with other columns and rows."""
         return replace(self, number=number)

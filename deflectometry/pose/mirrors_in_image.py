@@ -330,8 +330,8 @@ def _equal_area(profile: FloatArray, center: IntArray, half_window: float) -> tu
     contrast = inside - outside
     with np.errstate(divide="ignore", invalid="ignore"):
         share = (window - outside[:, None]) / contrast[:, None]
-    # Trapezoid: the first sample counts half, so that a step exactly at the centre has the area half the window.
-    area = (share.sum(axis=1) - 0.5 * (share[:, 0] + share[:, -1])) / _SAMPLES_PER_PIXEL
+        # Trapezoid: the first sample counts half, so that a step exactly at the centre has the area half the window.
+        area = (share.sum(axis=1) - 0.5 * (share[:, 0] + share[:, -1])) / _SAMPLES_PER_PIXEL
     middle = (profile.shape[1] - 1) // 2
     return (center - middle) / _SAMPLES_PER_PIXEL - half_window + area, contrast
 

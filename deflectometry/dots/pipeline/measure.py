@@ -26,9 +26,12 @@ from heliogauge.errors import FailurePicture, InputError, showing
 from heliogauge.images.photos import read_frames
 from heliogauge.measurement.load import MEASUREMENT_FILE
 from heliogauge.running.progress import Progress, SilentProgress
-from heliogauge.validate import Float32Array, IntArray
+from heliogauge.validate import BoolArray, Float32Array, IntArray
 from photogrammetry.targets import Polarity
 
+#: Share of the mirror with dots below which a part of it has none: around a mirror with 40 dots across, half a
+#: dot's distance along the edges is 5 %, and as much may be lost to clips.
+_DOTTED_SHARE = 0.9
 #: What measurement.toml calls dots of either kind.
 POLARITIES = {"dark": Polarity.BLACK_ON_WHITE, "light": Polarity.WHITE_ON_BLACK}
 
@@ -73,7 +76,7 @@ def run(measurement: DotsMeasurement, options: Options | None = None, progress: 
     with progress.stage("find dots"), showing(lambda: _pictures(photo)):
         everywhere = find_dots(photo, np.ones(photo.shape, dtype=np.bool_), polarity)
         ground = ground_of_dots(photo, everywhere, polarity)
-        source = DotSource(ground, None, screen)
+        source = DotSource(without_dots(photo, ground, everywhere), None, screen)
     with progress.stage("place in the pattern"), showing(lambda: _pictures(photo)):
         located = find_pose(source, setup, mirror)
         masks = mirror_masks(setup.camera, located.outline_pose, located.facets, margin_px=located.margin_px)
@@ -90,7 +93,13 @@ def run(measurement: DotsMeasurement, options: Options | None = None, progress: 
         _words(placed, pattern, screen),
         lambda: _pictures(photo),
         measurement.input_files,
-        gather_doubts(frames.doubts, check_compression([measurement.model.photo]), placed.doubt, _coarse(placed.dots)),
+        gather_doubts(
+            frames.doubts,
+            check_compression([measurement.model.photo]),
+            placed.doubt,
+            _coarse(placed.dots),
+            _missing(placed.dots, masks.facet_index >= 0),
+        ),
     )
     return measure_source(ready, progress)
 
@@ -107,6 +116,19 @@ def ground_of_dots(photo_dn: npt.NDArray[Any], dots: FoundDots, polarity: Polari
     for operation in order if polarity is Polarity.BLACK_ON_WHITE else order[::-1]:
         image = np.asarray(cv2.morphologyEx(image, operation, kernel), dtype=np.float32)
     return image
+
+
+def without_dots(photo_dn: npt.NDArray[Any], ground_dn: Float32Array, dots: FoundDots) -> Float32Array:
+    """Return the photo with the ground in the place of each dot: what is beside dots, as the mirror's edges, stays.
+
+    photo_dn, ground_dn (h, w): The photo, and its ground from `ground_of_dots` [DN].
+    """
+    near = np.zeros(photo_dn.shape, dtype=np.uint8)
+    # Half the distance of two dots holds a dot with its blur.
+    radius = int(np.ceil(0.5 * dots.spacing_px))
+    for x, y in np.rint(dots.centers_px).astype(int).tolist():
+        cv2.circle(near, (x, y), radius, 1, cv2.FILLED)
+    return np.where(near > 0, ground_dn, photo_dn).astype(np.float32)
 
 
 def _known_dot(
@@ -138,6 +160,24 @@ def _coarse(dots: FoundDots) -> Doubt | None:
         f"{share:.0%} of the dots are no blurred discs: they have the centre of their outline, with a larger sigma; "
         "check focus and exposure, and that a dot covers 4 px and more",
         {"coarse_share": share},
+    )
+
+
+def _missing(dots: FoundDots, region: BoolArray) -> Doubt | None:
+    """Return a doubt where a part of the mirror shows no dots.
+
+    region (h, w): Pixels that see the mirror.
+    """
+    place = np.rint(dots.centers_px).astype(np.intp)
+    on_mirror = region[np.clip(place[:, 1], 0, region.shape[0] - 1), np.clip(place[:, 0], 0, region.shape[1] - 1)]
+    share = float(np.count_nonzero(on_mirror)) * dots.cell_px2 / max(float(np.count_nonzero(region)), 1.0)
+    if share > _DOTTED_SHARE:
+        return None
+    return Doubt(
+        "mirror_without_dots",
+        f"dots are seen on {share:.0%} of the mirror only; the rest is not measured: check what covers the pattern or "
+        "the mirror, the focus, and whether the mirror looks past the field of dots",
+        {"dotted_share": share},
     )
 
 

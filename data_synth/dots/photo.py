@@ -1,0 +1,133 @@
+"""One photo of a field of dots seen in a mirror with known slope errors."""
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import cv2
+import numpy as np
+
+from data_synth.fringes.presets import FULL_CAMERA, preset_scene
+from data_synth.fringes.scene import FringeScene
+from heliogauge.errors import InputError
+from heliogauge.short_repr import ShortRepr
+from heliogauge.validate import Float32Array, FloatArray
+
+#: Rays along each side of a pixel: a dot of 4 px is then crossed by 300 of them, its centre right to 0.003 px.
+_RAYS = 6
+#: Rows of pixels that are traced at once.
+_ROWS = 24
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DotScene(ShortRepr):
+    """A field of dots before a mirror.
+
+    scene: Camera, mirror and wall; its pattern is not shown.
+    pitch_m, radius_m: Distance of the dots along the wall, and their size [m].
+    count: Columns and rows.
+    origin: Column and row, from the left and from the top, of dot (0, 0).
+    marked: Whether a point light stands beside dot (0, 0).
+    scatter_m: Standard deviation of the dots about a regular field [m].
+    blur_sigma_px: Gaussian blur of the lens [px].
+    hidden: Share of the field that is covered, from its left edge.
+    """
+
+    scene: FringeScene
+    pitch_m: float = 0.062
+    radius_m: float = 0.015
+    count: tuple[int, int] = (75, 55)
+    origin: tuple[int, int] = (36, 29)
+    marked: bool = True
+    scatter_m: float = 4e-4
+    blur_sigma_px: float = 0.6
+    hidden: float = 0.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DotTruth:
+    """Where the dots are.
+
+    column, row (n,): Their numbers, to the right and upwards.
+    u, v (n,): Their display coordinates on the wall.
+    places_m (n, 3): Their places in the wall's frame [m].
+    """
+
+    column: FloatArray
+    row: FloatArray
+    u: FloatArray
+    v: FloatArray
+    places_m: FloatArray
+
+
+def dot_scene(preset: str, origin: Literal["light", "unmarked"]) -> DotScene:
+    """Return a ready scene by the name of its fringe scene, with a camera that resolves dots.
+
+    InputError: No such preset, or one of several facets.
+    """
+    scene = preset_scene(preset)
+    if len(scene.facets) > 1:
+        raise InputError(f"preset {preset!r} has {len(scene.facets)} facets; dots are drawn in one")
+    scene = replace(scene, bench=replace(scene.bench, camera=FULL_CAMERA.scaled(0.5)))
+    return DotScene(scene, marked=origin == "light")
+
+
+def place_dots(dots: DotScene, rng: np.random.Generator) -> DotTruth:
+    """Put the dots on the wall, each a little off its regular place."""
+    wall = dots.scene.bench.wall
+    columns, rows = dots.count
+    column, row = (one.ravel().astype(np.float64) for one in np.meshgrid(np.arange(columns), np.arange(rows)))
+    off = dots.scatter_m * rng.standard_normal((2, column.size))
+    across = dots.pitch_m * (column - 0.5 * (columns - 1)) + off[0]
+    down = dots.pitch_m * (row - 0.5 * (rows - 1)) + off[1]
+    u, v = 0.5 + across / wall.width_m, 0.5 + down / wall.height_m
+    return DotTruth(column - dots.origin[0], dots.origin[1] - row, u, v, wall.points_m(u, v))
+
+
+def photo_light(dots: DotScene, truth: DotTruth) -> Float32Array:
+    """Integrate the light on every pixel: rays over its area, then the blur of the lens.
+
+    Returns (h, w): Light on the pixels, 1 for a fully reflected white wall.
+    """
+    scene = dots.scene
+    facet, camera = scene.facets[0], scene.bench.camera
+    outline = scene.bench.project_outline(facet)
+    low = np.maximum(np.floor(outline.min(axis=0)) - 4, 0).astype(int)
+    high = np.minimum(np.ceil(outline.max(axis=0)) + 5, (camera.width_px, camera.height_px)).astype(int)
+    fine = (np.arange(_RAYS) + 0.5) / _RAYS - 0.5
+    x = (np.arange(low[0], high[0])[:, None] + fine).ravel()
+    parts = []
+    for top in range(low[1], high[1], _ROWS):
+        y = (np.arange(top, min(top + _ROWS, high[1]))[:, None] + fine).ravel()
+        seen = scene.bench.trace(facet, *np.meshgrid(x, y))
+        light = _wall_light(dots, truth, seen.u, seen.v)
+        light = np.where(facet.contains(seen.points_m[..., 0], seen.points_m[..., 1]), light, 0.02)
+        parts.append(light.astype(np.float32))
+    window = cv2.GaussianBlur(np.concatenate(parts), (0, 0), dots.blur_sigma_px * _RAYS)
+    height, width = high[1] - low[1], high[0] - low[0]
+    image = np.full((camera.height_px, camera.width_px), 0.02, dtype=np.float32)
+    image[low[1] : high[1], low[0] : high[0]] = window.reshape(height, _RAYS, width, _RAYS).mean(axis=(1, 3))
+    return image
+
+
+def _wall_light(dots: DotScene, truth: DotTruth, u: FloatArray, v: FloatArray) -> FloatArray:
+    """Return the light of the wall at display coordinates: ground, dots, and the light beside dot (0, 0)."""
+    wall = dots.scene.bench.wall
+    columns, rows = dots.count
+    with np.errstate(invalid="ignore"):
+        across, down = (u - 0.5) * wall.width_m, (v - 0.5) * wall.height_m
+        column = np.rint(across / dots.pitch_m + 0.5 * (columns - 1))
+        row = np.rint(down / dots.pitch_m + 0.5 * (rows - 1))
+        there = (column >= dots.hidden * columns) & (column < columns) & (row >= 0) & (row < rows)
+    number = np.where(there, row * columns + column, 0).astype(np.intp)
+    near_across, near_down = (truth.u - 0.5) * wall.width_m, (truth.v - 0.5) * wall.height_m
+    apart = np.hypot(across - near_across[number], down - near_down[number])
+    # Brighter on one side, as a wall under one lamp is.
+    ground = 0.45 + 0.1 * np.nan_to_num(u)
+    light = np.where(there & (apart < dots.radius_m), 0.3 * ground, ground)
+    if dots.marked:
+        first = dots.origin[1] * columns + dots.origin[0]
+        beside = np.hypot(
+            across - near_across[first] - 0.3 * dots.pitch_m, down - near_down[first] + 0.2 * dots.pitch_m
+        )
+        light = np.where(beside < 0.008, 3.0, light)
+    return np.asarray(np.where(np.isfinite(u), light, 0.0))
