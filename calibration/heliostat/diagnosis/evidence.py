@@ -15,12 +15,10 @@ from calibration.heliostat.diagnosis.bounds import BOUNDS
 from calibration.heliostat.fitting.drift_noise import (
     USUAL_NOISE,
     LinearRows,
-    NoiseShape,
     drive_zeros,
     occasions_of,
 )
 from calibration.heliostat.fitting.field_fit import field_names
-from calibration.heliostat.fitting.field_model import likely_noise
 from calibration.heliostat.fitting.fit_result import HeliostatFit
 from calibration.heliostat.fitting.observability import plausible_scales
 from calibration.heliostat.fitting.priors import prior_sigma, with_all_terms
@@ -85,19 +83,18 @@ def log_evidence(explanation: Explanation, usual: HeliostatDesign, rows: BoolArr
     """Return the logarithm of the probability of some rows (n,) under an explanation.
 
     Each doubted number and each coefficient is normal with its usual variance over a weight of its own, whose
-    distribution makes it Student's; EM finds the weight (as `settle` does). The noise is the most probable one.
+    distribution makes it Student's; EM finds the weight (as `settle` does). The noise has its usual shape, and its size
+    is integrated out.
     """
     known = _known(explanation, usual)
     sigmas = np.concatenate([known.sigmas, *(term.sigmas for term in explanation.terms)])
     wide = np.ones(sigmas.size, dtype=np.bool_)
     wide[: len(known.names)] = [name in explanation.doubted for name in known.names]
     weighed = _Weighed(_linear_rows(explanation, known.names, rows), np.ones(sigmas.size))
-    weighed = _settled(weighed, USUAL_NOISE, sigmas, wide)
-    noise = likely_noise([weighed.seen.rows], np.zeros(sigmas.size), weighed.covariance(sigmas))
-    weighed = _settled(weighed, noise, sigmas, wide)
-    equations = weighed.seen.rows.equations(noise)
+    weighed = _settled(weighed, sigmas, wide)
+    equations = weighed.seen.rows.equations(USUAL_NOISE)
     own = weighed.weights[wide]
-    penalty = _FREEDOM * float(np.sum(own - 1 - np.log(own))) + _odds_of(noise)
+    penalty = _FREEDOM * float(np.sum(own - 1 - np.log(own)))
     return unit_noise(equations, np.zeros(sigmas.size), weighed.covariance(sigmas)).log_evidence - 0.5 * penalty
 
 
@@ -157,16 +154,17 @@ class _Weighed(NamedTuple):
         return np.diag(sigmas**2 / self.weights)
 
 
-def _settled(weighed: _Weighed, noise: NoiseShape, sigmas: FloatArray, wide: BoolArray) -> _Weighed:
+def _settled(weighed: _Weighed, sigmas: FloatArray, wide: BoolArray) -> _Weighed:
     """Weigh rows and numbers by how far they are off, until nothing changes."""
     (rows, owner), weights = weighed
     for _ in range(_ROUNDS):
-        equations = rows.equations(noise)
+        equations = rows.equations(USUAL_NOISE)
         size = sigmas / np.sqrt(weights)
         over = unit_noise(equations, np.zeros(size.size), np.diag(size**2)).factor ** -2
         gain = np.linalg.inv(over * equations.matrix * size[:, None] * size + np.eye(size.size))
         offsets = size * (gain @ (over * equations.rhs * size))
-        squares = offsets**2 + size**2 * np.diag(gain)
+        # Rounding takes a variance that is all but zero below it.
+        squares = offsets**2 + size**2 * np.maximum(np.diag(gain), 0.0)
         before, weights = weights, np.where(wide, (_FREEDOM + 1) / (_FREEDOM + squares / sigmas**2), 1.0)
         left = rows.residuals + rows.jacobian @ offsets
         lengths = np.sqrt(np.bincount(owner, left**2))[owner]
@@ -175,15 +173,3 @@ def _settled(weighed: _Weighed, noise: NoiseShape, sigmas: FloatArray, wide: Boo
         if np.abs(weights / before - 1).max(initial=0.0) < _NEAR:
             break
     return _Weighed(_Seen(rows, owner), weights)
-
-
-def _odds_of(noise: NoiseShape) -> float:
-    """Return what speaks against a noise before anything is observed, as `likely_noise` counts it."""
-    usual = USUAL_NOISE
-    ratios = (
-        noise.white / usual.white,
-        noise.day_rad / usual.day_rad,
-        noise.wander_rad / usual.wander_rad,
-        noise.misfit_rad / usual.misfit_rad,
-    )
-    return float(np.sum(np.log(ratios) ** 2))
