@@ -33,7 +33,7 @@ _SIGNIFICANT = 6.0
 _FLICKER = 0.01
 #: Effect on the phase, over that of noise, from which a frame is corrected: below, sigma is right within an eighth.
 _LEAST_EFFECT = 0.5
-#: Scatter of readings, over the light, below which frames count as no quieter: that of 10^6 electrons, more than a pixel
+#: Scatter of readings, over the light, below which frames count as no quieter: that of 10^6 electrons, more than pixels
 #: holds. What is left then is the model's own: fringes are no plane waves within a pixel.
 _LEAST_NOISE = 1e-3
 
