@@ -44,6 +44,7 @@ def brute_force(sheet: Sheet, camera: PinholeCamera, inside, n: int = 16) -> np.
     return inside(points[..., 0], points[..., 1]).mean(axis=(2, 3))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("tilt", [0.0, 1.0])
 @pytest.mark.parametrize("diameter_px", [6, 14])
 def test_ring_codes_against_brute_force(diameter_px: float, tilt: float) -> None:

@@ -108,6 +108,7 @@ def test_the_same_seed_gives_the_same_files(folder: Path, tmp_path: Path) -> Non
     assert not np.array_equal(other.views[0].position_m, scene.views[0].position_m)
 
 
+@pytest.mark.slow
 def test_a_folder_of_jpeg_with_a_rolling_shutter_and_slopes_of_a_file(tmp_path: Path) -> None:
     x, y = np.linspace(-2.5, 2.5, 30), np.linspace(-1.6, 1.6, 20)
     zero, design = np.zeros((20, 30)), np.broadcast_to(x / 2.98, (20, 30))
@@ -192,6 +193,7 @@ def test_gaps_of_a_measured_map_get_the_nearest_slope(tmp_path: Path) -> None:
     assert not found.slope_y.any()
 
 
+@pytest.mark.slow
 def test_targets_on_the_ground_are_seen_and_of_unknown_place(tmp_path: Path) -> None:
     scene = trough_scene("ls2", TroughChoice(0, 3, n_ground_targets=6))
     photographer = Photographer(scene.scaled(0.25))

@@ -17,6 +17,7 @@ def rays_down(x_m: np.ndarray, y_m: np.ndarray, from_x_m: float) -> Rays:
     return Rays(*eye, x_m - eye[0], y_m - eye[1], 0.8 - eye[2])
 
 
+@pytest.mark.slow
 def test_each_trough_looks_as_it_does_alone() -> None:
     scene = trough_scene("flight", TroughChoice(3, 2, is_shaped=True))
     field = FieldTracer(scene.troughs, np.float64)

@@ -346,6 +346,7 @@ def test_published_measurement_is_imported_whole(shared_data: Path, tmp_path: Pa
     assert camera.matrix[2, 2] == 1.0
 
 
+@pytest.mark.slow
 def test_a_mirror_imported_as_two_facets_is_evaluated_facet_by_facet(shared_data: Path, tmp_path: Path) -> None:
     """The published facet read as the publisher's ensemble of two halves: each half has the design about its middle."""
     root = shared_data / "opencsp"

@@ -15,6 +15,7 @@ from deflectometry.shape.smooth_shape import Align
 from tests.recovery.agreement import agreement, measure
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("blur_px", [0.1, 0.4])
 def test_blurred_edges_are_masked_though_the_pose_is_known(tmp_path, blur_px):
     """With blur a pixel near the edge lacks light from one side and sees the screen off: 11 sigma at 0.7 px."""

@@ -27,6 +27,7 @@ def once(rng: np.random.Generator, *, measures_absorber: bool = True) -> Simulat
     return simulate(scene, believed, NOISE, replace(EVALUATION, measures_absorber=measures_absorber), rng)
 
 
+@pytest.mark.slow
 def test_scatter_is_the_stated_sigma() -> None:
     # With a known absorber each run has many independent errors, so a few runs suffice.
     found = monte_carlo(lambda rng: once(rng, measures_absorber=False), 10, seed=1)

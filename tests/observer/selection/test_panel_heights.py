@@ -85,6 +85,7 @@ def test_heights_come_out_within_their_sigma_and_slopes_with_them():
     assert np.mean(gains) < 0.7
 
 
+@pytest.mark.slow
 def test_held_heights_are_no_unknowns():
     found = solved(0.0, 0)
     assert heights_of(found)[0].size == 0

@@ -82,6 +82,7 @@ def test_followed_targets_have_the_centres_that_a_search_gives(walk) -> None:
         assert moved > 30
 
 
+@pytest.mark.slow
 def test_one_wrong_entry_of_the_list_neither_stops_following_nor_moves_it(walk) -> None:
     _, known, images = walk
     wrong = known.points_m.copy()

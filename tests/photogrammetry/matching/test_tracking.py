@@ -46,6 +46,7 @@ def started(photos, limits: TrackLimits | None = None):
     return start_track(images[0], "walk_0", tuple(first), rough, SEARCH, limits)
 
 
+@pytest.mark.slow
 def test_all_dots_are_followed(photos) -> None:
     scene, images = photos
     track, seen = started(photos)
@@ -61,6 +62,7 @@ def test_all_dots_are_followed(photos) -> None:
     assert moved.max() > 20
 
 
+@pytest.mark.slow
 def test_a_hidden_dot_is_lost_and_found_again(photos) -> None:
     scene, images = photos
     track, _ = started(photos)
@@ -78,6 +80,7 @@ def test_a_hidden_dot_is_lost_and_found_again(photos) -> None:
     assert np.linalg.norm(place - dots(scene, 3)["dot5"]) < 0.05
 
 
+@pytest.mark.slow
 def test_too_large_a_step_loses_targets_instead_of_taking_others(photos) -> None:
     scene, images = photos
     track, _ = started(photos, TrackLimits(search_radius_px=15.0))
@@ -93,6 +96,7 @@ def test_too_large_a_step_loses_targets_instead_of_taking_others(photos) -> None
     assert all(far < 0.1 for far in off)
 
 
+@pytest.mark.slow
 def test_mistakes(photos) -> None:
     scene, images = photos
     first = dots(scene, 0)

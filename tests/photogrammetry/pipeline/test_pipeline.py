@@ -89,6 +89,7 @@ def from_photos(photo_folder: Path) -> Result:
     return run(load_photogrammetry(photo_folder))
 
 
+@pytest.mark.slow
 def test_photos_recover_the_truth(from_photos: Result, photo_folder: Path) -> None:
     ratio, rank, rms_m = chi_square_per_rank(from_photos, photo_folder)
     # 40 coded targets, and the 12 dots that were matched through their poses.
@@ -111,6 +112,7 @@ def test_image_points_recover_the_truth(points_folder: Path) -> None:
     assert low < result.solved.bundle.variance_factor < high
 
 
+@pytest.mark.slow
 def test_files(from_photos: Result, tmp_path: Path) -> None:
     from_photos.write(tmp_path)
     points = read_points_csv(tmp_path / "points.csv")

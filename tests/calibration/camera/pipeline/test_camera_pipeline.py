@@ -153,6 +153,7 @@ def test_photos_that_fail_are_named_and_left_out(boards: dict[str, Path], tmp_pa
     assert [one.code for one in result.doubts].count("photo_left_out") == 2
 
 
+@pytest.mark.slow
 def test_bad_folders(boards: dict[str, Path], tmp_path: Path) -> None:
     from heliogauge.images.photos import write_image
 
@@ -195,6 +196,7 @@ def test_targets_of_which_nothing_is_known(board_photos: Callable[[str], Path]) 
     assert np.sqrt((error**2).mean()) * scale < 2e-5
 
 
+@pytest.mark.slow
 def test_targets_need_a_drawing_to_be_held_to(boards: dict[str, Path], tmp_path: Path) -> None:
     folder = spoiled(boards, tmp_path)
     text = (folder / "measurement.toml").read_text(encoding="utf-8")

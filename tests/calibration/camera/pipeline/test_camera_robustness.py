@@ -118,6 +118,7 @@ def test_photos_held_out_are_predicted(folder: Path) -> None:
         run(load_camera_calibration(folder), Options(hold_out="nothing*"))
 
 
+@pytest.mark.slow
 def test_results_are_read_as_they_were_written(good: Result, tmp_path: Path) -> None:
     good.write(tmp_path)
     read = open_calibration(tmp_path)
@@ -167,6 +168,7 @@ def test_other_commands_use_the_camera(good: Result, board_photos: Callable[[str
     np.testing.assert_array_equal(camera.covariance, good.camera.covariance)
 
 
+@pytest.mark.slow
 def test_command_line(folder: Path, tmp_path: Path) -> None:
     out = tmp_path / "result"
     words = ["measure", str(folder), "-o", str(out), "--no-report", "--no-leave-one-out", "--jobs", "1", "-q"]

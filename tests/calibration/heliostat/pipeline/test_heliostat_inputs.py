@@ -121,6 +121,7 @@ class TestTerms:
 
 
 class TestImpossible:
+    @pytest.mark.slow
     def test_what_nothing_explains_is_refused_with_what_was_tried(self, tmp_path: Path) -> None:
         """Readings of another machine: hundreds of milliradians, and no result."""
         write_field(tmp_path, observations=40)
