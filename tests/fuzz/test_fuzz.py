@@ -18,6 +18,7 @@ pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="cases are copie
 _QUICK = ("field", "grey", "normals", "nurbs", "opencsp", "stations")
 
 
+@pytest.mark.slow
 def test_damaged_files_end_in_one_message(tmp_path: Path) -> None:
     targets = tuple(
         one

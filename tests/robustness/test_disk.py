@@ -14,6 +14,7 @@ def limited() -> None:
     resource.setrlimit(resource.RLIMIT_FSIZE, (LIMIT, LIMIT))
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="the limit on file sizes stands in for a full disk")
 def test_full_disk_is_one_message_and_leaves_nothing(drawn, tmp_path, repository):
     """HDF5 raised twice and crashed the interpreter (exit 139)."""

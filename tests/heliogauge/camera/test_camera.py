@@ -229,6 +229,7 @@ def random_covariance(seed=0):
     return sigma[:, None] * (mixing @ mixing.T) * sigma
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("direction", BOTH)
 def test_carried_uncertainty_agrees_with_drawn_cameras(direction):
     camera = camera_of(direction, covariance=random_covariance())

@@ -96,6 +96,7 @@ def test_every_file_that_is_missing_is_named(facet: Path) -> None:
     assert "day.png" in found
 
 
+@pytest.mark.slow
 def test_frames_in_the_wrong_order_are_found(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The dry run looks at what the frames show, as the measurement would."""
     with pytest.raises(SystemExit):
@@ -145,6 +146,7 @@ def test_what_is_no_measurement_is_one_fault(text: str, tmp_path: Path) -> None:
     assert len(faults(tmp_path)) == 1
 
 
+@pytest.mark.slow
 def test_too_few_photos(tmp_path: Path) -> None:
     with pytest.raises(SystemExit):
         cli.main(["camera", "synth", str(tmp_path / "m"), "--photos", "2", "--scale", "0.2", "-q"])

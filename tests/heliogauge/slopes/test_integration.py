@@ -65,6 +65,7 @@ def test_lonely_nodes_are_refused():
         integrate_slopes(slopes, slopes, (0.01, 0.01))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shape", [(1, 9), (9, 1), (2, 2), (31, 44), (37, 53)])
 def test_height_is_the_direct_solution_of_the_normal_equations(shape):
     rng = np.random.default_rng(3)

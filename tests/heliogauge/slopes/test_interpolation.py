@@ -59,6 +59,7 @@ def test_beside_a_gap_the_other_neighbours_shift_nothing() -> None:
     np.testing.assert_allclose(read.slope_y[[0, 3]], 0.013 / 3.4, atol=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("pixels_per_node", [1.0, 0.4])
 def test_sigma_is_the_scatter_on_coarse_and_on_fine_grids(pixels_per_node: float) -> None:
     """Noise is drawn on pixels and put on the nodes linearly, as maps are made."""

@@ -143,6 +143,7 @@ def test_removed_heights_are_those_of_the_removed_slopes():
     assert "tilt of 1 mrad in x and -2 mrad in y" in tilted.removed
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("removal", list(Removal))
 def test_sigma_of_the_rms_is_its_scatter(removal):
     rng = np.random.default_rng(11)
@@ -172,6 +173,7 @@ def test_sigma_of_pure_noise_is_its_scatter():
     assert np.median([r.sigma_sdx_rad for r in results]) == pytest.approx(scatter, rel=0.12)
 
 
+@pytest.mark.slow
 def test_sigma_knows_that_a_fitted_shape_shares_its_noise_between_x_and_y():
     # pure astigmatism is what a focus fit leaves: noise of that shape in x goes half into the fitted focal length
     rng = np.random.default_rng(15)
@@ -196,6 +198,7 @@ def test_sigma_of_the_normal_angle_on_a_steep_mirror():
     assert scatter == pytest.approx(0.5 * np.std(np.sqrt(np.mean(errors**2, axis=(1, 2)))), rel=0.02)
 
 
+@pytest.mark.slow
 def test_correlated_noise_widens_the_sigma_of_means_and_fits():
     # every value repeated in blocks of 2 x 2: the sum of many nodes has 4 times the variance of independent ones
     rng = np.random.default_rng(14)
@@ -242,6 +245,7 @@ def test_quadratic_fit_far_from_the_origin_keeps_its_digits():
     np.testing.assert_allclose(fit.coefficients, [1 / 40, 1 / 40, -50, 0, 0], rtol=1e-9, atol=1e-11)
 
 
+@pytest.mark.slow
 def test_covariance_of_the_quadratic_fit_is_its_scatter():
     rng = np.random.default_rng(13)
     common = random_modes(5)
