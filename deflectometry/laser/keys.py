@@ -2,12 +2,13 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, Self
+from typing import Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
+from deflectometry.exchange.measure_slopes import SlopesEvaluationSection, SlopesMirrorSection
 from heliogauge.measurement.load import MEASUREMENT_FILE, read_measurement, refuse_missing
-from heliogauge.measurement.models import DesignKeys, MeasurementModel, Positive, Section, Sigma, Text, Vector2
+from heliogauge.measurement.models import MeasurementModel, Positive, Section, Sigma, Text, Vector2
 
 
 class ScanSection(Section):
@@ -34,7 +35,7 @@ class ScanSection(Section):
     )
 
 
-class LaserMirrorSection(DesignKeys):
+class LaserMirrorSection(SlopesMirrorSection):
     """The mirror's design, and where it stands before the laser."""
 
     distance_m: Positive = Field(description="From the laser to the origin of the mirror's frame, along z [m].")
@@ -44,22 +45,12 @@ class LaserMirrorSection(DesignKeys):
     )
     sigma_offset_mm: Positive | None = Field(None, description="Standard deviation of each [mm].")
 
-    @model_validator(mode="after")
-    def _complete(self) -> Self:
-        if self.design is None:
-            raise ValueError("design is missing; say which shape the slopes are compared with")
-        return self
 
-
-class LaserEvaluationSection(Section):
+class LaserEvaluationSection(SlopesEvaluationSection):
     """Choices of the evaluation."""
 
     align: Literal["normal", "outline"] = Field(
         "normal", description="Orientation: as the slopes have it, or the mirror's frame parallel to the laser's."
-    )
-    grid_step_mm: Positive | None = Field(None, description="Step of the map; default: the spacing of the points [mm].")
-    remove: Literal["nothing", "tilt", "focus", "quadratic"] = Field(
-        "nothing", description="What is taken out of the map and headline numbers."
     )
 
 

@@ -17,6 +17,10 @@ from heliogauge.validate import FloatArray, TimeArray
 Severity: TypeAlias = Literal["fault", "rows", "hint", "doubt", "field"]
 
 #: What to do about each kind.
+#: Rows that fit otherwise by chance less often than this are a fault of the records.
+SURE = 0.01
+#: Kinds whose remedy changes what was recorded.
+_OF_RECORDS = ("wrong_target", "target_names_exchanged", "units")
 REMEDIES: Mapping[str, str] = {
     "actuator_numbers": "Compare the actuators' numbers with the type plate and with other units of the same type.",
     "position": "Survey the heliostat's place again, and check that the row of the table is this heliostat's.",
@@ -77,6 +81,8 @@ class Finding:
     @property
     def remedy(self) -> str:
         """What to do, in one sentence."""
+        if self.kind in _OF_RECORDS and self.chance >= SURE:
+            return "It may be chance: look at the photos of these rows before their records are changed."
         return REMEDIES[self.kind]
 
     @property

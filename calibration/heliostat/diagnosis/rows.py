@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calibration.heliostat.diagnosis.episodes import Episode, episode_finding, find_episodes
-from calibration.heliostat.diagnosis.findings import Finding, Severity, dates_of
+from calibration.heliostat.diagnosis.findings import SURE, Finding, Severity, dates_of
 from calibration.heliostat.diagnosis.linear_model import EXPLAINED_SIGMAS
 from calibration.heliostat.fitting.fit_result import FitOptions, HeliostatFit
 from calibration.heliostat.kinematic_model.design import PlaneTarget
@@ -29,8 +29,6 @@ _BEYOND = 5.0
 # An explanation that would fit by chance more often than this is none.
 _BY_CHANCE = 0.05
 _TOGETHER = 1e-3
-# Rows that fit otherwise by chance less often than this are a fault of the records.
-_SURE = 0.01
 # Names are exchanged where nearly every row of both targets has the other's.
 _ALL = 0.9
 # So many rejected rows of a target, apart from those of some days, are no matter of these days.
@@ -85,7 +83,7 @@ def explained_rows(fit: HeliostatFit, targets: Mapping[str, PlaneTarget]) -> tup
         # Each of the rejected rows could have fitted any of the other places by chance.
         places = max(len(targets) - 1, 1) * max(part.chance for part in parts)
         chance = binomial_tail(int(rows.sum()), int(fit.rejected.sum()), places)
-        severity: Severity = "fault" if rows.sum() >= 2 and chance < _SURE else "rows"
+        severity: Severity = "fault" if rows.sum() >= 2 and chance < SURE else "rows"
         text = f"{int(rows.sum())} of {rows.size} rows: {said}."
         finding = replace(_row_finding(fit, rows, kind, severity, text), chance=chance)
         exchanged = _exchanged(fit, parts) if kind == "wrong_target" else ""

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from calibration.heliostat.diagnosis.findings import REMEDIES, Finding
 from calibration.heliostat.diagnosis.misfit import GAINS, chance_in_sound, criterion, effective_components
 
 
@@ -41,3 +42,10 @@ def test_further_numbers_must_pay():
     count = effective_components(280.0)
     assert count == pytest.approx(1 / (1 / 280 + GAINS["smooth"].mean))
     assert criterion(0.1, 2, count) < criterion(0.1, 4, count) < criterion(0.9, 2, count)
+
+
+def test_a_remedy_that_changes_records_is_given_only_where_chance_is_no_reason() -> None:
+    sure, chance = (Finding("wrong_target", "rows", "2 of 169 rows", {}, chance=one) for one in (1e-4, 0.2))
+    assert sure.remedy == REMEDIES["wrong_target"]
+    assert chance.remedy.startswith("It may be chance")
+    assert Finding("drift", "doubt", "drifts", {}, chance=0.2).remedy == REMEDIES["drift"]
