@@ -69,7 +69,7 @@ def measure_source(ready: SourceMeasurement, progress: Progress) -> Result:
     refuse_impossible(setup, evaluation.solution.cam_from_mirror)
     with progress.stage("stated inputs"):
         # Curl is held against what was stated: sigmas enlarged for it would explain it away.
-        curls = {name: curl_numbers(one) for name, one in evaluation.maps.items()}
+        curls = {name: curl_numbers(one) for name, one in evaluation.fine_maps.items()}
         evaluation = with_curl_contained(evaluation, curls)
         inputs, unstated = stated_inputs(setup, evaluation), inputs_without_sigma(measurement, setup)
         contradiction = contradiction_of_setup(evaluation, inputs)

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 from deflectometry.pipeline.choices import Choices
 from deflectometry.pipeline.evaluate import Evaluation, evaluate_source
-from deflectometry.pipeline.headline import facet_numbers
+from deflectometry.pipeline.headline import curl_numbers, facet_numbers
 from deflectometry.pipeline.plausibility import implausible, refuse_impossible, turn_in_sigmas
 from deflectometry.pose.find_pose import MirrorInput
 from deflectometry.setup.camera_and_screen import RectangularScreen, Setup
@@ -79,10 +79,8 @@ def _agrees(one: _Exchange, mirror: MirrorInput, choices: Choices) -> bool:
         evaluation = evaluate_source(one.source, one.setup, mirror, choices, SilentProgress())
         refuse_impossible(one.setup, evaluation.solution.cam_from_mirror)
         assembled = assemble_maps(evaluation.located.facets, evaluation.maps, choices.align, Removal.NOTHING)
-        numbers = facet_numbers(assembled, assembled)
-        maps = evaluation.maps
-        by_facet = {name: facet_numbers(one, one) for name, one in maps.items()} if len(maps) > 1 else {}
-        found = implausible(numbers, by_facet, evaluation)
+        curls = {name: curl_numbers(one) for name, one in evaluation.fine_maps.items()}
+        found = implausible(facet_numbers(assembled, assembled), curls, evaluation)
         return not {doubt.code for doubt in (*found, *evaluation.doubts)}.intersection(_CONTRADICTIONS)
     except (EstimationError, InputError):
         return False

@@ -30,18 +30,27 @@ def with_curl_contained(evaluation: Evaluation, curls: Mapping[str, Numbers]) ->
     Birge's ratio (The calculation of errors by the method of least squares, 1932), with the curl for residuals. Its
     smooth part is left to the test of the set-up (`deflectometry.pipeline.setup_test`).
     """
-    maps = {
-        name: _enlarged(slope_map) if _ratio(curls[name]) > _CURL_ABOVE_NOISE else slope_map
-        for name, slope_map in evaluation.maps.items()
+    factors = {
+        name: _factor(slope_map)
+        for name, slope_map in evaluation.fine_maps.items()
+        if _ratio(curls[name]) > _CURL_ABOVE_NOISE
     }
-    return replace(evaluation, maps=maps)
+    return replace(
+        evaluation,
+        maps={name: _enlarged(one, factors.get(name, 1.0)) for name, one in evaluation.maps.items()},
+        fine_maps={name: _enlarged(one, factors.get(name, 1.0)) for name, one in evaluation.fine_maps.items()},
+    )
 
 
-def _enlarged(slope_map: SlopeMap) -> SlopeMap:
+def _factor(slope_map: SlopeMap) -> float:
+    """Return how many times the curl of the random sigmas there is from point to point."""
     found, random = curl_rms(replace(slope_map, common=no_common_modes()))
     moments = curl_moments(slope_map)
     smooth = 0.0 if moments is None else moments.smooth_rms_per_m
-    factor = float(np.sqrt(max(found**2 - smooth**2, 0.0))) / max(random, 1e-300)
+    return float(np.sqrt(max(found**2 - smooth**2, 0.0))) / max(random, 1e-300)
+
+
+def _enlarged(slope_map: SlopeMap, factor: float) -> SlopeMap:
     if not factor > _CURL_ABOVE_NOISE:
         return slope_map
     return replace(

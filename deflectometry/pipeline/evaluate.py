@@ -51,6 +51,8 @@ class Evaluation(ShortRepr):
     solution: Aligned pose and smooth shapes of the facets that were measured.
     images: Pixels of each measured facet.
     maps: Slope map of each measured facet, with nothing taken out but by the alignment.
+    fine_maps: The same as fine as the pixels, whatever grid was asked for. Their curl is judged: means over the cells
+        of a coarse grid fold waviness back, so that their differences are no longer those of one surface.
     choices: How the slopes are reported.
     doubts: What makes pose, facets or maps doubtful.
     sigma_turn_rad: Standard deviation of the mirror's orientation from the reflection, where all display points share
@@ -63,6 +65,7 @@ class Evaluation(ShortRepr):
     solution: ShapeSolution
     images: dict[str, SlopeImage]
     maps: dict[str, SlopeMap]
+    fine_maps: dict[str, SlopeMap]
     choices: Choices
     doubts: tuple[Doubt, ...] = ()
     sigma_turn_rad: float = 0.0
@@ -118,20 +121,27 @@ def evaluate_source(
             )
             for one in few
         }
+    plan = plan_grid(images, located.facets, choices.grid_step_m, choices.align)
+    finest = plan_grid(images, located.facets, 0.0, choices.align)
+    plans = (plan, finest) if plan.step_m > finest.step_m else (plan,)
     with progress.stage("maps", steps=len(images)) as stage:
-        plan = plan_grid(images, located.facets, choices.grid_step_m, choices.align)
-        gridded = {}
+        gridded, as_pixels = {}, {}
         for sample, common in zip(samples, modes, strict=True):
             name = sample.facet.name
-            gridded[name] = grid_slopes(
-                images[name], surfaces[name], setup.camera, poses[name], sample.facet, plan=plan, common=common
-            )
+            found = [
+                grid_slopes(
+                    images[name], surfaces[name], setup.camera, poses[name], sample.facet, plan=one, common=common
+                )
+                for one in plans
+            ]
+            gridded[name], as_pixels[name] = found[0], found[-1].slope_map
             stage.advance()
     past = edge.doubt if mirror.known_pose is None else None
     doubts = gather_doubts(past, located.doubts, usable.doubts, *(one.doubts for one in gridded.values()))
     maps = {name: replace(one.slope_map, fine_share=fine[name]) for name, one in gridded.items()}
+    fine_maps = {name: replace(one, fine_share=fine[name]) for name, one in as_pixels.items()}
     # A screen point that is off by s turns the normal by half of s over the distance.
     off_m = setup.sigma_shift * setup.size_m
     mirror_m = (setup.cam_from_screen.inverse() @ solution.cam_from_mirror).translation_m
     sigma_turn = 0.5 * float(np.linalg.norm(off_m) / np.linalg.norm(mirror_m))
-    return Evaluation(located, screen_map, facet_index, solution, images, maps, choices, doubts, sigma_turn)
+    return Evaluation(located, screen_map, facet_index, solution, images, maps, fine_maps, choices, doubts, sigma_turn)

@@ -5,6 +5,7 @@ geometry, in slopes that no surface can have, and in a mirror that is far from i
 """
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
+from math import isfinite
 
 import numpy as np
 
@@ -92,12 +93,18 @@ def size_doubt(inputs: Sequence[StatedInput], unstated: Collection[str]) -> Doub
         return None
     width, height = sizes["screen.width_m"], sizes["screen.height_m"]
     per_mm = [2 * abs(float(one.changes[axis])) for axis, one in enumerate((width, height))]
+    known = [isfinite(one.sigma_images) for one in (width, height)]
+    words = [
+        f"{one.sigma_images:.2g} mm" if is_known else "exact, of which the images know nothing"
+        for one, is_known in zip((width, height), known, strict=True)
+    ]
+    counted = "counted as known no better than the images know them" if all(known) else "counted as"
     return Doubt(
         "screen_size_exact",
         "no sigma is given for width, height or sag of the screen ([screen] sigma_width_mm, sigma_height_mm, "
-        f"sigma_sag_mm): counted as known no better than the images know them ({width.sigma_images:.2g} and "
-        f"{height.sigma_images:.2g} mm); 1 mm changes 1/f by {per_mm[0]:.2g} (width, x) and {per_mm[1]:.2g} "
-        f"(height, y) per metre, at f = 100 m the focal length by {1e4 * per_mm[0]:.2g} and {1e4 * per_mm[1]:.2g} m",
+        f"sigma_sag_mm): {counted} ({' and '.join(words)}); 1 mm changes 1/f by {per_mm[0]:.2g} (width, x) and "
+        f"{per_mm[1]:.2g} (height, y) per metre, at f = 100 m the focal length by {1e4 * per_mm[0]:.2g} and "
+        f"{1e4 * per_mm[1]:.2g} m",
         {"curvature_x_per_mm_per_m": 0.5 * per_mm[0], "curvature_y_per_mm_per_m": 0.5 * per_mm[1]},
     )
 

@@ -132,7 +132,7 @@ def contradiction_of_setup(evaluation: Evaluation, inputs: Sequence[StatedInput]
     the curl at single nodes. Which error explains them is found by moving each input; those that one pose cannot tell
     apart are named together. Where none does alone, all inputs are adjusted to the curl together.
     """
-    found = {name: curl_moments(one) for name, one in evaluation.maps.items()}
+    found = {name: curl_moments(one) for name, one in evaluation.fine_maps.items()}
     tested = {name: one for name, one in found.items() if one is not None}
     if not tested:
         return None

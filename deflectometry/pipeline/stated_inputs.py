@@ -118,8 +118,8 @@ def stated_inputs(setup: Setup, evaluation: Evaluation) -> tuple[StatedInput, ..
             yield one.moved
 
     modes = modes_of_inputs(setup, few, evaluation.solution, inputs, align=evaluation.choices.align is Align.NORMAL)
-    largest = max(names, key=lambda name: np.count_nonzero(evaluation.maps[name].valid))
-    slope_map = evaluation.maps[largest]
+    largest = max(names, key=lambda name: np.count_nonzero(evaluation.fine_maps[name].valid))
+    slope_map = evaluation.fine_maps[largest]
     tests, nodes = _Tests(curl_moments(slope_map), located.evidence), _Nodes.of(slope_map)
     found = []
     for number, one in enumerate(units):

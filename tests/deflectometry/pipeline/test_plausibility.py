@@ -1,8 +1,14 @@
 """Findings that make a result doubtful as a whole: each fires where its threshold says, and not before."""
 
+from types import SimpleNamespace
+from typing import cast
+
+import numpy as np
 import pytest
 
 from deflectometry.pipeline.curl_test import curl_doubt
+from deflectometry.pipeline.plausibility import size_doubt
+from deflectometry.pipeline.stated_inputs import StatedInput
 
 
 @pytest.mark.parametrize(
@@ -18,3 +24,19 @@ from deflectometry.pipeline.curl_test import curl_doubt
 def test_curl_that_noise_does_not_explain_is_said(curl_per_m: float, expected_per_m: float, code: str | None) -> None:
     numbers = {"curl_rms_per_m": curl_per_m, "curl_expected_rms_per_m": expected_per_m}
     assert [doubt.code for doubt in curl_doubt({"": numbers})] == ([] if code is None else [code])
+
+
+@pytest.mark.parametrize(
+    ("known_mm", "words"),
+    [
+        ((1.25, 0.5), "counted as known no better than the images know them (1.2 mm and 0.5 mm)"),
+        ((1.25, np.inf), "counted as (1.2 mm and exact, of which the images know nothing)"),
+    ],
+)
+def test_a_size_without_sigma_is_said_as_it_is_counted(known_mm: tuple[float, float], words: str) -> None:
+    keys = ("screen.width_m", "screen.height_m")
+    sizes = [
+        SimpleNamespace(key=key, sigma_images=one, changes=np.ones(3)) for key, one in zip(keys, known_mm, strict=True)
+    ]
+    found = size_doubt(cast("list[StatedInput]", sizes), {"screen.sag"})
+    assert found is not None and words in found.text
