@@ -39,4 +39,5 @@ def test_a_size_without_sigma_is_said_as_it_is_counted(known_mm: tuple[float, fl
         SimpleNamespace(key=key, sigma_images=one, changes=np.ones(3)) for key, one in zip(keys, known_mm, strict=True)
     ]
     found = size_doubt(cast("list[StatedInput]", sizes), {"screen.sag"})
-    assert found is not None and words in found.text
+    assert found is not None
+    assert words in found.text
