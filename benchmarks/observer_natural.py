@@ -40,13 +40,15 @@ class Corners(NamedTuple):
     shown: int
 
 
-def drawn(folder: Path, seed: int, options: dict[str, str]) -> Path:
+def drawn(folder: Path, seed: int, options: dict[str, str], switches: tuple[str, ...] = ()) -> Path:
     """Draw a flight unless it is there."""
     said = "_".join(value for value in options.values())
     place = folder / f"natural_{said}_{seed}"
     if not place.exists():
         command = ["-m", "heliogauge", "observer", "synth", str(place), "--seed", str(seed), "--quiet"]
-        subprocess.run([sys.executable, *command, *(one for pair in options.items() for one in pair)], check=True)
+        subprocess.run(
+            [sys.executable, *command, *switches, *(one for pair in options.items() for one in pair)], check=True
+        )
     return place
 
 

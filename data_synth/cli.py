@@ -40,6 +40,7 @@ TroughPreset = Literal[
     "ground",
     "mast",
     "turning",
+    "far",
     "absorber",
     "panel",
 ]
@@ -291,6 +292,9 @@ def observer(
     mounting_mm: Annotated[
         float, typer.Option(min=0.0, help="Mount panels off their places along the mirror: standard deviation.")
     ] = 0.0,
+    tilt_mrad: Annotated[
+        float, typer.Option(min=1e-4, help="Noise of the inclinometer's readings (preset far): standard deviation.")
+    ] = 0.2,
     noise_dn: NoiseDn = None,
     blur_px: BlurPx = None,
     jpeg_quality: JpegQuality = None,
@@ -321,7 +325,12 @@ def observer(
         scene = scene.with_rolling_shutter(1e-3 * rolling_shutter_ms)
     progress = terminal_progress(quiet=quiet, verbose=verbose)
     options = TroughOptions(
-        seed, jpeg_quality, force, 1e-3 * rtk_mm if rtk_mm else None, math.radians(gimbal_deg) or None
+        seed,
+        jpeg_quality,
+        force,
+        1e-3 * rtk_mm if rtk_mm else None,
+        math.radians(gimbal_deg) or None,
+        1e-3 * tilt_mrad,
     )
     write_trough_dataset(folder, scene, options, progress)
     if not quiet:

@@ -30,6 +30,7 @@ METHOD = {
         "trough",
         "targets",
         "corners",
+        "turning",
         "photo_edges",
         "absorber",
         "slopes",

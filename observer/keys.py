@@ -118,10 +118,13 @@ class KnownTargetsSection(TargetsSection):
 class CornersSection(Section):
     """Corners of the mirror panels as natural targets, for photos without marked ones.
 
-    They need the panels' edges and gaps of ``[collector]``, and ``[positions]`` with the camera's turns.
+    They need the panels' edges and gaps of ``[collector]``, and ``[positions]`` with the camera's turns, or the
+    ``[tilts]`` of a collector that turns before a fixed camera.
     """
 
-    azimuth_deg: Number = Field(description="Direction of +y, along the trough: clockwise from north [deg].")
+    azimuth_deg: Number | None = Field(
+        None, description="Direction of +y, along the trough: clockwise from north; needed with [positions] [deg]."
+    )
     turn_sigma_deg: Positive = Field(
         2.0, description="Error of the camera's turns and of azimuth and orientation together, 1 sigma [deg]."
     )
@@ -130,6 +133,45 @@ class CornersSection(Section):
     )
     corner_sigma_mm: Positive = Field(
         1.0, description="How far each corner of a panel is off besides, in any direction, 1 sigma [mm]."
+    )
+
+
+class TiltsSection(Section):
+    """Readings of an inclinometer on a collector that turns before one fixed camera (TARMES).
+
+    The camera stands where ``facing_deg`` is read when the collector faces it, ``distance_m`` from the axis about
+    which the collector turns. Readings grow with the collector's turn by the right hand about +y.
+    """
+
+    file: Text = Field(
+        "tilts.csv", description="Columns image, tilt_deg; or time, tilt_deg, times as in the photos' EXIF; sigma_mrad."
+    )
+    column: tuple[Text, ...] = Field(
+        ("tilt_deg",), description="Columns of the readings [deg]; several: their mean, as of sensors at both ends."
+    )
+    time_column: str | None = Field(
+        None,
+        max_length=200,
+        description="Column of times, instead of image: 2026-05-04 10:31:07, in the clock of the camera.",
+    )
+    time_offset_s: Number = Field(0.0, description="Clock of the camera less that of the table [s].")
+    left_handed: bool = Field(False, description="Whether readings grow with a turn by the left hand about +y.")
+    sigma_mrad: Positive = Field(description="Error of a reading against the others, 1 sigma [mrad].")
+    distance_m: Positive = Field(description="From the collector's axis of rotation to the camera [m].")
+    distance_sigma_m: Positive = Field(0.5, description="Its error, 1 sigma [m].")
+    facing_deg: Number | None = Field(
+        None, description="Reading when the collector faces the camera; default: middle of the readings [deg]."
+    )
+    facing_sigma_deg: Positive = Field(2.0, description="Its error, 1 sigma [deg].")
+    along_m: Number = Field(0.0, description="Place of the camera along the trough [m].")
+    along_sigma_m: Positive = Field(1.0, description="Its error, 1 sigma [m].")
+    axis_m: tuple[Number, Number] = Field(
+        (0.0, 0.0), description="The axis of rotation in the frame of the trough, x and z [m]."
+    )
+    axis_sigma_mm: Positive = Field(100.0, description="Its error, 1 sigma [mm].")
+    scale_sigma: Positive = Field(0.01, description="Error of the readings' scale, 1 sigma.")
+    camera_roll_deg: Number = Field(
+        0.0, description="Turn of the upright camera about its line of sight, clockwise; 90: held upright [deg]."
     )
 
 
@@ -221,6 +263,9 @@ class ObserverModel(MeasurementModel):
     positions: PositionsSection | None = Field(
         None, description="The drone's own positions, which check the list of targets and the camera."
     )
+    tilts: TiltsSection | None = Field(
+        None, description="Readings of an inclinometer on a collector that turns before a fixed camera."
+    )
     absorber: AbsorberSection = Field(AbsorberSection(), description="How the absorber's position is found.")
     sun: SunSection = Field(SunSection(), description="The sun for the intercept factor.")
     optics: OpticsSection = Field(OpticsSection(), description="What else spreads the beam.")
@@ -236,10 +281,19 @@ class ObserverModel(MeasurementModel):
     def _targets_or_corners(self) -> Self:
         if (self.targets is None) == (self.corners is None):
             raise ValueError("give [targets], or [corners] for photos without marked targets, one of both")
+        if self.tilts is not None and (self.corners is None or self.positions is not None):
+            raise ValueError("tilts: they belong to [corners] seen by one fixed camera, without [positions]")
         if self.corners is None:
             return self
-        if self.positions is None:
-            raise ValueError("corners: [positions] is needed: where the drone was, and how its camera was turned")
+        if self.positions is None and self.tilts is None:
+            raise ValueError(
+                "corners: [positions] is needed: where the drone was, and how its camera was turned; or [tilts] of a "
+                "collector that turned before a fixed camera"
+            )
+        if self.positions is not None and self.corners.azimuth_deg is None:
+            raise ValueError("corners: azimuth_deg is needed with [positions]: the direction of +y, along the trough")
+        if self.tilts is not None and self.images.video is not None:
+            raise ValueError("tilts: give photos: readings belong to photos by their names or times")
         if self.module:
             raise ValueError("corners: several modules are distinguished by coded targets; give [targets]")
         if self.scale_bar or self.distance:
@@ -286,6 +340,7 @@ class ObserverMeasurement:
         named = [*(one.file for one in model.camera), model.targets_file, model.absorber.file, model.sun.file]
         named += [one.targets_file for one in model.module]
         named += [] if model.positions is None else [model.positions.file]
+        named += [] if model.tilts is None else [model.tilts.file]
         if model.module and all(one.targets_file for one in model.module):
             named.remove(model.targets_file)
         own = (self.folder / MEASUREMENT_FILE, *(self.folder / name for name in named if name))

@@ -19,7 +19,7 @@ from data_synth.targets.dataset import TRUE_POINTS_FILE
 from data_synth.troughs.field import single_of
 from data_synth.troughs.mirror import SlopeGrid, TroughMirror, corner_points_m
 from data_synth.troughs.photo import Photographer, PhotoPoints
-from data_synth.troughs.presets import DISTANCE_SIGMA_M, NO_TARGETS, UNCODED
+from data_synth.troughs.presets import DISTANCE_SIGMA_M, FAR_PIVOT_Z_M, NO_TARGETS, UNCODED
 from data_synth.troughs.receiver import TubeAxis
 from data_synth.troughs.scene import TroughScene, TroughView
 from heliogauge.errors import InputError
@@ -49,6 +49,11 @@ POSITIONS_FILE = "positions.csv"
 _PLACE_ON_EARTH, _ROW_AZIMUTH_DEG = (37.0913, -2.3584, 494.0), 8.0
 #: So far inside its edges a panel's corner is looked at [m]; nobody claims to know it better than this [mm].
 _INSIDE_M, _LEAST_SIGMA_MM = 0.01, 0.2
+#: Readings of an inclinometer on a trough that turns before a far camera; how well a laser knows the distance [m].
+TILTS_FILE, ABSORBER_FILE = "tilts.csv", "absorber_measured.csv"
+_DISTANCE_SIGMA_M = 0.05
+#: A laser distance meter on the tube reads so well, at so many places along it [m].
+_LASER_SIGMA_M, _LASER_PLACES = 1e-3, 9
 _MAPS = ("slope_error_x", "slope_error_y", "theta_r_rad", "height_error_m")
 
 
@@ -62,6 +67,8 @@ class TroughOptions:
     rtk_sigma_m: Standard deviation of the drone's own positions, east, north and up; None: it writes none [m].
     gimbal_sigma_rad: Standard deviation of the camera's turns as the drone writes them beside its positions, about
         each axis of the camera; None: it writes none [rad].
+    tilt_sigma_rad: Standard deviation of the inclinometer's readings on a trough that turns before a camera which
+        resolves no targets [rad].
     InputError: A quality JPEG does not have, a standard deviation that is not above 0, or turns without positions.
     """
 
@@ -70,8 +77,10 @@ class TroughOptions:
     force: bool = False
     rtk_sigma_m: float | None = None
     gimbal_sigma_rad: float | None = None
+    tilt_sigma_rad: float = 0.2e-3
 
     def __post_init__(self) -> None:
+        positive("tilt_sigma_rad", self.tilt_sigma_rad, "radians")
         if self.gimbal_sigma_rad is not None:
             positive("gimbal_sigma_rad", self.gimbal_sigma_rad, "radians")
             if self.rtk_sigma_m is None:
@@ -189,6 +198,9 @@ def observer_content(scene: TroughScene, suffix: str) -> dict[str, Any]:
     }
     if scene.dictionary == NO_TARGETS:
         content["corners"] = _corners_content(scene)
+        if _turns(scene):
+            del content["corners"]["azimuth_deg"]
+            content["collector"]["orientation_deg"] = round(scene.world.surroundings.orientation_deg)
     else:
         content["targets"] = _targets_content(scene)
     if purposes == {"reflection", "absorber"}:
@@ -313,6 +325,44 @@ def _write_positions(path: Path, scene: TroughScene, suffix: str, options: Troug
     write_table_csv(path, columns)
 
 
+def _turns(scene: TroughScene) -> bool:
+    return all(view.orientation_deg is not None for view in scene.views)
+
+
+def _write_tilts(path: Path, scene: TroughScene, suffix: str, options: TroughOptions) -> dict[str, Any]:
+    """Write what an inclinometer on the trough reads in each photo; return what else is known of the camera."""
+    rng = np.random.default_rng([options.seed, len(scene.views), 2])
+    true = np.array([view.orientation_deg for view in scene.views], dtype=np.float64)
+    read = true + np.degrees(options.tilt_sigma_rad) * rng.standard_normal(true.size)
+    write_table_csv(
+        path,
+        {"image": [view.name + suffix for view in scene.views], "tilt_deg": [f"{value:.4f}" for value in read]},
+    )
+    # All photos are taken from one place, the trough turns before it: their distance to its axis is the same.
+    distance = float(np.hypot(*(scene.views[0].position_m - [0.0, 0.0, FAR_PIVOT_Z_M])[[0, 2]]))
+    return {
+        "file": TILTS_FILE,
+        "sigma_mrad": round(1e3 * options.tilt_sigma_rad, 6),
+        "distance_m": round(distance + _DISTANCE_SIGMA_M * float(rng.standard_normal()), 3),
+        "distance_sigma_m": _DISTANCE_SIGMA_M,
+        "axis_m": [0.0, FAR_PIVOT_Z_M],
+    }
+
+
+def _write_measured_absorber(path: Path, scene: TroughScene, options: TroughOptions) -> None:
+    """Write where a laser distance meter has the tube: from far away it stands before its own reflection."""
+    rng = np.random.default_rng([options.seed, len(scene.views), 3])
+    half = scene.collector.length_m / 2
+    y = np.linspace(-half, half, _LASER_PLACES)
+    place = np.stack(scene.world.receiver.position_m(y)) + _LASER_SIGMA_M * rng.standard_normal((2, y.size))
+    columns: dict[str, Any] = {"y_m": y.round(6).tolist()}
+    for axis, values in zip("xz", place, strict=True):
+        columns[f"{axis}_a_m"] = [f"{value:.6f}" for value in values]
+    for axis in "xz":
+        columns[f"sigma_{axis}_a_m"] = [f"{_LASER_SIGMA_M:g}"] * y.size
+    write_table_csv(path, columns)
+
+
 def _gimbal_angles_deg(enu_from_cam: FloatArray) -> tuple[float, float, float]:
     """Return yaw, pitch and roll of a camera as drones write them: north, east, down; forward, right, down of it."""
     ned_from_body = np.array([[0.0, 1, 0], [1, 0, 0], [0, 0, -1]]) @ enu_from_cam[:, [2, 0, 1]]
@@ -327,6 +377,10 @@ def _write_knowledge(working: Path, scene: TroughScene, suffix: str, options: Tr
     if options.rtk_sigma_m is not None:
         _write_positions(working / POSITIONS_FILE, scene, suffix, options)
         content["positions"] = {"file": POSITIONS_FILE}
+    if scene.dictionary == NO_TARGETS and _turns(scene):
+        content["tilts"] = _write_tilts(working / TILTS_FILE, scene, suffix, options)
+        _write_measured_absorber(working / ABSORBER_FILE, scene, options)
+        content["absorber"] = {"source": "file", "file": ABSORBER_FILE}
     comment = f"Synthetic measurement, seed {options.seed}; see {TRUTH_FILE}."
     write_text(working / MEASUREMENT_FILE, f"# {comment}\n\n" + dump_toml(content))
     if scene.dictionary != NO_TARGETS:

@@ -38,6 +38,10 @@ D300_CAMERA = PinholeCamera(4288, 2848, 20e-3 / 5.5e-6, 20e-3 / 5.5e-6, 2143.5, 
 SMALL_CAMERA = PinholeCamera(480, 640, 1030.0, 1030.0, 241.0, 318.0, -0.06, 0.03)
 #: It looks straight down and sees 11 m across from 12 m.
 FLIGHT_CAMERA = PinholeCamera(480, 960, 1030.0, 1030.0, 241.0, 477.0, -0.06, 0.03)
+#: It sees 9 m along from 149 m: a pixel is 4.5 mm.
+FAR_CAMERA = PinholeCamera(2000, 1240, 33000.0, 33000.0, 999.5, 619.5)
+#: Height of the axis of rotation over the vertex of a trough before it [m].
+FAR_PIVOT_Z_M = 0.3
 #: Distance of the rows of a field that is photographed in one flight [m].
 ROW_STEP_M = 7.0
 
@@ -379,6 +383,19 @@ def _turning(choice: TroughChoice, rng: np.random.Generator) -> TroughScene:
     )
 
 
+def _far(choice: TroughChoice, rng: np.random.Generator) -> TroughScene:
+    """Draw the LS-2 turning by 5 degrees before a camera 100 focal lengths away that resolves no targets (TARMES)."""
+    n = 41 if choice.n_photos is None else choice.n_photos
+    # A metre lower than the axis of rotation: the collector faces it at 90.4 deg.
+    place = np.array([100 * ls2().focal_length_m, 0.5, -0.7])
+    views = turning_collector(FAR_CAMERA, place, np.linspace(87.9, 92.9, n), pivot_z_m=FAR_PIVOT_Z_M)
+    mirror = random_mirror(ls2_panelled(), rng, is_shaped=choice.is_shaped)
+    scene = _scene("LS-2 turning far from a camera", mirror, views, replace(choice, dictionary=NO_TARGETS), rng)
+    around = Surroundings(Sky(sun_elevation_deg=50.0, sun_azimuth_deg=150.0), Ground(), 90.0, seed=choice.seed)
+    receiver = Receiver(mirror.collector, TubeAxis.straight(2e-3, 3e-3))
+    return replace(scene, world=replace(scene.world, surroundings=around, receiver=receiver))
+
+
 def _absorber(choice: TroughChoice, rng: np.random.Generator) -> TroughScene:
     """Draw two photos by a D300 from 7 m beside and 7 m above, for the absorber's position."""
     scene = _scene(
@@ -430,6 +447,7 @@ _PRESETS: dict[str, Callable[[TroughChoice, np.random.Generator], TroughScene]] 
     "ground": _ground,
     "mast": _mast,
     "turning": _turning,
+    "far": _far,
     "absorber": _absorber,
     "panel": _panel,
 }

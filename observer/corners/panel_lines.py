@@ -6,7 +6,7 @@ what crosses a gap, as the edge of the tube's reflection, has a large response i
 own places near it give the line and, by their scatter, its covariance.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import cv2
@@ -17,7 +17,9 @@ from heliogauge.adjust.robust_scale import robust_scale
 from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.validate import BoolArray, Float32Array, FloatArray, IntArray
 from observer.corners.lattice import PanelLattice, PanelLine
+from observer.photo_edges.reflection_edges import beside_receiver_m
 from observer.photo_edges.views import AnyImage, View
+from observer.trough.absorber_path import AbsorberPath
 
 #: Samples across a line, and length of a piece along it [px].
 _STEP_PX, _PIECE_PX = 0.5, 8.0
@@ -25,6 +27,8 @@ _STEP_PX, _PIECE_PX = 0.5, 8.0
 _FILTER_PX = 1.0
 #: Both ends of a line are left out: other lines and their blur are there [px], and panels' shifts [m].
 _END_PX, _END_M = 4.0, 0.02
+#: A receiver lies so far off its place [m].
+_RECEIVER_OFF_M = 0.02
 #: Fewest pieces that give a line with a scatter.
 _FEWEST_PIECES = 6
 #: A piece shows a line where its response stands so many times above the noise's: by chance in one of 10^4 pieces, of
@@ -117,11 +121,21 @@ def line_profiles(
     maps = (places[:, None] + across[:, None] * normals[:, None]).astype(np.float32)
     height, width = image.shape[:2]
     inside = ((maps >= 1) & (maps <= (width - 2, height - 2))).all(axis=(1, 2)).reshape(pieces, each).all(axis=1)
+    middles = share.reshape(pieces, each).mean(axis=1)
+    inside &= ~_is_behind_receiver(lattice, lattice.along(line, middles), view.eye_m)
     if np.count_nonzero(inside) < _FEWEST_PIECES:
         return None
     read = cv2.remap(image, maps, None, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)  # type: ignore[call-overload]
     values = np.asarray(read, dtype=np.float64).reshape(pieces, each, across.size).mean(axis=1)
-    return Profiles(values[inside], share.reshape(pieces, each).mean(axis=1)[inside])
+    return Profiles(values[inside], middles[inside])
+
+
+def _is_behind_receiver(lattice: PanelLattice, points_m: FloatArray, eye_m: FloatArray) -> BoolArray:
+    """Return which points the receiver hides, or shows through its glass; all around it a little more."""
+    collector = lattice.collector
+    eyes = np.broadcast_to(eye_m, points_m.shape)
+    beside = beside_receiver_m(points_m, eyes, collector, AbsorberPath.designed(collector))
+    return np.asarray(beside < _RECEIVER_OFF_M)
 
 
 def find_line(profiles: Profiles, line: PanelLine, noise_dn: float) -> FoundLine | None:
@@ -140,7 +154,31 @@ def find_line(profiles: Profiles, line: PanelLine, noise_dn: float) -> FoundLine
         return None
     sign = 1.0 if signed is found[0] else -1.0
     middle = (profiles.values.shape[1] - 1) / 2 - margin
-    return _fit(sign * response, profiles.share, noise, signed, middle, line)
+    fitted = _fit(sign * response, profiles.share, noise, signed, middle, line)
+    if fitted is None or line.is_rim:
+        return fitted
+    moved = _moved_by_step_px(profiles, fitted, sign * response, margin)
+    return replace(fitted, covariance_px2=fitted.covariance_px2 + np.diag([moved**2, 0.0]))
+
+
+def _moved_by_step_px(profiles: Profiles, found: FoundLine, response: FloatArray, margin: int) -> float:
+    """Return by how much different brightness on both sides of a gap may have moved it [px].
+
+    response (k, m - 2 margin): Of the filter, positive at the gap.
+
+    A gap of area A (depth times width) with a step S in it, both blurred to the width w, has its strongest response
+    ``S w^2 / (3 A)`` beside its middle; the response there is ``A / (sqrt(2 pi) w)`` for a filter of that width.
+    """
+    offset = found.offset_px + found.slope_px * (profiles.share - found.middle)
+    column = np.rint((profiles.values.shape[1] - 1) / 2 + offset / _STEP_PX).astype(np.intp)
+    rows, away = np.arange(column.size)[:, None], np.arange(margin // 2, margin + 1)
+    inside = (column >= margin) & (column < profiles.values.shape[1] - margin)
+    if not inside.any():
+        return 0.0
+    rows, column = rows[inside], column[inside, None]
+    step = profiles.values[rows, column + away].mean(axis=1) - profiles.values[rows, column - away].mean(axis=1)
+    height = float(np.median(response[rows[:, 0], column[:, 0] - margin]))
+    return _FILTER_PX * abs(float(np.median(step))) / (3 * float(np.sqrt(2 * np.pi)) * max(height, 1e-9))
 
 
 def photo_noise(image: AnyImage) -> float:

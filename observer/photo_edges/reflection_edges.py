@@ -202,7 +202,7 @@ def _plausible(found: Edges, which: IntArray, looks: Sequence[_Look], expected: 
     found, which, points, middle, half = found.chosen(near), which[near], points[near], middle[near], half[near]
     free_m = np.minimum(
         _inside_panels_m(collector, points[:, 0], points[:, 1]),
-        _beside_receiver_m(points, eyes[near], collector, absorber),
+        beside_receiver_m(points, eyes[near], collector, absorber),
     )
     pixel_m = np.array([one.pixel_m for one in looks])[which]
     spoilt_m = _SPOILT_PX * pixel_m
@@ -213,15 +213,23 @@ def _plausible(found: Edges, which: IntArray, looks: Sequence[_Look], expected: 
     for one, own in zip(looks, (slice(*pair) for pair in pairwise(ends)), strict=True):
         part = Edges(*(getattr(found, name)[own] for name in Edges.__slots__))
         free = free_m[own] > spoilt_m[own]
-        side = sides_of_tube(part.contrast, middle[own], half[own], expected.slope_error_rad, free)
-        dark = _is_tube_dark(part, side, free)
+        either_way = bool(expected.goes_either_way(one.eye_m[None])[0])
+        side = np.where(middle[own] < 0, 1.0, -1.0)
+        if not either_way:
+            side = sides_of_tube(part.contrast, middle[own], half[own], expected.slope_error_rad, free)
+        dark = _is_tube_dark(part, side, free, either_way=either_way)
         left = np.flatnonzero(keep[own] & dark)
         uneven = np.where(judged[own], _unevenness(one, part), 0.0)
         photo = np.full(left.size, one.number, dtype=np.intp)
         kept = _beside_clouds(one, part.chosen(left))
         places = points[own][left]
         places[:, 0], places[:, 2] = kept.x_m, kept.x_m**2 / (4 * collector.focal_length_m)
-        edges.append(ReflectionEdges(photo, kept.row, side[left], places, kept.sigma_x_m, kept.contrast, uneven[left]))
+        these = ReflectionEdges(photo, kept.row, side[left], places, kept.sigma_x_m, kept.contrast, uneven[left])
+        if either_way:
+            both = (np.abs(middle[own]) + half[own])[left] < 2 * expected.slope_error_rad
+            other = these.chosen(both)
+            these = joined([these, replace(other, side=-other.side)])
+        edges.append(these)
     return edges
 
 
@@ -286,15 +294,17 @@ def _unevenness(look: _Look, found: Edges) -> FloatArray:
     return np.asarray(change / np.maximum(np.abs(found.rise_dn), 1e-6), dtype=np.float64)
 
 
-def _is_tube_dark(found: Edges, side: FloatArray, among: BoolArray) -> BoolArray:
+def _is_tube_dark(found: Edges, side: FloatArray, among: BoolArray, *, either_way: bool = False) -> BoolArray:
     """Return which edges have on one side the darkness that the tube has in this photo.
+
+    either_way: Whether the tube's edges step either way (`Expectation.goes_either_way`).
 
     The coated tube is the darkest thing that a mirror shows; ground, clouds and what lies about have edges as sharp,
     but are brighter on both sides. Where most edges step the other way (a tube lit before a dark sky) all are kept.
     """
     size = np.abs(found.contrast)
     clear = among & (size > _CLEAR_CONTRAST)
-    darkens = found.contrast * side < 0
+    darkens = (found.contrast * side < 0) | either_way
     if np.count_nonzero(clear) < _CLEAR_EDGES or float(size[clear & darkens].sum()) < float(
         size[clear & ~darkens].sum()
     ):
@@ -336,7 +346,7 @@ def sees_tube(passing_y_m: FloatArray, collector: Collector, margin_m: FloatArra
     return np.asarray(seen)
 
 
-def _beside_receiver_m(
+def beside_receiver_m(
     points_m: FloatArray, eyes_m: FloatArray, collector: Collector, absorber: AbsorberPath
 ) -> FloatArray:
     """Return how far lines of sight to mirror points pass beside the receiver, negative where it hides them [m]."""

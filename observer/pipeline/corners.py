@@ -9,7 +9,7 @@ looked at where it is predicted.
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -30,7 +30,7 @@ from observer.pipeline.photos import Finder, FirstLook
 from observer.product.pictures import empty_slices
 from observer.targets.module_targets import spans_an_area
 from photogrammetry.detection import Detections
-from photogrammetry.pipeline import DronePositions, OnePhoto
+from photogrammetry.pipeline import OnePhoto
 from photogrammetry.start_values import LeftOut
 
 #: Photos in which the collector is searched for everywhere.
@@ -45,22 +45,43 @@ _CONTRADICTED = 5.0
 _LEAST_CORNERS = 6
 
 
+class PlacesOfPhotos(Protocol):
+    """Places and turns of cameras about some origin: those of a drone, or before a collector that turns."""
+
+    @property
+    def photos(self) -> tuple[str, ...]:
+        """Names of the photos."""
+
+    @property
+    def enu_m(self) -> FloatArray:
+        """Places, shape (n, 3) [m]."""
+
+    @property
+    def sigma_m(self) -> FloatArray:
+        """Their standard deviations, shape (n, 3) [m]."""
+
+    def enu_from_camera(self, number: int) -> FloatArray | None:
+        """Return the rotation of a photo's camera, shape (3, 3); None where unknown."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class CornerSearch:
     """What predicts the corners.
 
     lattice: The drawing.
-    positions: Places and turns of the drone.
+    positions: Places and turns of the camera.
     lever_m (3,): From the camera to what is positioned, in the camera's frame [m].
     enu_from_frame (3, 3): The collector's turn by azimuth and orientation.
     turn_sigma_rad: Error of the turns, 1 sigma [rad].
+    is_tied: Whether the places are in the collector's frame already, as those of a far camera.
     """
 
     lattice: PanelLattice
-    positions: DronePositions
+    positions: PlacesOfPhotos
     lever_m: FloatArray
     enu_from_frame: FloatArray
     turn_sigma_rad: float
+    is_tied: bool = False
 
     @property
     def same_m(self) -> float:
@@ -105,7 +126,7 @@ def find_corners(
         raise InputError("corners: the camera must be known (a file, or focal_px): corners predict from it")
     said = {name: k for k, name in enumerate(search.positions.photos)}
     turned = [file for file in files if _row(search, said, file.name) is not None]
-    if len(turned) < 2:
+    if len(turned) < 2 and not search.is_tied:
         raise InputError(
             f"positions: {len(turned)} of {len(files)} photos have a place and the turn of the camera (yaw, pitch, "
             "roll), two are needed to predict where the panels' corners are"
@@ -113,7 +134,7 @@ def find_corners(
     with progress.stage("find the collector"):
         some = [turned[k] for k in np.unique(np.linspace(0, len(turned) - 1, _START_PHOTOS + 2).round().astype(int))]
         some = some[1:-1] if len(some) > 3 else some
-        tied = _tie(some, finder, search, said, jobs)
+        tied = _Tied(np.eye(3), np.zeros(3)) if search.is_tied else _tie(some, finder, search, said, jobs)
     with progress.stage("find corners", len(files)) as stage:
 
         def one(number: int) -> tuple[OnePhoto, RigidTransform | None]:
@@ -269,7 +290,7 @@ def _look(
 
 #: Why a corner is missing.
 _REASONS = {
-    SampleFlag.CUT_BY_BORDER: "the lines that meet there reach beyond the border of the photo",
+    SampleFlag.CUT_BY_BORDER: "the lines that meet there are behind the receiver or beyond the border of the photo",
     SampleFlag.OUTLIER: "farther from the drawing than panels are mounted: it may be an edge of the reflection",
     SampleFlag.PARTLY_COVERED: "not all of the lines that meet there are seen clearly",
 }

@@ -25,6 +25,7 @@ from observer.photo_edges.tone import Tone
 from observer.pipeline.corners import CornerSearch
 from observer.pipeline.photos import Finder, build_finder
 from observer.pipeline.target_kinds import TargetKinds, target_kinds
+from observer.pipeline.tilts import Tilts, read_tilts
 from observer.pipeline.tone import Encoding, Encodings
 from observer.slopes.row_spline import Roughness
 from observer.trough.absorber_path import AbsorberPath
@@ -75,6 +76,7 @@ class Inputs:
     finder: What is looked for in each photo.
     targets_file: Name of the list of targets, for messages.
     corners: What predicts the corners of panels, where these take the place of marked targets.
+    tilts: Readings of a collector that turns before a fixed camera.
     absorber: The tube's axis: of the table, or of the design where it is measured or assumed.
     absorber_source: Whether it is measured in the photos, from a table, or as designed.
     stations_m (n,): Places along the trough at which it is measured [m].
@@ -100,6 +102,7 @@ class Inputs:
     shape_from_slopes: bool | None
     doubts: tuple[Doubt, ...]
     corners: CornerSearch | None = None
+    tilts: Tilts | None = None
     input_sha256: Mapping[str, str] = field(default_factory=dict)
 
 
@@ -207,7 +210,8 @@ def build_inputs(measurement: ObserverMeasurement, tables: Tables, coordinates: 
         absorber = absorber_of_table(tables.absorber, folder / str(model.absorber.file))
     rows = collector.rows_m(1e-3 * model.evaluation.row_step_mm)
     expected = Expectation(collector, design, rows, 1e-3 * model.evaluation.largest_slope_error_mrad)
-    corners, kinds = build_corners(measurement, collector), None
+    tilts = read_tilts(measurement)
+    corners, kinds = build_corners(measurement, collector, tilts), None
     if corners is not None:
         lattice = corners.lattice
         survey = build_corner_survey(measurement, lattice)
@@ -236,6 +240,7 @@ def build_inputs(measurement: ObserverMeasurement, tables: Tables, coordinates: 
         model.evaluation.shape_from_slopes,
         (*measurement.doubts, *left_out_doubts(tables)),
         corners,
+        tilts,
     )
 
 
@@ -346,15 +351,23 @@ def build_survey(
     return PhotogrammetryMeasurement(measurement.folder, network, files)
 
 
-def build_corners(measurement: ObserverMeasurement, collector: Collector) -> CornerSearch | None:
+def build_corners(
+    measurement: ObserverMeasurement, collector: Collector, tilts: Tilts | None = None
+) -> CornerSearch | None:
     """Return what predicts the corners of panels; None where targets are marked.
 
+    tilts: Readings of a collector that turns before a fixed camera.
     InputError: Positions that cannot be read, or a drawing without corners that can be seen.
     """
     section, positions = measurement.model.corners, measurement.model.positions
-    if section is None or positions is None:
+    if section is None:
         return None
     lattice = PanelLattice(collector, 1e-3 * section.mounting_sigma_mm, 1e-3 * section.corner_sigma_mm)
+    turn_sigma = float(np.radians(section.turn_sigma_deg))
+    if tilts is not None:
+        return CornerSearch(lattice, tilts.places(), np.zeros(3), np.eye(3), turn_sigma, is_tied=True)
+    if positions is None or section.azimuth_deg is None:
+        return None
     turn = np.radians(section.azimuth_deg)
     along = np.array([np.sin(turn), np.cos(turn), 0.0])
     up = np.array([0.0, 0.0, 1.0])
@@ -367,7 +380,7 @@ def build_corners(measurement: ObserverMeasurement, collector: Collector) -> Cor
         found,
         1e-3 * np.array(positions.lever_arm_mm),
         np.stack([np.cross(along, up), along, up], axis=1) @ tilted,
-        float(np.radians(section.turn_sigma_deg)),
+        turn_sigma,
     )
 
 

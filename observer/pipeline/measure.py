@@ -13,7 +13,7 @@ from heliogauge.running.progress import Progress, SilentProgress
 from observer.doubts.photos import refuse_impossible_cameras
 from observer.keys import ObserverMeasurement
 from observer.photo_edges.views import Shot, View
-from observer.pipeline.cameras import Cameras, adjust_cameras
+from observer.pipeline.cameras import Cameras, adjust_turning
 from observer.pipeline.corners import find_corners
 from observer.pipeline.inputs import Inputs, read_inputs
 from observer.pipeline.intercept import evaluate_intercept
@@ -87,7 +87,7 @@ def evaluate(inputs: Inputs, first: FirstLook, options: Options, progress: Progr
         listed = check_list(inputs.survey, inputs.finder, inputs.targets_file, first)
     else:
         listed = keep_placed(inputs.survey, first)
-    cameras = adjust_cameras(listed, inputs.collector, options.jobs, progress)
+    listed, cameras = adjust_turning(listed, inputs, options.jobs, progress)
     refuse_impossible_cameras(cameras.photos.eyes_m, inputs.collector)
     seen = look_again(cameras.files, cameras.views, inputs.finder, listed.first, jobs=options.jobs, progress=progress)
     shown = partial(cameras.network.measured.pictures, "too little is seen of the absorber")

@@ -45,6 +45,7 @@ class EdgeFate(IntEnum):
     ALONE = 4
     UNEVEN = 5
     ONE_SIDED = 6
+    EITHER = 7
 
     @property
     def code(self) -> str:
@@ -59,15 +60,17 @@ FATE_TEXTS = {
     EdgeFate.BESIDE: "does not agree with the edges around it",
     EdgeFate.ALONE: "not continued in the neighbouring rows",
     EdgeFate.UNEVEN: "brightness beside it changes, as where a shadow ends",
+    EdgeFate.EITHER: "may be the tube's other edge or the rim of its glass: edges of the other side do not confirm it",
     EdgeFate.ONE_SIDED: "not confirmed by the tube's other edge, where shadows are about",
 }
 
 
-def first_fate(edges: ReflectionEdges) -> IntArray:
+def first_fate(edges: ReflectionEdges, either_way: BoolArray | None = None) -> IntArray:
     """Judge edges by brightness alone: dark tube before bright sky, or the other way round, whichever most are.
 
     Shapes: result (m,).
     edges: Candidates of all photos.
+    either_way (m,): Those of photos from so far that the tube's edges step either way; none without.
 
     Weak images in the glass, thin clouds and seams have little contrast; shadows on the ground step the wrong way.
     """
@@ -75,6 +78,8 @@ def first_fate(edges: ReflectionEdges) -> IntArray:
     size = np.abs(edges.contrast)
     is_dark = float(size[darker].sum()) > float(size[~darker].sum())
     right = darker == is_dark
+    if either_way is not None:
+        right |= either_way
     usual = float(np.median(size[right])) if right.any() else 0.0
     fate = np.where(right, int(EdgeFate.USED), int(EdgeFate.WRONG_STEP))
     fate[(size < _LEAST_CONTRAST * usual) | _shows_no_tube(edges, right)] = int(EdgeFate.FAINT)

@@ -13,6 +13,7 @@ from heliogauge.validate import BoolArray, FloatArray, IntArray
 from observer.photo_edges.reflection_edges import ReflectionEdges, design_misfit
 from observer.selection.edge_refusal import EdgeFate, first_fate, has_shadows, is_alone
 from observer.selection.shadows import confirmed_edges, pulled_curves
+from observer.selection.two_sided import agreed_by_both
 from observer.slopes.along_variance import find_along
 from observer.slopes.common_unknowns import CommonUnknowns, common_unknowns, glass_widening_rad
 from observer.slopes.joint_solution import SlopeErrors, find_roughness, solve_jointly
@@ -150,7 +151,11 @@ def solve_reflector(
     """
     grid = row_grid(expected.collector, expected.y_m.size, step_m)
     nominal = _Nominal(edges, photos, expected)
-    fate = first_fate(edges)
+    fate = first_fate(edges, expected.goes_either_way(photos.eyes_m)[edges.photo])
+    far = expected.goes_either_way(photos.eyes_m)[edges.photo] & (fate == EdgeFate.USED)
+    if far.any():
+        agreed_edges = nominal.agreed_by_both(far)
+        fate[far & ~agreed_edges] = EdgeFate.EITHER
     fate[is_alone(edges, fate == EdgeFate.USED, expected.y_m)] = EdgeFate.ALONE
     if np.count_nonzero(fate == EdgeFate.USED) < 2 * grid.n_rows:
         raise EstimationError(
@@ -159,6 +164,7 @@ def solve_reflector(
             "collector's dimensions and the targets right?"
         )
     is_bold, wrong = fate == EdgeFate.USED, fate == EdgeFate.WRONG_STEP
+    either = fate == EdgeFate.EITHER
     none = np.zeros((grid.n_rows, grid.x_m.size, 2))
     present = whole = _Surface(none, none[..., 0])
     noise, roughness = 1.0, prior
@@ -182,6 +188,8 @@ def solve_reflector(
         fate[is_bold] = np.where(fits, int(EdgeFate.USED), int(EdgeFate.BESIDE))[is_bold]
         turned = wrong & nominal.turned & (predicted < _TURNED_KNOWN_RAD**2)
         fate[turned] = np.where(fits, int(EdgeFate.USED), int(EdgeFate.WRONG_STEP))[turned]
+        told = either & (predicted < _TURNED_KNOWN_RAD**2)
+        fate[either] = np.where(fits & told, int(EdgeFate.USED), int(EdgeFate.EITHER))[either]
         whole, change = _next_surface(present, errors, _near_edges(used, grid), roughness, expected, grid)
         present = replace(whole, height_m=none[..., 0]) if shaped is False else whole
     usable, unknowns = fate == EdgeFate.USED, nominal.unknowns
@@ -193,7 +201,8 @@ def solve_reflector(
     lines = _joint(replace(lines, sigma_rad=noise * lines.sigma_rad), nominal)
     keep = (fate == EdgeFate.USED) & np.isfinite(lines.misfit_rad)
     agreed = np.ones((grid.n_rows, grid.x_m.size), dtype=bool)
-    shadows = has_shadows(edges, fate, expected.y_m)
+    # Where brightness does not say which edge of the tube one is, the rim of the glass looks like it, too.
+    shadows = has_shadows(edges, fate, expected.y_m) or bool(expected.goes_either_way(photos.eyes_m).any())
     if shadows:
         fate, errors, roughness, agreed = _refuse_shadows(
             lines, edges, fate, errors, roughness, unknowns.covariance, grid
@@ -213,6 +222,8 @@ def solve_reflector(
         unknowns.covariance,
         with_shares=~unknowns.is_place,
         looks_like=lambda rows, columns: unknowns.place_as_slope(expected, expected.y_m[rows], grid.x_m[columns]),
+        # From far away nothing but the mirror's own shape says where the tube is, and that is one for a panel's rows.
+        most_rows=len(expected.collector.panel_edges_y_m) - 1 if far.any() else None,
     )
     absorber = unknowns.moved(expected.absorber, errors.common, errors.covariance_common)
     return Reflector(
@@ -361,6 +372,20 @@ class _Nominal:
     def turned(self) -> BoolArray:
         """Which edges lie where the mirror bends so much that the reflection moves the other way on it, shape (m,)."""
         return np.asarray(self.across_rad_per_m * np.median(self.across_rad_per_m) < 0)
+
+    def agreed_by_both(self, which: BoolArray) -> BoolArray:
+        """Return which edges both sides of the tube agree on, among those that are looked at.
+
+        Shapes: which (m,), result (m,).
+        """
+        found, edges = self._found, self.edges
+        which = which & np.isfinite(found.angle_rad)
+        axis = np.stack(self._expected.absorber.at(np.nan_to_num(found.passing_y_m)), axis=1)
+        away = np.linalg.norm(axis - edges.points_m[:, [0, 2]], axis=1)
+        half = np.arcsin(np.clip(self._expected.collector.absorber_diameter_m / 2 / away, 0, 1))
+        agreed = np.zeros(which.shape, dtype=bool)
+        agreed[which] = agreed_by_both(edges.points_m[which], edges.side[which], found.angle_rad[which], half[which])
+        return agreed
 
     @cached_property
     def unknowns(self) -> CommonUnknowns:

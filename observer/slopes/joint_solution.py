@@ -162,6 +162,7 @@ def solve_jointly(
     *,
     with_shares: bool | BoolArray | None = True,
     looks_like: LooksLikeSlope | None = None,
+    most_rows: int | None = None,
 ) -> SlopeErrors:
     """Solve for slopes and common unknowns.
 
@@ -173,11 +174,13 @@ def solve_jointly(
         chosen are shown apart. With None not even the covariance of the common unknowns is computed; it is empty.
     looks_like: By how much the unknowns that are shown apart look like slope across, for the share of both
         together.
+    most_rows: Largest number of rows that the common unknowns are estimated from, where rows are so much alike that
+        more of them say nothing new.
 
     The common unknowns are estimated from a sample of rows, the slopes of all rows with them.
     """
     count = len(covariance)
-    rows = common_rows(lines, grid, count)
+    rows = common_rows(lines, grid, count) if most_rows is None else sample_rows(lines, grid, most_rows)
     is_shown = with_shares is not None and with_shares is not False
     columns = share_columns(grid) if is_shown else None
     own, fewer = _sampled(lines, grid, rows)

@@ -2,8 +2,10 @@
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from heliogauge.short_repr import ShortRepr
-from heliogauge.validate import FloatArray
+from heliogauge.validate import BoolArray, FloatArray
 from observer.trough.absorber_path import AbsorberPath
 from observer.trough.collector import Collector
 
@@ -22,3 +24,14 @@ class Expectation(ShortRepr):
     absorber: AbsorberPath
     y_m: FloatArray
     slope_error_rad: float = 12e-3
+
+    def goes_either_way(self, eyes_m: FloatArray) -> BoolArray:
+        """Return from which places the reflection may move either way on the mirror as the camera moves one way.
+
+        Shapes: eyes_m (k, 3), result (k,).
+
+        The design's own angle changes along the mirror as that of the camera does, by 1/d in a metre. From far away a
+        slope error that goes from minus to plus half the largest one within a metre outweighs that: the tube's two
+        edges then follow each other in either order.
+        """
+        return np.asarray(1 / np.linalg.norm(eyes_m, axis=1) < 2 * self.slope_error_rad)

@@ -154,11 +154,12 @@ def test_presets_are_what_they_are_called(preset: str) -> None:
     rms = [float(np.sqrt(np.nanmean(truth[name] ** 2))) for name in ("theta_r_rad", "slope_error_y")]
     longitudinal = 1.8e-3 if preset in ("ls2-long", "ls2-two-passes") else 0.0
     assert rms == pytest.approx([0.0 if preset == "displaced" else 3e-3, longitudinal], rel=0.02, abs=1e-12)
-    assert len(scene.targets) == (24 if preset == "flight" else 12)
+    assert len(scene.targets) == {"flight": 24, "far": 0}.get(preset, 12)
     content = observer_content(scene, ".png")
     assert ("orientation_deg" in content["collector"]) == (preset != "turning")
     x, z = scene.world.receiver.position_m(np.array([0.0, 1.97]))
     expected = {"displaced": [3e-3, 3e-3, 1.485, 1.485], "sag": [2e-3, 2.79e-3, 1.491, 1.4844]}
+    expected["far"] = [2e-3, 2e-3, 1.493, 1.493]
     expected["absorber"] = [3e-3, 3e-3, 1.485, 1.481]
     np.testing.assert_allclose([*x, *z], expected.get(preset, [0, 0, 1.49, 1.49]), atol=2e-5)
 

@@ -1,0 +1,265 @@
+"""A collector that turns before a fixed far camera: tables of tilts, poses tied to them, from folder to slopes."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from data_synth.troughs import TroughChoice, TroughOptions, read_trough_truth, trough_scene, write_trough_dataset
+from heliogauge.errors import EstimationError, InputError
+from heliogauge.geometry.rigid import RigidTransform, rotation_from_vector
+from heliogauge.measurement.load import load
+from observer import Options, Result, run
+from observer.keys import ObserverMeasurement, load_observer
+from observer.pipeline.tilts import read_tilts
+from observer.slopes.pose_modes import Photos
+from observer.turning.far_camera import FarCamera, KnownFarCamera, TiltReadings
+from observer.turning.tied_poses import compare_turning, tie_poses
+
+READING_RAD, FACING, DISTANCE_M = 0.3e-3, 1.57, 150.0
+#: What tripod and bearings give way, 1 sigma [m].
+PLAY_M = 1e-3
+#: What corners know of a far camera's direction, of its place in the image, of its distance, 1 sigma [rad, rad, m].
+TURN_RAD, IMAGE_RAD, AWAY_M = 0.4e-3, 2e-6, 0.05
+KNOWN = KnownFarCamera(
+    FarCamera(FACING + 4e-3, DISTANCE_M + 0.3, 0.0, 0.0, 0.0), np.array([0.03, 0.5, 1.0, 0.1, 0.3, 0.01])
+)
+
+
+def seen(direction_rad: float, place: np.ndarray, play_m: np.ndarray) -> RigidTransform:
+    """Return the pose of a camera in that direction of a turning collector, without the estimator's equations.
+
+    place (6,): The camera's unknowns: of these its place along, the axis of rotation and the distance.
+    """
+    eye = np.array([place[3], place[2], place[4]]) + play_m
+    eye += place[1] * np.array([np.sin(direction_rad), 0, np.cos(direction_rad)])
+    forward = -eye / np.linalg.norm(eye)
+    right = np.cross(forward, [0.0, 1.0, 0.0])
+    right /= np.linalg.norm(right)
+    rotation = np.stack([right, np.cross(forward, right), forward])
+    return RigidTransform(rotation, -rotation @ eye)
+
+
+class Drawn:
+    """True poses, poses as corners have them with their covariance, and readings."""
+
+    def __init__(self, seed: int, count: int = 15) -> None:
+        rng = np.random.default_rng([seed, 15])
+        self.tilt_rad = np.linspace(FACING - 0.04, FACING + 0.04, count)
+        place = KNOWN.camera.unknowns + KNOWN.sigma * rng.standard_normal(6)
+        self.true = [seen(place[5] * (place[0] - t), place, PLAY_M * rng.standard_normal(3)) for t in self.tilt_rad]
+        # All photos share the frame's turn about y and shift along the trough; each has its own besides.
+        steps, covariance = [], np.zeros((6 * count, 6 * count))
+        common = np.zeros((6 * count, 2))
+        own = np.zeros((6 * count, 6 * count))
+        for k, pose in enumerate(self.true):
+            block = slice(6 * k, 6 * k + 6)
+            # A turn w of the frame about its origin moves the pose by R w in rotation alone; t stays.
+            common[block, 0] = np.r_[pose.rotation @ [0.0, 1.0, 0.0], np.zeros(3)]
+            common[block, 1] = np.r_[np.zeros(3), pose.rotation @ [0.0, 1.0, 0.0]]
+            about = np.zeros((6, 6))
+            about[:3, :3] = pose.rotation @ np.diag([10 * TURN_RAD, TURN_RAD, TURN_RAD]) ** 2 @ pose.rotation.T
+            # A shift across belongs to the pixels, one along the line of sight to the distance.
+            about[3:, 3:] = np.diag([IMAGE_RAD * DISTANCE_M, IMAGE_RAD * DISTANCE_M, AWAY_M]) ** 2
+            own[block, block] = about
+        covariance = own + common @ np.diag([1e-3, 1e-3]) ** 2 @ common.T
+        steps = np.linalg.cholesky(covariance + 1e-18 * np.eye(6 * count)) @ rng.standard_normal(6 * count)
+        poses = tuple(pose.moved(step) for pose, step in zip(self.true, steps.reshape(-1, 6), strict=True))
+        self.photos = Photos(poses, covariance)
+        noise = READING_RAD * rng.standard_normal(count)
+        self.readings = TiltReadings(self.tilt_rad + noise, np.full(count, READING_RAD))
+
+    def misses(self, photos: Photos) -> np.ndarray:
+        """Return steps from the poses found to the true ones, all in a row."""
+        found = []
+        for true, pose in zip(self.true, photos.poses, strict=True):
+            turn = RigidTransform(true.rotation @ pose.rotation.T, np.zeros(3)).rotation_vector_rad
+            found.append(np.r_[turn, true.translation_m - pose.translation_m])
+        return np.concatenate(found)
+
+
+def test_tied_poses_scatter_by_their_covariance() -> None:
+    ratios, before, after = [], [], []
+    for seed in range(24):
+        drawn = Drawn(seed)
+        turning = compare_turning(drawn.photos, drawn.readings, KNOWN.camera)
+        tied = tie_poses(drawn.photos, drawn.readings, KNOWN, turning)
+        miss = drawn.misses(tied.photos)
+        covariance = tied.photos.covariance + 1e-16 * np.eye(miss.size)
+        ratios.append(float(miss @ np.linalg.solve(covariance, miss)) / miss.size)
+        turns = [[drawn.misses(one).reshape(-1, 6)[:, 0].std()] for one in (drawn.photos, tied.photos)]
+        before.append(turns[0])
+        after.append(turns[1])
+    # 24 sums of 90 squares: their mean scatters by 3 %.
+    assert np.mean(ratios) == pytest.approx(1.0, abs=0.1)
+    assert np.mean(after) < 0.9 * np.mean(before)
+
+
+def test_a_reading_that_contradicts_is_named_and_turning_the_other_way_is_seen() -> None:
+    drawn = Drawn(3)
+    wrong = drawn.readings.tilt_rad.copy()
+    wrong[4] += 8e-3
+    turning = compare_turning(drawn.photos, TiltReadings(wrong, drawn.readings.sigma_rad), KNOWN.camera)
+    assert np.flatnonzero(~turning.used).tolist() == [4]
+    other = TiltReadings(2 * FACING - drawn.readings.tilt_rad, drawn.readings.sigma_rad)
+    turning = compare_turning(drawn.photos, other, KNOWN.camera)
+    assert turning.scale == pytest.approx(-1.0, abs=0.05)
+    assert turning.used.all()
+
+
+def test_the_far_camera_is_where_the_turned_collector_sees_it() -> None:
+    camera = FarCamera(1.5, 149.0, 0.7, 0.1, 0.3, 1.02)
+    tilt = np.linspace(1.4, 1.6, 5)
+    for eye, t in zip(camera.eyes_m(tilt), tilt, strict=True):
+        # The collector turned back by its turn against the reading at which it faces the camera.
+        turn = rotation_from_vector(np.array([0.0, 1.02 * (1.5 - t), 0.0]))
+        np.testing.assert_allclose(eye, [0.1, 0.7, 0.3] + turn @ [0.0, 0.0, 149.0], atol=1e-9)
+    steps = 1e-5 * np.eye(6)
+    for k, step in enumerate(steps):
+        sides = [FarCamera(*(camera.unknowns + sign * step)).eyes_m(tilt) for sign in (1, -1)]
+        np.testing.assert_allclose(camera.derivatives(tilt)[..., k], (sides[0] - sides[1]) / 2e-5, atol=1e-5)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return drawn photos of a collector that turns before a far camera."""
+    place = tmp_path_factory.mktemp("tilts") / "far"
+    scene = trough_scene("far", TroughChoice(2, n_photos=14, is_shaped=True)).scaled(0.7)
+    write_trough_dataset(place, scene, TroughOptions(2))
+    return place
+
+
+@pytest.fixture(scope="module")
+def measured(folder: Path) -> Result:
+    return run(load(folder), Options(jobs=1))
+
+
+@pytest.mark.slow
+def test_slopes_from_tilts_are_within_the_published_accuracy(folder: Path, measured: Result) -> None:
+    truth, found = read_trough_truth(folder), measured.slope_map
+    columns, rows = (
+        np.abs(here[:, None] - there).argmin(axis=1) for here, there in ((found.x_m, truth.x_m), (found.y_m, truth.y_m))
+    )
+    error = measured.angles.theta_r_rad - truth.theta_r_rad[np.ix_(rows, columns)]
+    known = found.valid & np.isfinite(error)
+    sigma = found.sigma_slope()[0] / (1 + found.design_slope_x**2)
+    # About 1 mrad is published (STAGE-STE D12.6, 3.5.2.2), for a mirror of some 3 mrad RMS.
+    assert np.sqrt(np.mean(error[known] ** 2)) < 0.5e-3
+    assert np.mean((error / sigma)[known] ** 2) < 2
+    assert np.abs(error[known]).max() < 3e-3
+    # So few photos measure little of the mirror, and say so: edges without the tube's other one are not believed.
+    assert known.mean() > 0.1
+    assert "mirror_measured_sparsely" in {one.code for one in measured.doubts}
+
+
+@pytest.mark.slow
+def test_tables_that_do_not_belong_to_the_photos_are_named(folder: Path, tmp_path: Path) -> None:
+    toml, table = folder / "measurement.toml", folder / "tilts.csv"
+    said, lines = toml.read_text(), table.read_text().splitlines()
+    try:
+        toml.write_text(said.replace("[tilts]\n", "[tilts]\nleft_handed = true\n"))
+        with pytest.raises(EstimationError, match="turns the other way; set left_handed = false"):
+            run(load(folder), Options(jobs=1))
+        toml.write_text(said)
+        shuffled = [f"photo_{(5 * k) % 14 + 1:03d}.png,{line.split(',')[1]}" for k, line in enumerate(lines[1:])]
+        table.write_text("\n".join([lines[0], *shuffled]) + "\n")
+        with pytest.raises(EstimationError, match="tilts:"):
+            run(load(folder), Options(jobs=1))
+    finally:
+        toml.write_text(said)
+        table.write_text("\n".join(lines) + "\n")
+
+
+def stated(folder: Path, table: str, keys: str = "", photos: int = 5) -> ObserverMeasurement:
+    """Write a folder whose photos are never opened, with a table of tilts."""
+    folder.mkdir(exist_ok=True)
+    for k in range(photos):
+        (folder / f"p{k}.jpg").write_bytes(b"\xff\xd8" + exif(f"2023:01:15 18:{10 * k:02d}:00"))
+    (folder / "tilts.csv").write_text(table)
+    (folder / "measurement.toml").write_text(
+        f"""kind = "observer"
+name = "far"
+[collector]
+aperture_width_m = 5.0
+length_m = 7.89
+focal_length_m = 1.49
+absorber_diameter_mm = 70.0
+orientation_deg = 90.0
+[images]
+photos = "p*.jpg"
+[corners]
+[tilts]
+sigma_mrad = 0.2
+distance_m = 150.0
+{keys}
+"""
+    )
+    return load_observer(folder)
+
+
+def exif(taken: str) -> bytes:
+    """Return an EXIF segment that says when a photo was taken."""
+    text = taken.encode() + b"\x00"
+    first = b"\x01\x00" + b"\x69\x87\x04\x00\x01\x00\x00\x00" + (26).to_bytes(4, "little") + bytes(4)
+    inner = b"\x01\x00" + b"\x03\x90\x02\x00" + len(text).to_bytes(4, "little") + (44).to_bytes(4, "little") + bytes(4)
+    return b"\xff\xe1\x00\x80Exif\x00\x00II*\x00\x08\x00\x00\x00" + first + inner + text
+
+
+def by_name(*rows: str) -> str:
+    return "\n".join(["image,tilt_deg", *rows]) + "\n"
+
+
+def test_readings_by_name_and_what_is_wrong_with_them(tmp_path: Path) -> None:
+    rows = [f"p{k}.jpg,{88 + k}" for k in range(5)]
+    found = read_tilts(stated(tmp_path / "a", by_name(*rows, "p9.jpg,93")))
+    assert found is not None
+    assert found.of(["p3.jpg"]).tilt_rad == pytest.approx(np.radians(91))
+    assert found.camera.camera.facing_rad == pytest.approx(np.radians(90))
+    assert [one.code for one in found.doubts] == ["tilts_without_photo"]
+    with pytest.raises(InputError, match=r"line 7: p0\.jpg is given twice"):
+        read_tilts(stated(tmp_path / "b", by_name(*rows, "p0.jpg,88")))
+    with pytest.raises(InputError, match="2 of 5 photos have a reading, 4 are needed"):
+        read_tilts(stated(tmp_path / "c", by_name(*rows[:2])))
+    with pytest.raises(InputError, match="is not a number; is the decimal sign a point"):
+        read_tilts(stated(tmp_path / "d", by_name(*rows[:4], "p4.jpg,9o")))
+    with pytest.raises(InputError, match=r"collector\.orientation_deg = 0"):
+        folder = tmp_path / "e"
+        one = stated(folder, by_name(*rows))
+        said = (folder / "measurement.toml").read_text().replace("orientation_deg = 90.0", "")
+        (folder / "measurement.toml").write_text(said)
+        assert one.model.tilts is not None
+        read_tilts(load_observer(folder))
+
+
+TIMES = 'time_column = "time"\ncolumn = ["west", "east"]\n'
+
+
+def test_readings_by_time_are_those_of_the_photos(tmp_path: Path) -> None:
+    table = (
+        "time,west,east\n2023-01-15 18:00:00,43.0,43.2\n2023-01-15 18:30:00,40.0,40.2\n2023-01-15 19:00:00,22,22.2\n"
+    )
+    found = read_tilts(stated(tmp_path / "a", table, TIMES))
+    assert found is not None
+    rows = found.of([f"p{k}.jpg" for k in range(5)])
+    np.testing.assert_allclose(np.degrees(rows.tilt_rad), [43.1, 42.1, 41.1, 40.1, 34.1], atol=1e-9)
+    # Between two readings the collector may be anywhere: evenly between 40.1 and 22.1 deg.
+    assert rows.sigma_rad[4] == pytest.approx(np.radians(18) / np.sqrt(12), rel=1e-3)
+    late = read_tilts(stated(tmp_path / "b", table, TIMES + "time_offset_s = -1800\n"))
+    assert late is not None
+    assert [one.code for one in late.doubts] == ["photos_outside_tilts"]
+    with pytest.raises(InputError, match="no photo was taken between its first and its last reading"):
+        read_tilts(stated(tmp_path / "c", table, TIMES + "time_offset_s = 7200\n"))
+    with pytest.raises(InputError, match="'noon' is not a time like"):
+        read_tilts(stated(tmp_path / "d", table.replace("2023-01-15 18:30:00", "noon"), TIMES))
+
+
+def test_a_table_of_two_sensors_on_a_real_row_is_read(shared_data: Path, tmp_path: Path) -> None:
+    """Tilts of both ends of a row of Nevada Solar One, half-hourly; the column of times has no name."""
+    table = (shared_data / "csp" / "trough_tilt" / "example_field_data.csv").read_text()
+    found = read_tilts(stated(tmp_path / "a", table, 'time_column = ""\ncolumn = ["R4_SO_Tilt", "R4_DO_Tilt"]\n'))
+    assert found is not None
+    rows = found.of([f"p{k}.jpg" for k in range(5)])
+    # At 18:00 both sensors as the table has them; at 18:40 a third of the way from 18:30 to 19:00.
+    first, third, last = (43.03984 + 43.11102) / 2, (42.47918 + 42.61678) / 2, (20.99967 + 21.0913) / 2
+    np.testing.assert_allclose(np.degrees(rows.tilt_rad[[0, 3, 4]]), [first, third, (2 * third + last) / 3], atol=1e-4)
+    assert np.degrees(rows.sigma_rad[4]) > 5
