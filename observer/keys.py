@@ -47,7 +47,7 @@ class TroughSection(Section):
     )
     panel_gap_mm: Sigma = Field(0.0, description="Width of the gaps between panels [mm].")
     panel_height_sigma_mm: Sigma = Field(
-        0.2, description="Error of each panel's mean height, 1 sigma; 1 if nobody measured it [mm]."
+        0.8, description="Error of each panel's mean height, 1 sigma; less where it was measured [mm]."
     )
     support_y_m: tuple[Number, ...] = Field((), description="Places of the receiver supports along the trough [m].")
     support_width_m: Positive = Field(0.3, description="Width of a support along the trough [m].")

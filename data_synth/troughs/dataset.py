@@ -54,6 +54,8 @@ TILTS_FILE, ABSORBER_FILE = "tilts.csv", "absorber_measured.csv"
 _DISTANCE_SIGMA_M = 0.05
 #: A laser distance meter on the tube reads so well, at so many places along it [m].
 _LASER_SIGMA_M, _LASER_PLACES = 1e-3, 9
+#: How well the heights of panels on a surveyed frame are known [mm].
+_SURVEYED_MM = 0.2
 _MAPS = ("slope_error_x", "slope_error_y", "theta_r_rad", "height_error_m")
 
 
@@ -258,8 +260,8 @@ def _collector_content(scene: TroughScene) -> dict[str, Any]:
         "panel_edges_y_m": design.panel_edges_y_m.round(6).tolist(),
         "panel_gap_mm": 1e3 * design.panel_gap_m,
     }
-    if design.panel_height_sigma_m:
-        content["panel_height_sigma_mm"] = 1e3 * design.panel_height_sigma_m
+    # Panels of a mirror without stated heights stand as designed: as if their frame had been surveyed.
+    content["panel_height_sigma_mm"] = 1e3 * design.panel_height_sigma_m or _SURVEYED_MM
     if len(design.support_y_m):
         content |= {"support_y_m": design.support_y_m.tolist(), "support_width_m": design.support_width_m}
     if all(view.orientation_deg is None for view in scene.views):
