@@ -172,10 +172,11 @@ def run(folders: Sequence[Path]) -> Comparison:
 
     folders: Results of ``heliogauge observer measure`` or ``heliogauge observer absorber``, two at least.
     Returns: Sags by weight, profiles, maps on one grid.
-    InputError: Fewer than two results, a folder that holds none, or results of different collectors.
+    InputError: Fewer than two results, one of them twice, a folder that holds none, or results of different collectors.
     """
     if len(folders) < 2:
         raise InputError(f"observer compare: {len(folders)} result given, two are needed")
+    _refuse_same(folders)
     found = _with_own_labels([_read(folder) for folder in folders])
     for one in found[1:]:
         _refuse_other_collector(found[0], one)
@@ -218,6 +219,17 @@ def run(folders: Sequence[Path]) -> Comparison:
         doubts=tuple(doubts),
         input_sha256={f"{k}/{one.name}": next(iter(hash_files([one]).values())) for k, one in inputs},
     )
+
+
+def _refuse_same(folders: Sequence[Path]) -> None:
+    """Refuse a result that is given twice: nothing of it could have changed."""
+    known: dict[Path, Path] = {}
+    for folder in folders:
+        if (whole := folder.resolve()) in known:
+            raise InputError(
+                f"observer compare: {known[whole]} and {folder} are the same result; give results of two measurements"
+            )
+        known[whole] = folder
 
 
 def _refuse_other_collector(first: OneOrientation, one: OneOrientation) -> None:

@@ -7,7 +7,7 @@ tried), so that no limit in pixels is needed and a photo full of false dots make
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import comb
+from math import exp, lgamma, log
 
 import numpy as np
 
@@ -20,6 +20,9 @@ from photogrammetry.start_values.triangulation import LEAST_ANGLE_RAD
 
 #: Accidents among points of two rays, which the result names as weak, in terms of those among all others.
 _TWO_RAYS = 5.0
+
+#: More agreements by chance than any limit allows.
+_LARGEST_EXPONENT = 700.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -242,7 +245,7 @@ class _Search:
         extra = len(members) - 2
         # As if all photos had the chance of the mean: at most as improbable as it is.
         chance = float(np.mean(chances))
-        accidents = self.tried * comb(len(chances), extra) * chance**extra
+        accidents = self.tried * chance_agreements(len(chances), extra, chance)
         if accidents > self.limits.most_accidents:
             self.doubtful[members] = f"{accidents:.2g} such agreements of {len(members)} rays are expected by accident"
             return None
@@ -328,6 +331,17 @@ class _Search:
             np.array([one.accidents for one in found]),
             tuple(texts),
         )
+
+
+def chance_agreements(among: int, extra: int, chance: float) -> float:
+    """Return how many sets of some of so many photos agree by chance: their number times the chance that all do.
+
+    By logarithms: of a thousand photos there are more sets than numbers of double precision reach.
+    """
+    if chance <= 0 or extra > among:
+        return float(extra == 0)
+    sets = lgamma(among + 1) - lgamma(extra + 1) - lgamma(among - extra + 1)
+    return exp(min(sets + extra * log(chance), _LARGEST_EXPONENT))
 
 
 def _contradict(one: _Hypothesis, other: _Hypothesis) -> bool:

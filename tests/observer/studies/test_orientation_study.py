@@ -180,6 +180,8 @@ def test_what_is_not_a_result_is_said(tmp_path: Path) -> None:
         run([one])
     with pytest.raises(InputError, match=r"no absorber_spans\.csv; give results of"):
         run([one, tmp_path])
+    with pytest.raises(InputError, match=r"one and .*one are the same result"):
+        run([one, tmp_path / "two" / ".." / "one"])
     again = result_at(tmp_path / "again", 0.0, with_map=False)
     found = run([one, again])
     assert found.sags == ()

@@ -1,5 +1,7 @@
 """Dots without a code through the poses of a network: all of them, none by accident, with honest covariances."""
 
+from math import comb
+
 import numpy as np
 import pytest
 
@@ -8,7 +10,7 @@ from photogrammetry.bundle.adjustment import adjust
 from photogrammetry.bundle.datum import Datum
 from photogrammetry.bundle.problem import BundleProblem, CameraModel
 from photogrammetry.matching.uncertain_rays import Dots, KnownViews, known_views
-from photogrammetry.matching.uncoded_matching import MatchLimits, match_dots
+from photogrammetry.matching.uncoded_matching import MatchLimits, chance_agreements, match_dots
 from photogrammetry.networks.solve_network import Knowledge, NetworkCameras, SolveOptions, solve_network
 from photogrammetry.networks.solve_uncoded import LooseDots, add_dots
 from tests.photogrammetry.bundle_networks import network
@@ -164,3 +166,14 @@ def test_a_dot_displaced_in_some_photos_is_no_second_point() -> None:
     assert any(
         "contradict those in 5 others" in one.reason and "covered or in glare" in one.reason for one in found.left
     )
+
+
+def test_agreements_by_chance_of_a_thousand_photos_are_counted() -> None:
+    assert chance_agreements(12, 3, 0.1) == pytest.approx(comb(12, 3) * 0.1**3)
+    assert chance_agreements(12, 0, 0.0) == 1.0
+    assert chance_agreements(12, 3, 0.0) == chance_agreements(2, 3, 0.5) == 0.0
+    # 1e330 sets, of which one in 1e354 agrees.
+    assert chance_agreements(1100, 550, 10**-0.645) == pytest.approx(
+        10 ** (np.log10(float(comb(1100, 550) // 10**100)) + 100 - 354.75), rel=1e-6
+    )
+    assert chance_agreements(5000, 2500, 1.0) > 1e300
