@@ -41,6 +41,7 @@ TroughPreset = Literal[
     "mast",
     "turning",
     "far",
+    "fixture",
     "absorber",
     "panel",
 ]

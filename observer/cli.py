@@ -53,25 +53,43 @@ def measure_command(
 @app.command("align")
 def align_command(
     folder: Annotated[
-        Path, typer.Argument(metavar="RESULT", help="Results of `heliogauge observer measure`.", show_default=False)
+        Path,
+        typer.Argument(
+            metavar="FOLDER",
+            help="Results of `heliogauge observer measure`, or a measurement folder with a few photos of one module.",
+            show_default=False,
+        ),
     ],
     out: OutFolder,
     mounts: Annotated[
         Path | None, typer.Option("--mounts", metavar="FILE", help="Table of the mounts: columns x_m, y_m.")
     ] = None,
+    jobs: Jobs = None,
     force: Force = False,
     no_report: NoReport = False,
     quiet: Quiet = False,
     verbose: Verbose = False,
 ) -> None:
-    """Prescribe how panels are to be aligned to the absorber: mounts.csv, overlay.csv, report.html."""
-    from heliogauge.running.terminal import terminal_progress
-    from observer.studies.align import run
+    """Prescribe how panels are to be aligned to the absorber: mounts.csv, overlay.csv, report.html.
 
+    From results, or from a few photos of a module alone (TOPCAT): one before each row of panels is enough.
+    """
+    from heliogauge.measurement.load import MEASUREMENT_FILE
+    from heliogauge.running.terminal import terminal_progress
+    from observer.keys import load_observer
+    from observer.studies.align import run
+    from observer.studies.align_photos import Options, run_on_photos
+
+    progress = terminal_progress(quiet=quiet, verbose=verbose)
+    is_measurement = (folder / MEASUREMENT_FILE).is_file()
     deliver(
         out,
-        lambda: run(folder, mounts),
-        terminal_progress(quiet=quiet, verbose=verbose),
+        lambda: (
+            run_on_photos(load_observer(folder), mounts, Options(jobs=jobs), progress)
+            if is_measurement
+            else run(folder, mounts)
+        ),
+        progress,
         force=force,
         quiet=quiet,
         report=not no_report,

@@ -32,6 +32,8 @@ NETWORK_FOLDER = "network"
 #: Studies of finished measurements: modules side by side, panels aligned, several orientations.
 OVERVIEW_TABLE, OVERVIEW_MAPS, OVERVIEW_LOOPS = "overview.csv", "overview.nc", "loops.csv"
 ALIGNMENT_OVERLAY, ALIGNMENT_MOVES = "overlay.svg", "mounts.svg"
+#: Pictures of single photos begin so.
+OVERLAY_STEM = "overlay_"
 ORIENTATION_PROFILES, ORIENTATION_SAGS, ORIENTATION_CHANGES = "profiles.csv", "sags.csv", "theta_r_change.nc"
 CHANGED_NUMBERS, CHANGED_PANELS = "changed_numbers.csv", "changed_panels.csv"
 

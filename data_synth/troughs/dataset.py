@@ -207,6 +207,8 @@ def observer_content(scene: TroughScene, suffix: str) -> dict[str, Any]:
         content["targets"] = _targets_content(scene)
     if purposes == {"reflection", "absorber"}:
         content["absorber"] = {"photos": photos["absorber"]}
+    if not scene.has_tube_beside:
+        content["absorber"] = {"source": "design"}
     if scene.troughs:
         content["module"] = [{"name": one.name, "place_m": one.place_m.tolist()} for one in scene.troughs]
     elif scene.dictionary != NO_TARGETS:

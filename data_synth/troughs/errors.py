@@ -51,6 +51,18 @@ def random_mirror(
     return mirror
 
 
+def with_panel_tilts(mirror: TroughMirror, sigma_rad: float, rng: np.random.Generator) -> TroughMirror:
+    """Turn the panels of a mirror, as before anybody aligned them.
+
+    sigma_rad: Standard deviation of the turns, as slopes across [rad].
+    InputError: The mirror has no panels.
+    """
+    if mirror.panels is None:
+        raise InputError("panel tilts: the mirror has no panels")
+    tilt_x = mirror.panels.tilt_x + sigma_rad * rng.standard_normal(mirror.n_panels)
+    return replace(mirror, panels=replace(mirror.panels, tilt_x=tilt_x))
+
+
 def with_panel_heights(mirror: TroughMirror, sigma_m: float, rng: np.random.Generator) -> TroughMirror:
     """Mount the panels of a shaped mirror too high or too low.
 

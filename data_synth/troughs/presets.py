@@ -10,13 +10,15 @@ from data_synth.optics.pinhole import PinholeCamera
 from data_synth.optics.prints import DotPrint, Print, RingPrint
 from data_synth.optics.sheets import Sheet
 from data_synth.targets.scene import sheet_points
-from data_synth.troughs.errors import random_mirror, with_mounting, with_panel_heights
+from data_synth.troughs.errors import random_mirror, with_mounting, with_panel_heights, with_panel_tilts
 from data_synth.troughs.field import NeighbourScene, field_of
 from data_synth.troughs.mirror import TroughMirror
 from data_synth.troughs.paths import (
     absorber_pair,
     level_pass,
+    look_at_trough,
     mast_pass,
+    numbered,
     several_passes,
     straight_pass,
     turning_collector,
@@ -40,6 +42,8 @@ SMALL_CAMERA = PinholeCamera(480, 640, 1030.0, 1030.0, 241.0, 318.0, -0.06, 0.03
 FLIGHT_CAMERA = PinholeCamera(480, 960, 1030.0, 1030.0, 241.0, 477.0, -0.06, 0.03)
 #: It sees 9 m along from 149 m: a pixel is 4.5 mm.
 FAR_CAMERA = PinholeCamera(2000, 1240, 33000.0, 33000.0, 999.5, 619.5)
+#: It sees 14 m along from 12 m: a pixel is 6.6 mm.
+FIXTURE_CAMERA = PinholeCamera(2144, 1424, 1818.0, 1818.0, 1071.5, 711.5, -0.05, 0.02)
 #: Height of the axis of rotation over the vertex of a trough before it [m].
 FAR_PIVOT_Z_M = 0.3
 #: Distance of the rows of a field that is photographed in one flight [m].
@@ -396,6 +400,22 @@ def _far(choice: TroughChoice, rng: np.random.Generator) -> TroughScene:
     return replace(scene, world=replace(scene.world, surroundings=around, receiver=receiver))
 
 
+def _fixture(choice: TroughChoice, rng: np.random.Generator) -> TroughScene:
+    """Draw an LS-2 that nobody aligned before five cameras: one for each row of panels, one on the axis (TOPCAT)."""
+    mirror = random_mirror(ls2_panelled(), rng, transverse_rad=1.5e-3, is_shaped=choice.is_shaped)
+    mirror = with_panel_tilts(mirror, 4e-3, rng)
+    edges = mirror.collector.panel_edges_x_m
+    across = np.sort(np.append((edges[1:] + edges[:-1]) / 2, 0.0))
+    views = numbered(
+        TroughView("", FIXTURE_CAMERA, look_at_trough(np.array([x, 0.0, 12.0]), np.array([0.3 * x, 0.0, 0.0])))
+        for x in across
+    )
+    # Nobody sets a fixture up to the millimetre.
+    scene = _scene("LS-2 before a fixture", mirror, wobbling(views, rng, position_m=0.03, aim_rad=0.005), choice, rng)
+    around = Surroundings(Sky(sun_elevation_deg=50.0, sun_azimuth_deg=150.0), Ground(), 90.0, seed=choice.seed)
+    return replace(scene, world=replace(scene.world, surroundings=around), has_tube_beside=False)
+
+
 def _absorber(choice: TroughChoice, rng: np.random.Generator) -> TroughScene:
     """Draw two photos by a D300 from 7 m beside and 7 m above, for the absorber's position."""
     scene = _scene(
@@ -448,6 +468,7 @@ _PRESETS: dict[str, Callable[[TroughChoice, np.random.Generator], TroughScene]] 
     "mast": _mast,
     "turning": _turning,
     "far": _far,
+    "fixture": _fixture,
     "absorber": _absorber,
     "panel": _panel,
 }

@@ -162,6 +162,7 @@ class TroughScene:
     dictionary: Name of the targets' dictionary, or ``circles``.
     target_diameter_m: Diameter of the dots, or side of square markers [m].
     troughs: Several troughs in one frame, that of views, sheets and targets; `world` is then the first one's.
+    has_tube_beside: Whether photos show the tube beside its own reflection, so that its place is measured in them.
     InputError: No photo, or photos by different cameras.
     """
 
@@ -174,6 +175,7 @@ class TroughScene:
     dictionary: str = "aicon-12"
     target_diameter_m: float = 0.06
     troughs: tuple[PlacedTrough, ...] = ()
+    has_tube_beside: bool = True
 
     def __post_init__(self) -> None:
         if not self.views:

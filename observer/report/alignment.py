@@ -15,7 +15,7 @@ from heliogauge.results.folder import Summary, read_summary, read_table_csv
 from heliogauge.validate import FloatArray
 from heliogauge.view.maps import MapLayer, MapView
 from heliogauge.view.stills import side_by_side
-from observer.files import ALIGNMENT_OVERLAY, COLLECTOR, read_collector
+from observer.files import ALIGNMENT_OVERLAY, COLLECTOR, OVERLAY_STEM, read_collector
 from observer.report.figures_alignment import moves_sheet
 from observer.report.lines import listed
 from observer.report.maps import panel_lines
@@ -130,7 +130,8 @@ def overlay(results: AlignmentResults) -> Html:
         "aside. overlay.csv has the corners for every photo."
     )
     path = results.folder / ALIGNMENT_OVERLAY
-    return _image(path, note) if path.is_file() else Html("<p>The result holds no photo.</p>")
+    paths = [path] if path.is_file() else sorted(results.folder.glob(f"{OVERLAY_STEM}*.svg"))
+    return join(*(_image(path, note) for path in paths)) if paths else Html("<p>The result holds no photo.</p>")
 
 
 def inputs(results: AlignmentResults) -> Html:

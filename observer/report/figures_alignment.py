@@ -7,7 +7,6 @@ import numpy.typing as npt
 
 from heliogauge.reporting.look import FAINT, INK
 from heliogauge.validate import FloatArray
-from heliogauge.view.contours import zero_lines
 from heliogauge.view.stills import LegendEntry, Sheet, colors_of, fitted_sheet
 from observer.trough.collector import Collector
 
@@ -21,21 +20,20 @@ def theory_sheet(
     image: npt.NDArray[np.uint8],
     name: str,
     edges_px: Sequence[FloatArray],
-    found: tuple[FloatArray, FloatArray, FloatArray],
+    found_px: Sequence[FloatArray],
 ) -> Sheet:
     """Draw the theoretical image of the absorber over a photo (TOP).
 
     Shapes: image (height, width).
     edges_px (k, 2): Lines along each edge of the image in each panel [px].
-    found (ny, nx): Column and row of nodes of the mirror, and by what angle the measured line of sight passes
-        beside the tube [px, px, rad].
+    found_px (k, 2): Lines along each edge as it is [px].
     """
     rows, columns = image.shape
     extent = (-0.5, columns - 0.5, rows - 0.5, -0.5)
     sheet = fitted_sheet(extent[:2], extent[2:], width=_WIDTH_PX, tallest_px=_TALLEST_PX, bar=False)
     sheet.title(f"Theoretical image of the absorber in {name}", "where it is, and the mirror as designed")
     sheet.photo(image, extent)
-    for line in zero_lines(*found):
+    for line in found_px:
         sheet.line(line[:, 0], line[:, 1], _FOUND, width=1.4)
     for line in edges_px:
         sheet.line(line[:, 0], line[:, 1], _THEORY, width=1.8, dashed=True)

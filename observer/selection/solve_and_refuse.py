@@ -13,7 +13,7 @@ from heliogauge.validate import BoolArray, FloatArray, IntArray
 from observer.photo_edges.reflection_edges import ReflectionEdges, design_misfit
 from observer.selection.edge_refusal import EdgeFate, first_fate, has_shadows, is_alone
 from observer.selection.shadows import confirmed_edges, pulled_curves
-from observer.selection.two_sided import agreed_by_both
+from observer.selection.two_sided import agreed_by_both, cells_of
 from observer.slopes.along_variance import find_along
 from observer.slopes.common_unknowns import CommonUnknowns, common_unknowns, glass_widening_rad
 from observer.slopes.joint_solution import SlopeErrors, find_roughness, solve_jointly
@@ -384,7 +384,9 @@ class _Nominal:
         away = np.linalg.norm(axis - edges.points_m[:, [0, 2]], axis=1)
         half = np.arcsin(np.clip(self._expected.collector.absorber_diameter_m / 2 / away, 0, 1))
         agreed = np.zeros(which.shape, dtype=bool)
-        agreed[which] = agreed_by_both(edges.points_m[which], edges.side[which], found.angle_rad[which], half[which])
+        agreed[which] = agreed_by_both(
+            cells_of(edges.points_m[which]), edges.side[which], found.angle_rad[which], half[which]
+        )
         return agreed
 
     @cached_property

@@ -18,21 +18,28 @@ _ACROSS_M, _ALONG_M = 0.1, 0.25
 _AGREE_SHARE = 0.5
 
 
-def agreed_by_both(points_m: FloatArray, side: FloatArray, shift_rad: FloatArray, half_rad: FloatArray) -> BoolArray:
-    """Return which edges say what edges of both sides around them say.
+def cells_of(points_m: FloatArray) -> IntArray:
+    """Return the number of the piece of the mirror in which each edge is compared.
 
-    points_m (m, 3): Where on the mirror [m].
+    Shapes: points_m (m, 3), result (m,).
+    """
+    cell = np.floor(points_m[:, :2] / [_ACROSS_M, _ALONG_M]).astype(np.intp)
+    return np.asarray(np.unique(cell, axis=0, return_inverse=True)[1].ravel(), dtype=np.intp)
+
+
+def agreed_by_both(group: IntArray, side: FloatArray, shift_rad: FloatArray, half_rad: FloatArray) -> BoolArray:
+    """Return which edges say what edges of both sides in the same piece of the mirror say.
+
+    group (m,): Piece of the mirror that each is in.
     side (m,): Edge of the tube that each is taken for; one that may be either stands there as both.
     shift_rad (m,): By what angle the beam must be turned for the line of sight to touch the tube there [rad].
     half_rad (m,): Half the tube's width from there [rad].
 
-    In each cell the stretch of angles with most edges of both sides, counted by the rarer side; edges near its middle
+    In each piece the stretch of angles with most edges of both sides, counted by the rarer side; edges near its middle
     agree.
     """
-    cell = np.floor(points_m[:, :2] / [_ACROSS_M, _ALONG_M]).astype(np.intp)
-    _, group = np.unique(cell, axis=0, return_inverse=True)
-    group = group.ravel()
     agree = np.zeros(side.shape, dtype=bool)
+    group = np.unique(group, return_inverse=True)[1].ravel()
     order = np.lexsort((shift_rad, group))
     ends = np.searchsorted(group[order], np.arange(group.max(initial=-1) + 2))
     for first, last in pairwise(ends.tolist()):

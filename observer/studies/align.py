@@ -1,7 +1,7 @@
 """A result of the Observer to a prescription: how far each mount of each panel is to be moved."""
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -19,6 +19,7 @@ from heliogauge.results.tables import read_cameras_json, read_table_csv
 from heliogauge.slopes.map import SlopeMap
 from heliogauge.slopes.mounts import LEAST_SHARE
 from heliogauge.validate import FloatArray
+from heliogauge.view.contours import zero_lines
 from heliogauge.view.stills import Sheet
 from observer.files import (
     ALIGNMENT_MOVES,
@@ -27,6 +28,7 @@ from observer.files import (
     COLLECTOR,
     OVERLAY,
     OVERLAY_PHOTO,
+    OVERLAY_STEM,
     read_absorber,
     read_collector,
     read_overlay,
@@ -56,6 +58,7 @@ class Result(InstrumentResult):
     absorber: The tube's axis.
     cameras: Photos on which the theoretical image is laid.
     picture: The theoretical image over the photo that the result holds; None where it holds none.
+    pictures: The same over each photo, by its name, where the panels were measured in them alone.
     """
 
     kind: ClassVar[str] = KIND
@@ -66,6 +69,7 @@ class Result(InstrumentResult):
     absorber: AbsorberPath
     cameras: dict[str, tuple[Camera, PhotoPose]]
     picture: Sheet | None = None
+    pictures: Mapping[str, Sheet] = field(default_factory=dict)
 
     def summarise(self) -> Summary:
         """Collect the headline numbers with their sigmas, doubts and provenance."""
@@ -119,6 +123,8 @@ class Result(InstrumentResult):
         write_collector(folder / COLLECTOR, self.collector)
         if self.picture is not None:
             (folder / ALIGNMENT_OVERLAY).write_text(self.picture.svg(), encoding="utf-8")
+        for name, sheet in self.pictures.items():
+            (folder / f"{OVERLAY_STEM}{Path(name).stem}.svg").write_text(sheet.svg(), encoding="utf-8")
         drawn = moves_sheet(self.collector, absorber.tilt_rad, self.mounts_m, (moves.move_m, moves.sigma_m))
         (folder / ALIGNMENT_MOVES).write_text(drawn.svg(), encoding="utf-8")
 
@@ -160,7 +166,7 @@ def run(folder: Path, mounts: Path | None = None) -> Result:
     sigma_ra, sigma_r = _read_sigmas(files[5], collector.n_panels)
     cameras, poses = read_cameras_json(files[4])
     to_absorber = panel_tilts(theta_ra, slope_map, collector, sigma_ra)
-    places = _corners(collector) if mounts is None else _read_mounts(mounts)
+    places = mount_places(collector, mounts)
     absorber = read_absorber(files[3])
     picture = None
     if (folder / OVERLAY).is_file() and (folder / OVERLAY_PHOTO).is_file():
@@ -204,7 +210,16 @@ def _picture(
         found = image_edges(eye, along, collector, absorber)
         columns = found.reshape(along.size, -1).T
         lines += [where(np.stack([along, column], axis=1)) for column in columns if np.isfinite(column).all()]
-    return theory_sheet(image, name, lines, (nodes["x_px"], nodes["y_px"], nodes["beside_measured"]))
+    measured = zero_lines(nodes["x_px"], nodes["y_px"], nodes["beside_measured"])
+    return theory_sheet(image, name, lines, measured)
+
+
+def mount_places(collector: Collector, mounts: Path | None) -> FloatArray:
+    """Return the places of all mounts, shape (n, 2): of a table, or assumed near the corners of each panel [m].
+
+    InputError: A table that cannot be read.
+    """
+    return _corners(collector) if mounts is None else _read_mounts(mounts)
 
 
 def _corners(collector: Collector) -> FloatArray:
@@ -252,11 +267,16 @@ def _doubts(slope_map: SlopeMap, tilts: PanelTilts, assumed: bool) -> Iterator[D
             {"unknown_count": unknown, "panels_count": tilts.tilt_rad.size},
         )
     if assumed:
-        text = f"no table of mounts: they are assumed {1e3 * _INSET_M:.0f} mm inside each panel's corners"
-        yield Doubt("mounts_assumed", text, {"inset_m": _INSET_M})
+        yield assumed_mounts()
     if slope_map.removed != "nothing":
         text = f"the slope map has {slope_map.removed} removed; the prescription lacks it"
         yield Doubt("slope_map_not_as_measured", text)
+
+
+def assumed_mounts() -> Doubt:
+    """Say that nobody stated where the mounts are."""
+    text = f"no table of mounts: they are assumed {1e3 * _INSET_M:.0f} mm inside each panel's corners"
+    return Doubt("mounts_assumed", text, {"inset_m": _INSET_M})
 
 
 def _overlay(result: Result) -> dict[str, list[Any]]:

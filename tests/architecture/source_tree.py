@@ -43,6 +43,7 @@ BORDER_MODULES = {
     "calibration.heliostat.kinematic_model.store_design": "reads and writes designs",
     "calibration.screen.figures": "draws",
     "observer.studies.align": "from results on disk to a prescription",
+    "observer.studies.align_photos": "from photos to a prescription",
     "observer.studies.compare": "from results on disk to a table of orientations",
     "observer.studies.overview": "from results on disk to a page of modules",
     "data_synth.preset_folders": "writes measurement folders by the name of a preset",

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from observer.selection.two_sided import agreed_by_both
+from observer.selection.two_sided import agreed_by_both, cells_of
 
 HALF_RAD, GLASS = 20e-3, 1.6
 
@@ -24,13 +24,13 @@ def test_true_edges_agree_and_no_others() -> None:
     for seed in range(10):
         rng = np.random.default_rng([seed, 3])
         points, side, shift, is_true = drawn(rng, rng.uniform(-8e-3, 8e-3))
-        found = agreed_by_both(points, side, shift, np.full(side.shape, HALF_RAD))
+        found = agreed_by_both(cells_of(points), side, shift, np.full(side.shape, HALF_RAD))
         np.testing.assert_array_equal(found, is_true)
 
 
 def test_one_side_alone_is_not_believed() -> None:
     points, side, shift, is_true = drawn(np.random.default_rng(5), 3e-3)
     alone = is_true & (side > 0)
-    found = agreed_by_both(points[alone], side[alone], shift[alone], np.full(alone.sum(), HALF_RAD))
+    found = agreed_by_both(cells_of(points[alone]), side[alone], shift[alone], np.full(alone.sum(), HALF_RAD))
     assert not found.any()
-    assert agreed_by_both(np.zeros((0, 3)), np.zeros(0), np.zeros(0), np.zeros(0)).size == 0
+    assert agreed_by_both(cells_of(np.zeros((0, 3))), np.zeros(0), np.zeros(0), np.zeros(0)).size == 0
