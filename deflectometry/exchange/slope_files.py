@@ -12,6 +12,7 @@ from heliogauge.errors import InputError
 from heliogauge.files.texts import read_text
 from heliogauge.measurement.imported import IMPORTED, write_imported
 from heliogauge.measurement.writer import write_measurement
+from heliogauge.results.slope_export import fit_monomials
 from heliogauge.results.slope_map_file import read_slope_map
 from heliogauge.results.tables import read_columns_csv, read_table_csv, write_table_csv
 from heliogauge.results.whole_folder import WholeFolder
@@ -24,6 +25,8 @@ SIGMAS = ("sigma_slope_x", "sigma_slope_y")
 MAP_SUFFIXES = (".nc", ".nc4")
 # Beyond every mirror, and where squares are still far from what a number can hold: 10 km, and 89.94 deg.
 _FARTHEST_M, _STEEPEST = 1e4, 1e3
+#: Headers have six decimals: a fit to the points they were made of returns them to one of the last.
+_SAME_COEFFICIENT = 1e-6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,16 +51,46 @@ class SlopePoints:
         return np.asarray(np.isfinite(self.slope_x) & np.isfinite(self.slope_y))
 
 
-def read_soltrace(file: Path) -> SlopePoints:
-    """Read a VSHOT file (.sht) as SolTrace does.
+@dataclass(frozen=True, slots=True, eq=False)
+class VshotFile:
+    """What a VSHOT file says.
 
-    Returns: Its slopes: the tangents of the angles in the third and fourth column.
+    points: Slopes: the tangents of the angles in the third and fourth column.
+    coefficients (k,): Surface in its header: factors of ``x**j * y**(i - j)`` for i = 0 .. order, j = 0 .. i [m].
+    fitted (k,): The same fitted to its own points by least squares on the slopes. The first, which slopes do not say,
+        is the header's; all are where there are too few points.
+    """
+
+    points: SlopePoints
+    coefficients: FloatArray
+    fitted: FloatArray
+
+    @property
+    def contradiction(self) -> str:
+        """What is wrong with the header, in a clause; empty where it is the surface of its points."""
+        off = np.abs(self.fitted - self.coefficients)
+        if not self.coefficients.any() or off.max() <= _SAME_COEFFICIENT:
+            return ""
+        term = int(off.argmax())
+        i = int((np.sqrt(8 * term + 1) - 1) / 2)
+        j = term - i * (i + 1) // 2
+        return (
+            f"its header is not the surface of its points: x^{j} y^{i - j} has {self.coefficients[term]:.6g} there, "
+            f"and {self.fitted[term]:.6g} in a fit to them (SolTrace takes heights from the header and normals from "
+            "the points); the points were taken. Are the angles in radians, and in the order x, y?"
+        )
+
+
+def read_soltrace(file: Path) -> VshotFile:
+    """Read a VSHOT file (.sht) as SolTrace does, and fit the surface of its header again.
+
     InputError: The file cannot be read, or is no such file.
     """
     lines = read_text(file, "a VSHOT file of SolTrace").splitlines()
     try:
         _, order, count = (int(cell) for cell in lines[2].split()[:3])
         first = 4 + (order + 1) * (order + 2) // 2
+        coefficients = np.array([float(line.split()[0]) for line in lines[4:first]])
         rows = [[float(cell) for cell in line.split()[:4]] for line in lines[first : first + count]]
         table = np.array(rows, dtype=np.float64)
     except (IndexError, ValueError) as error:
@@ -68,7 +101,14 @@ def read_soltrace(file: Path) -> SlopePoints:
         raise InputError(f"{file}: an angle of {np.abs(table[:, 2:]).max():.3g} rad; angles of slopes are in radians")
     unknown = np.full(count, np.nan)
     slope_x, slope_y = np.tan(table[:, 2:]).T
-    return refuse_implausible(file, SlopePoints(table[:, 0], table[:, 1], slope_x, slope_y, unknown, unknown))
+    points = refuse_implausible(file, SlopePoints(table[:, 0], table[:, 1], slope_x, slope_y, unknown, unknown))
+    fitted = coefficients
+    if order > 0 and 2 * count >= coefficients.size:
+        # Ours fall in powers of x, SolTrace's rise.
+        ours = fit_monomials(points.x_m, points.y_m, slope_x, slope_y, order)
+        terms = [ours[k * (k + 1) // 2 : (k + 1) * (k + 2) // 2][::-1] for k in range(1, order + 1)]
+        fitted = np.concatenate([coefficients[:1], *terms])
+    return VshotFile(points, coefficients, fitted)
 
 
 def refuse_implausible(file: Path, points: SlopePoints) -> SlopePoints:
@@ -144,9 +184,11 @@ def import_slopes(
     from deflectometry.exchange.surface_files import read_surface
 
     if form == "surface":
-        points = read_surface(file, heliostat, facet, without_canting=without_canting)
+        points, wrong = read_surface(file, heliostat, facet, without_canting=without_canting), ""
     else:
-        points = read_soltrace(file) if form == "soltrace" else read_slopes(file)
+        vshot = read_soltrace(file) if form == "soltrace" else None
+        points = read_slopes(file) if vshot is None else vshot.points
+        wrong = "" if vshot is None else vshot.contradiction
     # A map of ours stays what it is: with its own design and what makes its sigma.
     is_map = form == "slopes" and file.suffix.lower() in MAP_SUFFIXES
     kept = MAP_FILE if is_map else SLOPES_FILE
@@ -160,7 +202,7 @@ def import_slopes(
             working, name, kept, design or {"design": "plane"}, f"Slopes imported from {file.name}."
         )
         write_imported(working, form, [file])
-    return f"{file.name}: {points_words(points)}"
+    return f"{file.name}: {points_words(points)}" + (f"; {wrong}" if wrong else "")
 
 
 def write_points(path: Path, points: SlopePoints) -> None:

@@ -207,15 +207,46 @@ def test_a_map_of_ours_keeps_what_it_knows(tmp_path: Path) -> None:
 
 
 def test_a_measured_panel_of_soltrace(shared_data: Path) -> None:
-    """Its own fit: the focal length in x that the header's coefficients have."""
+    """A fit to its points returns the coefficients of its header."""
     file = shared_data / "csp" / "soltrace" / "vshot_trough_panel.sht"
     if not file.is_file():
         pytest.skip("SolTrace's files (../shared/data/csp/soltrace) are not on this machine")
-    points = read_soltrace(file)
-    assert points.x_m.size == 4373
-    assert grid_points(points, plane()).measured_share > 0.99
-    slope = np.polynomial.polynomial.polyfit(points.x_m, points.slope_x, 1)[1]
-    assert slope == pytest.approx(2 * 0.140740, rel=1e-2)
+    vshot = read_soltrace(file)
+    assert vshot.points.x_m.size == 4373
+    assert grid_points(vshot.points, plane()).measured_share > 0.99
+    np.testing.assert_allclose(vshot.coefficients, [0, -0.008128, -0.000381, -0.000916, 0.000492, 0.140740])
+    np.testing.assert_allclose(vshot.fitted, vshot.coefficients, atol=1e-6)
+    assert vshot.contradiction == ""
+
+
+def vshot_text(header: list[float], scale: float = 1.0) -> str:
+    """Points of z = 0.01 y + 0.02 x + 0.03 y^2 + 0.05 x y + 0.1 x^2, their angles in another unit."""
+    x, y = (plane.ravel() for plane in np.meshgrid(np.linspace(-1, 1, 9), np.linspace(-0.5, 0.5, 7)))
+    angles = np.arctan(0.02 + 0.05 * y + 0.2 * x), np.arctan(0.01 + 0.06 * y + 0.05 * x)
+    points = np.column_stack([x, y, *(scale * one for one in angles)])
+    rows = ["\t".join(f"{value:.9f}" for value in point) + "\t0" for point in points.tolist()]
+    return "\n".join(["title", "0 0 0", f"0 2 {x.size}", "0 0", *(f"{value:.6f}" for value in header), *rows]) + "\n"
+
+
+@pytest.mark.parametrize(
+    ("header", "scale", "said"),
+    [
+        ([1.5, 0.01, 0.02, 0.03, 0.05, 0.1], 1.0, ""),
+        ([0, 0, 0, 0, 0, 0], 1.0, ""),
+        ([0, 0.01, 0.02, 0.03, 0.05, 0.11], 1.0, "x^2 y^0 has 0.11 there, and 0.1 in a fit"),
+        ([0, 0.02, 0.01, 0.03, 0.05, 0.1], 1.0, "x^0 y^1 has 0.02 there, and 0.01 in a fit"),
+        ([0, 0.01, 0.02, 0.1, 0.05, 0.1], 1.0, "x^0 y^2 has 0.1 there, and 0.03 in a fit"),
+        # Milliradians would have been refused; these are halves of angles.
+        ([0, 0.01, 0.02, 0.03, 0.05, 0.1], 0.5, "Are the angles in radians"),
+    ],
+)
+def test_a_header_that_is_not_the_surface_of_its_points_is_said(
+    tmp_path: Path, header: list[float], scale: float, said: str
+) -> None:
+    (tmp_path / "m.sht").write_text(vshot_text(header, scale), encoding="ascii")
+    words = import_slopes(tmp_path / "m.sht", tmp_path / "m", "soltrace")
+    assert ("its header is not" in words) == bool(said)
+    assert said in words
 
 
 @pytest.mark.parametrize(
