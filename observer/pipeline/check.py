@@ -30,4 +30,5 @@ def find_faults(measurement: ObserverMeasurement, findings: Findings) -> None:
             continue
         inputs = findings.attempt(build_inputs, measurement, tables, coordinates)
         if inputs is not None:
+            findings.add(() if inputs.tilts is None else inputs.tilts.doubts)
             find_faults_of_network(inputs.survey, findings)

@@ -2,16 +2,14 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from datetime import datetime
 from pathlib import Path
 
 import numpy as np
 
 from heliogauge.doubts import Doubt
 from heliogauge.errors import InputError
-from heliogauge.files.regular import open_regular
 from heliogauge.geometry.rigid import rotation_from_vector
-from heliogauge.images.exif import EXIF_BYTES, time_taken
+from heliogauge.images.photo_times import photo_time_s, seconds_of
 from heliogauge.results.tables import read_table_csv
 from heliogauge.validate import FloatArray
 from observer.files import number_in_cell
@@ -20,8 +18,6 @@ from observer.turning.far_camera import FarCamera, KnownFarCamera, TiltReadings
 
 #: Fewest readings: a straight line, one that tests it, and one that may be wrong.
 LEAST_READINGS = 4
-#: Times in tables, as in the EXIF block of photos or as databases write them.
-_TIMES = ("%Y-%m-%d %H:%M:%S.%f", "%Y-%m-%d %H:%M:%S", "%Y-%m-%dT%H:%M:%S.%f", "%Y-%m-%dT%H:%M:%S", "%Y:%m:%d %H:%M:%S")
 #: Variance of a place that is anywhere between two readings, over the square of their distance.
 _EVENLY = 1 / 12
 
@@ -189,24 +185,25 @@ def _by_time(
 ) -> tuple[dict[str, tuple[float, float]], tuple[Doubt, ...]]:
     """Interpolate readings at the times of the photos; the collector may be anywhere between two of them."""
     known = np.isfinite(degrees)
-    when = np.array([_time(cell, f"{path}, line {line}") for line, cell in enumerate(times, start=2)])[known]
+    when = np.array([seconds_of(cell, f"{path}, line {line}") for line, cell in enumerate(times, start=2)])[known]
     read, sigma_rad = np.radians(degrees[known]), sigma_rad[known]
     if when.size < 2 or (np.diff(when) <= 0).any():
         raise InputError(f"{path}: two readings or more are needed, one after the other in time")
     rows, outside = {}, []
     for file in files:
-        with open_regular(file) as stream:
-            text = time_taken(stream.read(EXIF_BYTES))
-        if text is None:
+        taken = photo_time_s(file)
+        if taken is None:
             raise InputError(f"{file.name}: it does not say when it was taken; give tilts.file the column image")
-        at = _time(text, file.name) - section.time_offset_s
+        at = taken[0] - section.time_offset_s
         if not when[0] <= at <= when[-1]:
             outside.append(file.name)
             continue
         after = int(np.clip(np.searchsorted(when, at), 1, when.size - 1))
         share = (at - when[after - 1]) / (when[after] - when[after - 1])
         ends = read[after - 1 : after + 1]
-        spread = float(sigma_rad[after] ** 2 + _EVENLY * (ends[1] - ends[0]) ** 2)
+        # A time of whole seconds leaves open how far it has turned since.
+        rate = (ends[1] - ends[0]) / (when[after] - when[after - 1])
+        spread = float(sigma_rad[after] ** 2 + _EVENLY * (ends[1] - ends[0]) ** 2 + (rate * taken[1]) ** 2)
         rows[file.name] = (float((1 - share) * ends[0] + share * ends[1]), float(np.sqrt(spread)))
     if outside and not rows:
         raise InputError(
@@ -217,16 +214,3 @@ def _by_time(
         return rows, ()
     text = f"tilts.file: {len(outside)} of {len(files)} photos were taken before its first or after its last reading"
     return rows, (Doubt("photos_outside_tilts", text, {"photos_count": len(outside)}),)
-
-
-def _time(cell: str, where: str) -> float:
-    """Return a time in seconds.
-
-    InputError: It is no time.
-    """
-    for pattern in _TIMES:
-        try:
-            return (datetime.strptime(cell, pattern) - datetime(1970, 1, 1)).total_seconds()
-        except ValueError:
-            continue
-    raise InputError(f"{where}: {cell!r} is not a time like 2026-05-04 10:31:07")

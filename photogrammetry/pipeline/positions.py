@@ -4,6 +4,7 @@ import numpy as np
 
 from photogrammetry.bundle.adjustment import BundleResult
 from photogrammetry.exchange.drone_positions import DronePositions, positions_of_photos, read_positions
+from photogrammetry.exchange.position_log import LogClock, read_position_log
 from photogrammetry.keys.load import PhotogrammetryMeasurement
 from photogrammetry.networks.position_scale import PositionScale, scale_by_positions
 
@@ -19,7 +20,11 @@ def read_drone_positions(measurement: PhotogrammetryMeasurement) -> DronePositio
     sigma_m = 1e-3 * section.sigma_mm
     if section.file is None:
         return positions_of_photos(measurement.photo_files, sigma_m)
-    return read_positions(measurement.folder / section.file, measurement.photo_files, sigma_m)
+    path = measurement.folder / section.file
+    if section.time_column is not None:
+        clock = LogClock(section.time_column, section.time_offset_s, section.time_sigma_s)
+        return read_position_log(path, measurement.photo_files, sigma_m, clock)
+    return read_positions(path, measurement.photo_files, sigma_m)
 
 
 def check_positions(measurement: PhotogrammetryMeasurement, bundle: BundleResult) -> PositionScale | None:

@@ -231,7 +231,8 @@ def test_readings_by_name_and_what_is_wrong_with_them(tmp_path: Path) -> None:
         read_tilts(load_observer(folder))
 
 
-TIMES = 'time_column = "time"\ncolumn = ["west", "east"]\n'
+# Times in EXIF are cut off: half a second is added to them.
+TIMES = 'time_column = "time"\ncolumn = ["west", "east"]\ntime_offset_s = 0.5\n'
 
 
 def test_readings_by_time_are_those_of_the_photos(tmp_path: Path) -> None:
@@ -244,11 +245,11 @@ def test_readings_by_time_are_those_of_the_photos(tmp_path: Path) -> None:
     np.testing.assert_allclose(np.degrees(rows.tilt_rad), [43.1, 42.1, 41.1, 40.1, 34.1], atol=1e-9)
     # Between two readings the collector may be anywhere: evenly between 40.1 and 22.1 deg.
     assert rows.sigma_rad[4] == pytest.approx(np.radians(18) / np.sqrt(12), rel=1e-3)
-    late = read_tilts(stated(tmp_path / "b", table, TIMES + "time_offset_s = -1800\n"))
+    late = read_tilts(stated(tmp_path / "b", table, TIMES.replace("0.5", "-1799.5")))
     assert late is not None
     assert [one.code for one in late.doubts] == ["photos_outside_tilts"]
     with pytest.raises(InputError, match="no photo was taken between its first and its last reading"):
-        read_tilts(stated(tmp_path / "c", table, TIMES + "time_offset_s = 7200\n"))
+        read_tilts(stated(tmp_path / "c", table, TIMES.replace("0.5", "7200")))
     with pytest.raises(InputError, match="'noon' is not a time like"):
         read_tilts(stated(tmp_path / "d", table.replace("2023-01-15 18:30:00", "noon"), TIMES))
 
@@ -256,7 +257,9 @@ def test_readings_by_time_are_those_of_the_photos(tmp_path: Path) -> None:
 def test_a_table_of_two_sensors_on_a_real_row_is_read(shared_data: Path, tmp_path: Path) -> None:
     """Tilts of both ends of a row of Nevada Solar One, half-hourly; the column of times has no name."""
     table = (shared_data / "csp" / "trough_tilt" / "example_field_data.csv").read_text()
-    found = read_tilts(stated(tmp_path / "a", table, 'time_column = ""\ncolumn = ["R4_SO_Tilt", "R4_DO_Tilt"]\n'))
+    found = read_tilts(
+        stated(tmp_path / "a", table, 'time_column = ""\ntime_offset_s = 0.5\ncolumn = ["R4_SO_Tilt", "R4_DO_Tilt"]\n')
+    )
     assert found is not None
     rows = found.of([f"p{k}.jpg" for k in range(5)])
     # At 18:00 both sensors as the table has them; at 18:40 a third of the way from 18:30 to 19:00.
