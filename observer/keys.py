@@ -203,7 +203,9 @@ class SunSection(Section):
     circumsolar_ratio: Annotated[float, Field(strict=True, ge=0, le=0.7)] = Field(
         0.05, description="Share of circumsolar radiation of a Buie sun."
     )
-    file: Text | None = Field(None, description="Table of a measured sun: columns angle_mrad, radiance.")
+    file: Text | None = Field(
+        None, description="Table of a measured sun: columns angle_mrad, radiance; or a .sun of SolTrace."
+    )
 
     @model_validator(mode="after")
     def _table_has_file(self) -> Self:

@@ -18,7 +18,7 @@ from heliogauge.running.progress import Progress
 from heliogauge.sunlight.sun_shapes import BuieSun, GaussianSun, PillboxSun, SunShape, TabulatedSun
 from heliogauge.validate import FloatArray
 from observer.corners.lattice import PanelLattice
-from observer.files import ABSORBER_COLUMNS, absorber_of_table, is_number, number_in_cell
+from observer.files import ABSORBER_COLUMNS, SUN_COLUMNS, absorber_of_table, is_number, number_in_cell, read_sun_table
 from observer.keys import ObserverMeasurement, SunSection, TroughSection
 from observer.light.trace import Sunlight
 from observer.photo_edges.tone import Tone
@@ -51,9 +51,8 @@ _LARGEST_SIGMA_M = 0.1
 #: What the roughness across the trough is searched from [rad^2 / m^3].
 _FIRST_ROUGHNESS = 1e-3
 AXES: tuple[Literal["x", "y", "z"], ...] = ("x", "y", "z")
-#: Columns of the list of targets beside those of the sigmas, and of the table of a sun shape.
+#: Columns of the list of targets beside those of the sigmas.
 TARGET_COLUMNS = ("target", "x_m", "y_m", "z_m")
-SUN_COLUMNS = ("angle_mrad", "radiance")
 
 
 class Tables(NamedTuple):
@@ -141,7 +140,7 @@ def read_tables(measurement: ObserverMeasurement, targets_file: str | None) -> T
     return Tables(
         None if targets_file is None else read_table_csv(folder / targets_file, TARGET_COLUMNS),
         None if absorber is None else read_table_csv(folder / absorber, ABSORBER_COLUMNS),
-        None if sun is None else read_table_csv(folder / sun, SUN_COLUMNS),
+        None if sun is None else read_sun_table(folder / sun),
     )
 
 

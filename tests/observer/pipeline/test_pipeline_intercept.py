@@ -12,10 +12,11 @@ from heliogauge.measurement.templates import write_template
 from heliogauge.results.folder import Summary, write_summary
 from heliogauge.results.tables import read_table_csv
 from heliogauge.sunlight.sun_shapes import BuieSun, GaussianSun, PillboxSun, SunShape, TabulatedSun
+from observer.files import read_sun_table
 from observer.keys import ObserverModel, OpticsSection, SunSection
 from observer.light.cases import Case
 from observer.light.trace import Sunlight
-from observer.pipeline.inputs import SUN_COLUMNS, build_sun
+from observer.pipeline.inputs import build_sun
 from observer.pipeline.intercept import (
     OFFSETS_RAD,
     InterceptResult,
@@ -66,8 +67,8 @@ def columns(path: Path) -> dict[str, np.ndarray]:
     return {name: np.array(cells, dtype=np.float64) for name, cells in read_table_csv(path, ()).items()}
 
 
-def tabulated(folder: Path) -> SunShape:
-    return build_sun(SunSection(shape="table", file="sun.csv"), read_table_csv(folder / "sun.csv", SUN_COLUMNS), folder)
+def tabulated(folder: Path, name: str = "sun.csv") -> SunShape:
+    return build_sun(SunSection(shape="table", file=name), read_sun_table(folder / name), folder)
 
 
 def test_sun_is_what_the_file_says(tmp_path: Path) -> None:
@@ -99,6 +100,20 @@ def test_a_table_that_is_no_sun_is_named(tmp_path: Path, text: str, message: str
     with pytest.raises(InputError, match=message) as found:
         tabulated(tmp_path)
     assert "sun.csv" in str(found.value)
+
+
+def test_suns_of_soltrace_are_read_as_tables(tmp_path: Path, shared_data: Path) -> None:
+    (tmp_path / "mine.sun").write_text("0.0\t10\n4.0\t9\n\n5.0 0.5\n20 0\n")
+    np.testing.assert_allclose(tabulated(tmp_path, "mine.sun").radiance([0.0, 4e-3, 12.5e-3]), [1.0, 0.9, 0.025])
+    for text, said in (("", "the file is empty"), ("0 1 2\n", "row 1 has 3"), ("0 1\n4\n", "row 2 has 1")):
+        (tmp_path / "bad.sun").write_text(text)
+        with pytest.raises(InputError, match=said):
+            tabulated(tmp_path, "bad.sun")
+    folder = shared_data / "csp" / "soltrace"
+    if not folder.is_dir():
+        pytest.skip("SolTrace's files (../shared/data/csp/soltrace) are not on this machine")
+    for name, share in (("CSR10.sun", 0.10), ("CSR40.sun", 0.40)):
+        assert 1 - tabulated(folder, name).share_within(4.65e-3) == pytest.approx(share, abs=0.03)
 
 
 def test_numbers_fit_each_other_and_the_summary(tmp_path: Path) -> None:
