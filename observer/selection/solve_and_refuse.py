@@ -39,6 +39,9 @@ _MODEL_RAD = 6e-6
 #: An edge that steps the other way because the mirror bends so much is the tube's where its angle is known that well
 #: [rad].
 _TURNED_KNOWN_RAD = 1e-3
+#: From far away an edge that its neighbours do not confirm may be the rim of the glass, 9 mrad off at an LS-2's rim;
+#: what waves make of a slope that is carried on to there is wrong by more than a sigma of a milliradian says [rad].
+_EITHER_KNOWN_RAD = 0.5e-3
 #: Slopes beyond belong to no mirror; they would only take lines of sight out of the tube's reach [rad].
 _STEEPEST_RAD = 0.04
 #: Where the slope along the trough is measured better than this, and better than this share of what it usually is, it
@@ -188,7 +191,7 @@ def solve_reflector(
         fate[is_bold] = np.where(fits, int(EdgeFate.USED), int(EdgeFate.BESIDE))[is_bold]
         turned = wrong & nominal.turned & (predicted < _TURNED_KNOWN_RAD**2)
         fate[turned] = np.where(fits, int(EdgeFate.USED), int(EdgeFate.WRONG_STEP))[turned]
-        told = either & (predicted < _TURNED_KNOWN_RAD**2)
+        told = either & (predicted < _EITHER_KNOWN_RAD**2)
         fate[either] = np.where(fits & told, int(EdgeFate.USED), int(EdgeFate.EITHER))[either]
         whole, change = _next_surface(present, errors, _near_edges(used, grid), roughness, expected, grid)
         present = replace(whole, height_m=none[..., 0]) if shaped is False else whole
