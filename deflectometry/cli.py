@@ -306,3 +306,46 @@ def patterns_command(
     pattern = write_patterns(out, display, options, force=force, progress=progress)
     if not quiet:
         typer.echo(f"{pattern.n_frames} fringe frames, bright.png, dark.png and {grey_steps} grey levels: {out}")
+
+
+@app.command("compare")
+def compare_command(
+    first: Annotated[Path, typer.Argument(metavar="A", help="Results with a slope map.", show_default=False)],
+    second: Annotated[
+        Path, typer.Argument(metavar="B", help="Results of the same mirror, of any instrument.", show_default=False)
+    ],
+    out: OutFolder,
+    shared: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="SOURCE",
+            help='Common source whose error is the same in both, such as "mirror pose"; may be given again.',
+            show_default=False,
+        ),
+    ] = None,
+    as_placed: Annotated[
+        bool, typer.Option("--as-placed", help="Take both frames as they are; default: placed by the slopes.")
+    ] = False,
+    force: Force = False,
+    no_report: NoReport = False,
+    as_json: AsJson = False,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+) -> None:
+    """Compare two results of one mirror: A minus B with its sigma, and which contradicts its own data.
+
+    Exit code 1 where they contradict each other.
+    """
+    from deflectometry.comparison.compare import Comparison, compare_results
+    from heliogauge.running.terminal import terminal_progress
+
+    found: list[Comparison] = []
+
+    def job() -> Comparison:
+        found.append(compare_results(first, second, shared=tuple(shared or ()), as_placed=as_placed))
+        return found[0]
+
+    progress = terminal_progress(quiet=quiet, verbose=verbose)
+    deliver(out, job, progress, force=force, quiet=quiet, report=not no_report, as_json=as_json)
+    if not found[0].agrees:
+        raise typer.Exit(1)

@@ -70,5 +70,6 @@ INSTRUMENT = Instrument(
         "slopes": "deflectometry.report:report_slopes.ipynb",
         "deflectometry-poses": "deflectometry.report:report_poses.ipynb",
         "laser-scan": "deflectometry.report:report_slopes.ipynb",
+        "deflectometry-compare": "deflectometry.report:report_compare.ipynb",
     },
 )

@@ -25,7 +25,7 @@ METHOD = {
         "networks",
         "surface",
     ),
-    "deflectometry": ("setup", "sources", "frames", "fringes", "dots", "laser", "pose", "shape", "poses"),
+    "deflectometry": ("setup", "sources", "frames", "fringes", "dots", "laser", "pose", "shape", "poses", "comparison"),
     "observer": (
         "trough",
         "targets",

@@ -1,0 +1,238 @@
+"""Two results of one drawn mirror: the difference and its sigma, the frames, the verdict."""
+
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from deflectometry.cli import app
+from deflectometry.comparison.compare import compare_results
+from deflectometry.comparison.judgement import Agreement
+from deflectometry.exchange.opencsp_import import OpencspOptions, import_opencsp
+from heliogauge.doubts import Doubt, Severity
+from heliogauge.errors import InputError
+from heliogauge.results.folder import Summary, write_slope_map, write_summary
+from heliogauge.running.verbs import measure
+from heliogauge.slopes.map import CommonModes, SlopeMap
+from heliogauge.validate import FloatArray
+
+NOISE_RAD = 5e-5
+#: One sigma of the curvature in both axes, and of the shear, of either measurement [1/m].
+CURVATURE_PER_M, SHEAR_PER_M = 3e-4, 1e-4
+WAVES = ((4e-4, 17.0, 5.0, 0.3), (3e-4, -9.0, 21.0, 1.1), (2e-4, 26.0, -14.0, 2.0))
+
+
+def wavy_slopes(x: FloatArray, y: FloatArray, seed: int = 0) -> FloatArray:
+    """Slopes of a mirror of 100 m focal length with waves of 0.2 to 0.4 m."""
+    turn = 0.0 if seed == 0 else 1.0 + seed
+    slopes = np.stack([x / 200, y / 200])
+    for amplitude, of_x, of_y, phase in WAVES:
+        a, b = np.cos(turn) * of_x - np.sin(turn) * of_y, np.sin(turn) * of_x + np.cos(turn) * of_y
+        size = amplitude / np.hypot(a, b)
+        slopes += size * np.stack([a, b]).reshape(2, *([1] * x.ndim)) * np.cos(a * x + b * y + phase)
+    return slopes
+
+
+def drawn_map(
+    rng: np.random.Generator,
+    *,
+    mirror: int = 0,
+    turn_rad: float = 0.0,
+    shift_m: tuple[float, float] = (0.0, 0.0),
+    step_m: float = 0.02,
+    curvature_per_m: float = 0.0,
+    shear_per_m: float = 0.0,
+) -> SlopeMap:
+    """Draw a measurement in a frame of its own: ``x_first = R(turn) x_own + shift``."""
+    side = np.arange(-0.6, 0.6 + 1e-9, step_m)
+    x, y = np.meshgrid(side, side)
+    cosine, sine = np.cos(turn_rad), np.sin(turn_rad)
+    there = cosine * x - sine * y + shift_m[0], sine * x + cosine * y + shift_m[1]
+    seen = wavy_slopes(*there, mirror)
+    slopes = np.stack([cosine * seen[0] + sine * seen[1], -sine * seen[0] + cosine * seen[1]])
+    slopes += rng.normal(0, NOISE_RAD, slopes.shape)
+    draws = rng.normal(size=3)
+    bend = curvature_per_m + CURVATURE_PER_M * draws[:2]
+    shear = shear_per_m + SHEAR_PER_M * draws[2]
+    slopes += np.stack([bend[0] * x + shear * y, bend[1] * y - shear * x])
+    modes = np.zeros((3, 2, 3))
+    modes[0, 0, 1] = modes[1, 1, 2] = CURVATURE_PER_M
+    modes[2, 0, 2], modes[2, 1, 1] = SHEAR_PER_M, -SHEAR_PER_M
+    sigma = np.full(x.shape, NOISE_RAD)
+    return SlopeMap(
+        side,
+        side,
+        slopes[0],
+        slopes[1],
+        x / 200,
+        y / 200,
+        sigma,
+        sigma,
+        1.0,
+        CommonModes(("screen pose",) * 3, modes, np.zeros(2), 1.0),
+        np.full(x.shape, np.nan),
+        np.zeros(x.shape, np.uint32),
+        np.ones(x.shape, bool),
+        "paraboloid of focal length 100 m",
+        "facet",
+        "nothing",
+    )
+
+
+def written(folder: Path, slope_map: SlopeMap, doubts: tuple[Doubt, ...] = ()) -> Path:
+    folder.mkdir()
+    write_slope_map(folder / "slope_map.nc", {"": slope_map})
+    write_summary(folder / "summary.json", Summary("slopes", "facet", {"measured_share": 1.0}, doubts=doubts))
+    return folder
+
+
+@pytest.mark.slow
+def test_linear_terms_scatter_as_their_sigmas_say(tmp_path: Path) -> None:
+    squares, probabilities, rests = [], [], []
+    for seed in range(24):
+        rng = np.random.default_rng(seed)
+        pair = [written(tmp_path / f"{name}{seed}", drawn_map(rng)) for name in "ab"]
+        found = compare_results(*pair, as_placed=True)
+        whitened = np.linalg.solve(np.linalg.cholesky(found.terms.covariance), found.terms.values)
+        squares.append(float(whitened @ whitened))
+        probabilities.append(found.judgement.terms_probability)
+        rests.append(found.judgement.rest_probability)
+        assert found.judgement.agreement is Agreement.WITHIN
+    # 144 squares of whitened terms: chi-square, two sides of 1 in 500.
+    assert 106 < sum(squares) < 191
+    assert 0.3 < np.mean(probabilities) < 0.7
+    assert 0.3 < np.mean(rests) < 0.7
+
+
+@pytest.mark.slow
+def test_frames_are_found_within_their_sigma(tmp_path: Path) -> None:
+    truth = np.array([0.5 * np.pi + 0.004, 0.012, -0.007])
+    squares = []
+    for seed in range(10):
+        rng = np.random.default_rng(seed)
+        first = written(tmp_path / f"a{seed}", drawn_map(rng))
+        second = written(tmp_path / f"b{seed}", drawn_map(rng, turn_rad=truth[0], shift_m=(truth[1], truth[2])))
+        found = compare_results(first, second)
+        assert found.placed.found is not None
+        motion = found.placed.found.motion
+        error = np.array([motion.turn_rad, *motion.shift_m]) - truth
+        squares.append(float(error @ np.linalg.solve(found.placed.found.covariance, error)))
+        assert np.abs(error).max() < 1e-3
+        assert found.judgement.agreement is Agreement.WITHIN
+        assert "frames_differ" in {one.code for one in found.doubts}
+    # Mean of chi-square over 3: of a jackknife over 16 blocks, whose own spread widens it.
+    assert 0.4 < np.mean(squares) / 3 < 2.5
+
+
+def test_the_one_with_curl_is_blamed_for_the_focus(tmp_path: Path) -> None:
+    rng = np.random.default_rng(3)
+    sound = written(tmp_path / "sound", drawn_map(rng))
+    wrong = written(tmp_path / "wrong", drawn_map(rng, curvature_per_m=-0.011, shear_per_m=2e-3))
+    out = tmp_path / "out"
+    ended = CliRunner().invoke(app, ["compare", str(wrong), str(sound), "-o", str(out), "--quiet"])
+    assert ended.exit_code == 1
+    found = compare_results(wrong, sound)
+    assert found.judgement.blamed == "wrong"
+    assert {"curvature_x", "curvature_y", "shear"} == set(found.judgement.contradicting)
+    assert "focal lengths of opposite sign" in found.verdict()
+    assert (out / "report.html").stat().st_size > 10_000
+    # The other way round the same one is blamed.
+    assert compare_results(sound, wrong).judgement.blamed == "wrong"
+
+
+def test_results_that_agree_end_with_zero(tmp_path: Path) -> None:
+    rng = np.random.default_rng(5)
+    pair = [written(tmp_path / name, drawn_map(rng, step_m=step)) for name, step in (("a", 0.02), ("b", 0.015))]
+    command = ["compare", *map(str, pair), "-o", str(tmp_path / "out"), "--no-report"]
+    ended = CliRunner().invoke(app, command)
+    assert ended.exit_code == 0
+    assert "agree within their sigmas" in ended.stdout
+
+
+def test_a_shared_source_cancels(tmp_path: Path) -> None:
+    rng = np.random.default_rng(7)
+    pair = [written(tmp_path / name, drawn_map(rng)) for name in "ab"]
+    apart, together = (compare_results(*pair, shared=one).terms.sigmas[2] for one in ((), ("screen pose",)))
+    assert apart == pytest.approx(np.sqrt(2) * CURVATURE_PER_M, rel=0.05)
+    assert together < 0.05 * apart
+    with pytest.raises(InputError, match="sources of both: screen pose"):
+        compare_results(*pair, shared=("camera",))
+
+
+@pytest.mark.parametrize("copied", [False, True])
+def test_a_result_compared_with_itself_is_refused(tmp_path: Path, copied: bool) -> None:
+    one = written(tmp_path / "one", drawn_map(np.random.default_rng(0)))
+    other = Path(shutil.copytree(one, tmp_path / "two")) if copied else one
+    with pytest.raises(InputError, match="are the same result"):
+        compare_results(one, other)
+
+
+def test_results_without_a_map_are_refused(tmp_path: Path) -> None:
+    one = written(tmp_path / "one", drawn_map(np.random.default_rng(0)))
+    bare = written(tmp_path / "bare", drawn_map(np.random.default_rng(1)))
+    (bare / "slope_map.nc").unlink()
+    with pytest.raises(InputError, match="have no slope map"):
+        compare_results(one, bare)
+    with pytest.raises(InputError, match="no folder of results"):
+        compare_results(one, tmp_path)
+
+
+def _mirrored(slope_map: SlopeMap) -> SlopeMap:
+    return replace(slope_map, slope_x=-slope_map.slope_x[:, ::-1], slope_y=slope_map.slope_y[:, ::-1])
+
+
+def test_two_mirrors_and_a_mirrored_map_are_named(tmp_path: Path) -> None:
+    rng = np.random.default_rng(2)
+    one = written(tmp_path / "one", drawn_map(rng))
+    other = written(tmp_path / "other", drawn_map(rng, mirror=1))
+    turned = written(tmp_path / "turned", _mirrored(drawn_map(rng)))
+    for second, code in ((other, "different_mirrors"), (turned, "map_is_mirrored")):
+        doubts = {doubt.code: doubt for doubt in compare_results(one, second).doubts}
+        assert doubts[code].severity is Severity.SERIOUS
+
+
+def test_contradiction_within_enlarged_sigmas_is_said(tmp_path: Path) -> None:
+    rng = np.random.default_rng(4)
+    wrong = drawn_map(rng, curvature_per_m=-0.004, shear_per_m=2e-3)
+    modes = np.concatenate([wrong.common.coefficients, 20 * wrong.common.coefficients])
+    sources = (*wrong.common.sources, *("setup in contradiction",) * 3)
+    wrong = replace(wrong, common=replace(wrong.common, sources=sources, coefficients=modes))
+    found = compare_results(written(tmp_path / "a", wrong), written(tmp_path / "b", drawn_map(rng)))
+    assert found.judgement.agreement is Agreement.WITHIN_ENLARGED
+    assert found.judgement.blamed == "a"
+    assert "agree_within_enlarged_sigmas" in {one.code for one in found.doubts}
+
+
+@pytest.mark.slow
+def test_published_facet_by_dots_and_by_fringes(shared_data: Path, tmp_path: Path) -> None:
+    """The dots' set-up is wrong: focal lengths of opposite sign, and curl that no surface has."""
+    data = shared_data / "opencsp"
+    files = {
+        "dots": ("fixed/measurement_facet", "fixed/fixed_pattern_dot_locations", "common/camera_sofast"),
+        "fringes": (
+            "fringe/measurement_facet",
+            "fringe/image_calibration",
+            "common/camera_sofast_downsampled",
+            "common/display_distorted_2d",
+        ),
+    }
+    results = []
+    for name, chosen in files.items():
+        inputs = [data / f"{one}.h5" for one in (*chosen, "common/spatial_orientation")]
+        folder = tmp_path / name
+        import_opencsp([*inputs, data / "common" / "Facet_NSTTF.json"], folder, OpencspOptions(focal_length_m=150.0))
+        measure(folder, tmp_path / f"{name}-result")
+        results.append(tmp_path / f"{name}-result")
+    found = compare_results(*results)
+    assert found.judgement.agreement is Agreement.CONTRADICT
+    assert found.judgement.blamed == "dots-result"
+    assert {"curvature_x", "curvature_y", "shear"} <= set(found.judgement.contradicting)
+    assert found.placed.likeness.correlation > 0.95
+    # A change in x and y would be 3 mrad; half of the publisher's 0.22 mrad is quadratic.
+    assert np.sqrt(np.mean(found.terms.rest_rms_rad**2)) < 0.215e-3
+    first, second = (one.values[2:4] for one in found.own_terms)
+    assert (first < 0).all()
+    assert (second > 0).all()
