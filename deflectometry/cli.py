@@ -336,7 +336,8 @@ def compare_command(
 
     Exit code 1 where they contradict each other.
     """
-    from deflectometry.comparison.compare import Comparison, compare_results
+    from deflectometry.comparison.pipeline.compare import compare_results
+    from deflectometry.comparison.pipeline.result import Comparison
     from heliogauge.running.terminal import terminal_progress
 
     found: list[Comparison] = []

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from deflectometry.comparison.compare import CHECKS_FILE, DIFFERENCE, FIRST, MAPS_FILE, REST, SECOND, TERMS_FILE
+from deflectometry.comparison.pipeline.result import CHECKS_FILE, DIFFERENCE, FIRST, MAPS_FILE, REST, SECOND, TERMS_FILE
 from heliogauge.reporting import page
 from heliogauge.reporting.html import FirstScreen, Html, join, table
 from heliogauge.reporting.notation import number_text

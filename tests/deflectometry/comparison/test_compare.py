@@ -9,8 +9,8 @@ import pytest
 from typer.testing import CliRunner
 
 from deflectometry.cli import app
-from deflectometry.comparison.compare import compare_results
 from deflectometry.comparison.judgement import Agreement
+from deflectometry.comparison.pipeline.compare import compare_results
 from deflectometry.exchange.opencsp_import import OpencspOptions, import_opencsp
 from heliogauge.doubts import Doubt, Severity
 from heliogauge.errors import InputError

@@ -1,0 +1,229 @@
+"""Compare two results of one mirror: aligned, differenced, with the uncertainty of the difference and a verdict."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from hashlib import sha256
+from pathlib import Path
+
+import numpy as np
+
+from deflectometry.comparison.judgement import (
+    Agreement,
+    Judgement,
+    SelfCheck,
+    as_stated,
+    judge,
+    self_check,
+)
+from deflectometry.comparison.linear_terms import (
+    expected_rest,
+    has_both,
+    linear_terms,
+    measured,
+)
+from deflectometry.comparison.map_difference import difference_of, fine_square, motion_square
+from deflectometry.comparison.moved_map import PlaneMotion, cell_area_m2, moved_map
+from deflectometry.comparison.pipeline.result import DIFFERENCE, FIRST, REST, SECOND, Comparison, Side
+from deflectometry.comparison.placing import place_maps
+from heliogauge.doubts import Doubt, Severity
+from heliogauge.errors import EstimationError, InputError
+from heliogauge.files.regular import read_regular
+from heliogauge.results.folder import SUMMARY_FILE, hash_files, read_summary
+from heliogauge.results.opened import SLOPE_MAP_FILE
+from heliogauge.results.slope_map_file import read_slope_map
+from heliogauge.slopes.map import SlopeMap
+from heliogauge.validate import FloatArray
+
+
+def compare_results(first: Path, second: Path, *, shared: Sequence[str] = (), as_placed: bool = False) -> Comparison:
+    """Compare two results of one mirror.
+
+    Parameters
+    ----------
+    first, second : Path
+        Folders of results with a slope map, of any instrument.
+    shared : sequence of str
+        Common sources whose errors are the same in both ("mirror pose"): they are subtracted, not added.
+    as_placed : bool
+        Take both frames as they are; otherwise shift and turn follow from the slopes.
+
+    Returns
+    -------
+    Comparison
+        First minus second with its uncertainty, and a verdict.
+
+    Raises
+    ------
+    InputError
+        No slope map, a result compared with itself, or a shared source that is not common to both.
+    EstimationError
+        The two share too few measured nodes.
+    """
+    sides = _read_sides(Path(first), Path(second))
+    _refuse_itself(sides)
+    map_a, map_b = (one.slope_map for one in sides)
+    if cell_area_m2(map_a.x_m, map_a.y_m) < cell_area_m2(map_b.x_m, map_b.y_m):
+        # The coarser grid is that of both.
+        grid = map_b.x_m, map_b.y_m
+        map_a = moved_map(map_a, PlaneMotion.none(), *_cut(grid, map_a))
+    both = has_both(map_a) and has_both(map_b)
+    placed, doubts = place_maps(map_a, map_b, both=both, as_placed=as_placed)
+    moved = moved_map(map_b, placed.motion, map_a.x_m, map_a.y_m)
+    change = difference_of(map_a, moved, shared)
+    known = measured(change, both=both)
+    count = 2 if both else 1
+    if int(np.count_nonzero(known)) < 200:
+        raise EstimationError(
+            f"{sides[0].name} and {sides[1].name} share {np.count_nonzero(known)} measured nodes, 200 are needed: are "
+            "they of one mirror?"
+        )
+    stated_modes = as_stated(change.common)
+    values = np.stack([change.slope_x, change.slope_y])[:count]
+    terms = linear_terms(change, values, known, change.common)
+    stated = linear_terms(change, values, known, stated_modes)
+    own = tuple(
+        linear_terms(one, np.stack([one.slope_x, one.slope_y])[:count], known, one.common) for one in (map_a, moved)
+    )
+    fine = fine_square(map_a, moved, known, count) + motion_square(moved, placed, known, count)
+    rest = expected_rest(change, known, change.common, fine, count)
+    checks = tuple(
+        self_check(
+            one.name,
+            one.slope_map,
+            one.summary.numbers,
+            one.summary.doubts,
+            measured(one.slope_map, both=has_both(one.slope_map)),
+        )
+        for one in sides
+    )
+    judged = judge(terms, stated, rest, (checks[0], checks[1]))
+    left = np.full((2, *known.shape), np.nan)
+    left[:count, known] = terms.rest
+    maps = {
+        FIRST: map_a,
+        SECOND: moved,
+        DIFFERENCE: change,
+        REST: replace(change, slope_x=left[0], slope_y=left[1], removed="linear terms of the difference"),
+    }
+    every = (*doubts, *_doubts(sides, shared, judged, checks))
+    return Comparison(
+        name=f"{sides[0].name} against {sides[1].name}",
+        sides=sides,
+        placed=placed,
+        maps=maps,
+        own_terms=(own[0], own[1]),
+        terms=terms,
+        stated=stated,
+        rest=rest,
+        checks=(checks[0], checks[1]),
+        judgement=judged,
+        doubts=every,
+        input_sha256={
+            f"{number}/{SLOPE_MAP_FILE}": next(iter(hash_files([one.folder / SLOPE_MAP_FILE]).values()))
+            for number, one in enumerate(sides, start=1)
+        },
+    )
+
+
+def _read_sides(first: Path, second: Path) -> tuple[Side, Side]:
+    folders = first, second
+    for folder in folders:
+        if not (folder / SUMMARY_FILE).is_file():
+            raise InputError(f"{folder}: no folder of results (no {SUMMARY_FILE}); measure first")
+        if not (folder / SLOPE_MAP_FILE).is_file():
+            kind = read_summary(folder / SUMMARY_FILE).kind
+            raise InputError(f"{folder}: results of the kind {kind!r} have no slope map ({SLOPE_MAP_FILE})")
+    summaries = [read_summary(folder / SUMMARY_FILE) for folder in folders]
+    # Both are of one mirror: what tells them apart is the folder.
+    names = [one.resolve().name for one in folders]
+    if names[0] == names[1]:
+        names = [str(one) for one in folders]
+    found = [
+        Side(name, folder, summary, read_slope_map(folder / SLOPE_MAP_FILE))
+        for name, folder, summary in zip(names, folders, summaries, strict=True)
+    ]
+    return found[0], found[1]
+
+
+def _refuse_itself(sides: tuple[Side, Side]) -> None:
+    same = sides[0].folder.resolve() == sides[1].folder.resolve()
+    if not same:
+        digests = [
+            sha256(read_regular(one.folder / SLOPE_MAP_FILE, "a slope map", 4_000_000_000)).digest() for one in sides
+        ]
+        same = digests[0] == digests[1]
+    if same:
+        raise InputError(
+            f"{sides[0].folder} and {sides[1].folder} are the same result; give results of two measurements"
+        )
+
+
+def _cut(grid: tuple[FloatArray, FloatArray], slope_map: SlopeMap) -> tuple[FloatArray, FloatArray]:
+    """Return a grid with the steps of another map over the extent of this one."""
+    axes = []
+    for other, own in zip(grid, (slope_map.x_m, slope_map.y_m), strict=True):
+        step = float(np.ptp(other)) / max(other.size - 1, 1)
+        first = other[0] + step * np.ceil((own[0] - other[0]) / step - 1e-6)
+        axes.append(first + step * np.arange(max(int((own[-1] - first) / step + 1e-6) + 1, 1)))
+    return axes[0], axes[1]
+
+
+def _doubts(
+    sides: tuple[Side, Side], shared: Sequence[str], judged: Judgement, checks: tuple[SelfCheck, ...]
+) -> Iterator[Doubt]:
+    hashes = [one.summary.input_sha256 for one in sides]
+    common = sorted({name for name, digest in hashes[0].items() if digest in set(hashes[1].values())})
+    if common and {*hashes[0].values()} == {*hashes[1].values()}:
+        yield Doubt(
+            "same_measurement_twice",
+            "both results were evaluated from the same files: their noise is the same, and no sigma here applies; "
+            "compare results of two measurements",
+        )
+    elif common and not shared:
+        names = ", ".join(common[:3]) + (f" and {len(common) - 3} more" if len(common) > 3 else "")
+        yield Doubt(
+            "inputs_shared",
+            f"both results read {names}: what is wrong with that is in both and partly cancels, so that sigmas of the "
+            "difference are upper bounds; name the sources that both share with --shared",
+            {"files_count": len(common)},
+            Severity.NOTE,
+        )
+    for axis in (0, 1):
+        extents = [float(np.ptp(_extent(one.slope_map, axis))) for one in sides]
+        step = max(
+            float(np.ptp(grid)) / max(grid.size - 1, 1)
+            for grid in ((one.slope_map.x_m, one.slope_map.y_m)[axis] for one in sides)
+        )
+        if abs(extents[0] - extents[1]) > 2 * step:
+            yield Doubt(
+                "outlines_differ",
+                f"the mirror is {extents[0]:.4g} m {'wide' if axis == 0 else 'high'} in {sides[0].name} and "
+                f"{extents[1]:.4g} m in {sides[1].name}; compared is what both have",
+                {"first_m": extents[0], "second_m": extents[1]},
+                Severity.NOTE,
+            )
+    if judged.agreement is Agreement.UNKNOWN:
+        yield Doubt(
+            "no_sigma_to_compare", "neither result has a sigma: whether the difference is too large is not known"
+        )
+    elif judged.agreement is Agreement.WITHIN_ENLARGED:
+        yield Doubt(
+            "agree_within_enlarged_sigmas",
+            "the two results agree only within sigmas that were enlarged because data contradict themselves; with the "
+            f"sigmas as stated chance makes this difference with a probability of {judged.stated_probability:.2g}",
+            {"agreement_probability": judged.stated_probability},
+        )
+    elif judged.agreement is Agreement.CONTRADICT:
+        yield Doubt(
+            "results_contradict",
+            "the two results contradict each other: their sigmas make this difference with a probability of "
+            f"{min(one for one in (judged.terms_probability, judged.rest_probability) if np.isfinite(one)):.2g}",
+            {"terms_probability": judged.terms_probability, "rest_probability": judged.rest_probability},
+            Severity.SERIOUS,
+        )
+
+
+def _extent(slope_map: SlopeMap, axis: int) -> FloatArray:
+    places = np.nonzero(slope_map.aperture.any(axis=axis))[0]
+    grid = (slope_map.x_m, slope_map.y_m)[axis]
+    return grid[places]
