@@ -202,9 +202,39 @@ def _import_slopes(form: str, help_of_file: str) -> Callable[..., None]:
     return import_command
 
 
-imports.command("soltrace", help="Write a measurement folder from measured slopes of SolTrace (VSHOT, .sht).")(
-    _import_slopes("soltrace", "VSHOT file (.sht).")
-)
+@imports.command("soltrace")
+def import_soltrace_command(
+    file: Annotated[
+        Path,
+        typer.Argument(
+            metavar="FILE", help="VSHOT file (.sht), or a system (.stinput) with such files.", show_default=False
+        ),
+    ],
+    out: OutMeasurement,
+    element: Annotated[
+        int | None,
+        typer.Option(min=1, help="Which of a system's elements with measured slopes, from 1.", show_default=False),
+    ] = None,
+    design: SlopeDesign = "plane",
+    focal_length_m: FocalLength = None,
+    radius_m: Radius = None,
+    force: ForceMeasurement = False,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+) -> None:
+    """Write a measurement folder from measured slopes of SolTrace: a VSHOT file, or that of a system's element."""
+    from deflectometry.exchange.slope_files import import_slopes
+    from deflectometry.exchange.soltrace_import import slope_file_of_system
+    from heliogauge.errors import InputError
+
+    if file.suffix.lower() == ".stinput":
+        file = slope_file_of_system(file, element)
+    elif element is not None:
+        raise InputError("element: only a system (.stinput) has elements; leave it out")
+    keys = _design_keys(design, focal_length_m, radius_m)
+    _say_imported(import_slopes(file, out, "soltrace", keys, force=force), out, quiet=quiet)
+
+
 imports.command("slopes", help="Write a measurement folder from a slope map: NetCDF of heliogauge, or a table.")(
     _import_slopes(
         "slopes", "slope_map.nc, or CSV with columns x_m, y_m, slope_x, slope_y and, if known, their sigmas."

@@ -102,15 +102,24 @@ def _write_soltrace(out: Path, slope_map: SlopeMap) -> None:
         raise InputError(f"{out}: SolTrace knows the file by its ending; name it {out.with_suffix('.sht').name}")
     good = slope_map.valid
     x, y = (plane[good] for plane in np.meshgrid(slope_map.x_m, slope_map.y_m))
-    slope_x, slope_y = slope_map.slope_x[good], slope_map.slope_y[good]
-    fitted = iter(fit_monomials(x, y, slope_x, slope_y).tolist())
+    write_text(out, soltrace_text(x, y, slope_map.slope_x[good], slope_map.slope_y[good])[0])
+
+
+def soltrace_text(x: FloatArray, y: FloatArray, slope_x: FloatArray, slope_y: FloatArray) -> tuple[str, FloatArray]:
+    """Return a VSHOT file as text, and the surface in its header.
+
+    x, y, slope_x, slope_y (n,): Places [m] and slopes.
+    Returns: The text; coefficients as `fit_monomials` has them [m].
+    """
+    surface = fit_monomials(x, y, slope_x, slope_y)
+    fitted = iter(surface.tolist())
     rows = [[next(fitted) for _ in range(k + 1)] for k in range(_DEGREE + 1)]
     points = np.column_stack([x, y, np.arctan(slope_x), np.arctan(slope_y)])
     lines = ["slope map exported by heliogauge", "0\t0\t0", f"0\t{_DEGREE}\t{len(points)}", "0\t0"]
     # Ours fall in powers of x, SolTrace's rise.
     lines += [f"{value:.12e}" for row in rows for value in reversed(row)]
     lines += ["\t".join(f"{value:.9f}" for value in point) + "\t0" for point in points.tolist()]
-    write_text(out, "\n".join(lines) + "\n")
+    return "\n".join(lines) + "\n", surface
 
 
 def _write_ply(out: Path, slope_map: SlopeMap) -> None:
