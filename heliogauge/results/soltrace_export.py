@@ -213,7 +213,7 @@ def _averaged(
     means = [mean(one) for one in (x, y, slopes[0], slopes[1])]
     # The angle of the normal, as SolTrace's slope error is one; the design's own change within a block is no scatter.
     design = np.stack([slope_map.design_slope_x[known], slope_map.design_slope_y[known]])
-    errors = np.stack(normal_angles(slopes[0], slopes[1], design[0], design[1]))
+    errors = normal_angles(slopes[0], slopes[1], design[0], design[1])
     left = errors - np.stack([mean(one)[number] for one in errors])
     return (means[0], means[1], means[2], means[3]), float(np.sqrt(np.mean(left**2)))
 
