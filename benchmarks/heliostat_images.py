@@ -14,9 +14,10 @@ import cv2
 import numpy as np
 from _measure import ROOT, row, title
 
-from calibration.heliostat.beam_photos import MarkerTemplates, TargetFrame, measure_beams
-from calibration.heliostat.beam_photos.light import background_around, measure_beam
-from calibration.heliostat.beam_photos.target import Rectifier, view_from_points, whole_image
+from calibration.beam.images import MarkerTemplates, TargetFrame
+from calibration.beam.light import background_around, measure_beam
+from calibration.beam.pipeline import measure_beams
+from calibration.beam.target import Rectifier, view_from_points, whole_image
 from heliogauge.images.photos import read_channel
 
 FOLDER = ROOT.parent / "shared" / "data" / "csp" / "juelich_beam_images"

@@ -16,6 +16,7 @@ PLACES = {
     "photogrammetry": "photogrammetry",
     "deflectometry": "deflectometry",
     "observer": "observer",
+    "calibration/beam": "beam",
     "calibration/heliostat": "heliostat",
     "data_synth": "Synthetic measurements",
 }

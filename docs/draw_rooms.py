@@ -40,7 +40,8 @@ METHOD = {
         "light",
         "studies",
     ),
-    "calibration.heliostat": ("beam_photos", "kinematic_model", "observations", "fitting", "diagnosis", "exports"),
+    "calibration.beam": ("images", "target", "light"),
+    "calibration.heliostat": ("kinematic_model", "observations", "fitting", "diagnosis", "exports"),
     "data_synth": ("optics", "fringes", "dots", "targets", "troughs", "heliostats", "lasers"),
     "heliogauge": (
         "geometry",
@@ -64,6 +65,7 @@ INSTRUMENTS = (
     "photogrammetry",
     "deflectometry",
     "observer",
+    "calibration.beam",
     "calibration.heliostat",
     "calibration.screen",
 )

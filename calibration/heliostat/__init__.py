@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 from heliogauge.faces import lazy_face
 
 if TYPE_CHECKING:
-    from calibration.heliostat import beam_photos as beam_photos
     from calibration.heliostat import diagnosis as diagnosis
     from calibration.heliostat import exports as exports
     from calibration.heliostat import fitting as fitting

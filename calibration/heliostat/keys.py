@@ -7,16 +7,14 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import BeforeValidator, Discriminator, Field, Tag, model_validator
 
+from calibration.beam.images import BeamImagesSection
 from heliogauge.measurement.load import MEASUREMENT_FILE, read_measurement, refuse_missing
 from heliogauge.measurement.models import (
-    ImageFiles,
-    Index,
     MeasurementModel,
     Number,
     Positive,
     Section,
     Text,
-    Vector2,
     Vector3,
     repeated,
 )
@@ -145,54 +143,6 @@ class KinematicsSection(Section):
             raise ValueError('axes (two directions) and normal, both at readings 0, belong to preset = "two-axes"')
         if self.counts_per_turn is not None and 0 in self.counts_per_turn:
             raise ValueError("counts_per_turn must not be 0")
-        return self
-
-
-class BeamImagesSection(Section):
-    """Photos of beams on one target, measured before the fit; the column ``image`` of the observations names them.
-
-    One of these states where the target is: ``whole`` (the photo is the target: "edge" where its outer edges are
-    the target's, "index" where its outermost pixels' centres are), ``corners_px`` (upper left, upper right, lower
-    right, lower left), ``markers`` (four pictures of marks, in that order), ``aruco_ids`` with ``dictionary``,
-    ``dark_marks``. ``corners_sigma_px`` is how well the given pixels are known: 0.3 is careful work by hand. ``empty``
-    are photos of the target without a beam, ``camera`` a calibrated camera's file.
-    """
-
-    target: Text = Field(description="Name of the target in the photos.")
-    whole: Literal["index", "edge"] | None = Field(
-        None, description="The photo is the target: up to its edges (edge) or outermost pixel centres (index)."
-    )
-    corners_px: Annotated[tuple[Vector2, ...], Field(min_length=4, max_length=4)] | None = Field(
-        None, description="Corners: upper left, upper right, lower right, lower left [px]."
-    )
-    corners_sigma_px: Positive = Field(0.3, description="1 sigma of those pixels; 0.3: careful work by hand [px].")
-    markers: Annotated[tuple[Text, ...], Field(min_length=4, max_length=4)] | None = Field(
-        None, description="Pictures of the marks at the corners, in that order."
-    )
-    anchors_px: Annotated[tuple[Vector2, ...], Field(min_length=4, max_length=4)] | None = Field(
-        None,
-        description="The target's corner in each picture of markers, in that order; default: the outer corner of the "
-        "mark. A mark that two targets share (T-shaped) has none: there they are needed [px].",
-    )
-    aruco_ids: Annotated[tuple[Index, ...], Field(min_length=4, max_length=4)] | None = Field(
-        None, description="ArUco markers at the corners, in that order."
-    )
-    dictionary: Text = Field("DICT_4X4_50", description="OpenCV's dictionary of those markers.")
-    dark_marks: Literal["outer", "inner"] | None = Field(
-        None, description="Dark marks at the corners: which of their corners count."
-    )
-    empty: ImageFiles | None = Field(None, description="Photos without a beam: a text with * or a list.")
-    camera: Text | None = Field(None, description="File of the calibrated camera, to correct its lens.")
-
-    @model_validator(mode="after")
-    def _one_place(self) -> Self:
-        keys = ("whole", "corners_px", "markers", "aruco_ids", "dark_marks")
-        given = [key for key in keys if getattr(self, key) is not None]
-        if len(given) != 1:
-            said = " and ".join(given) or "nothing"
-            raise ValueError(f"one of {', '.join(keys)} must state where the target is in the photos, not {said}")
-        if self.anchors_px is not None and self.markers is None:
-            raise ValueError("anchors_px are the target's corners in the pictures of markers, which are missing")
         return self
 
 

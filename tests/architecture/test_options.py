@@ -23,6 +23,7 @@ PIPELINES = {
     "observer.pipeline.measure": "observer",
     "calibration.screen.pipeline": "screen",
     "calibration.camera.pipeline.measure": "camera",
+    "calibration.beam.pipeline.measure": "beam",
     "calibration.heliostat.pipeline.measure": "heliostat",
 }
 

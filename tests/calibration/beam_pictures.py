@@ -3,7 +3,7 @@
 import numpy as np
 import numpy.typing as npt
 
-from calibration.heliostat.beam_photos.target.view import TargetImage, whole_image
+from calibration.beam.target.view import TargetImage, whole_image
 
 #: Corners of a target of 8 m x 7 m.
 CORNERS_M = np.array([[-4.0, 3.5], [4.0, 3.5], [4.0, -3.5], [-4.0, -3.5]])

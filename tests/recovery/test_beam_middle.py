@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from calibration.heliostat.beam_photos.light.beam_moments import beam_moments
+from calibration.beam.light.beam_moments import beam_moments
 from calibration.heliostat.kinematic_model import PlaneTarget
 from data_synth.heliostats.flux import FacetErrors, beam_on_target, canted_facets
 from heliogauge.geometry.rigid import RigidTransform

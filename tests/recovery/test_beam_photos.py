@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from calibration.heliostat.beam_photos.light import measure_beam
-from calibration.heliostat.beam_photos.light.background import empty_target
-from calibration.heliostat.beam_photos.target import Rectifier, view_from_points
-from calibration.heliostat.beam_photos.target.marks import dark_corners
+from calibration.beam.light import measure_beam
+from calibration.beam.light.background import empty_target
+from calibration.beam.target import Rectifier, view_from_points
+from calibration.beam.target.marks import dark_corners
 from calibration.heliostat.kinematic_model import PlaneTarget
 from data_synth.heliostats.flux import FacetErrors, beam_on_target, canted_facets
 from data_synth.heliostats.photo import Light, TargetCamera, look_at

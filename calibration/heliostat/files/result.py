@@ -20,7 +20,7 @@ from heliogauge.doubts import Doubt
 from heliogauge.validate import BoolArray, FloatArray
 
 if TYPE_CHECKING:
-    from calibration.heliostat.beam_photos import BeamMeasurements
+    from calibration.beam.pipeline import BeamMeasurements
 
 #: Name of the model in which values and priors come from the other heliostats of the field.
 FIELD = "priors of the field"

@@ -5,7 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
-from calibration.heliostat.beam_photos import TargetFinder, write_beams
+from calibration.beam.images import TargetFinder
+from calibration.beam.pipeline import write_beams
 from calibration.heliostat.files.beam_files import BEAMS_FILE, PICTURE_COLUMNS, PICTURES_FILE
 from calibration.heliostat.files.result import HeliostatResult, Shared
 from calibration.heliostat.files.store_residuals import residual_columns

@@ -4,22 +4,12 @@ from pathlib import Path
 
 import numpy as np
 
-from calibration.heliostat.beam_photos import (
-    ArucoMarkers,
-    BeamMeasurements,
-    CornerPixels,
-    DarkMarks,
-    MarkerTemplates,
-    TargetFrame,
-    WholeImage,
-    measure_beams,
-)
-from calibration.heliostat.keys import BeamImagesSection, HeliostatModel
+from calibration.beam.images import TargetFrame, frame_of_section
+from calibration.beam.pipeline import BeamMeasurements, measure_beams
+from calibration.heliostat.keys import HeliostatModel
 from calibration.heliostat.observations.plant import Plant
 from calibration.heliostat.observations.rows import Rows, Verdicts
 from heliogauge.errors import InputError
-from heliogauge.measurement.files import image_files
-from heliogauge.results.folder import read_camera_json
 from heliogauge.validate import BoolArray, FloatArray, freeze
 
 #: Columns that a photo fills.
@@ -93,21 +83,5 @@ def beam_frames(folder: Path, plant: Plant, model: HeliostatModel) -> dict[str, 
         places = half * [[-1, 1], [1, 1], [1, -1], [-1, -1]]
         if measured is not None:
             places = target.coordinates(np.array(measured))
-        camera = None if section.camera is None else read_camera_json(folder / section.camera)
-        empty = () if section.empty is None else image_files(folder, "images.empty", section.empty)
-        frames[name] = TargetFrame(places, _source(section, folder), camera, empty)
+        frames[name] = frame_of_section(section, places, folder)
     return frames
-
-
-def _source(
-    section: BeamImagesSection, folder: Path
-) -> ArucoMarkers | CornerPixels | DarkMarks | MarkerTemplates | WholeImage:
-    if section.corners_px is not None:
-        return CornerPixels(np.array(section.corners_px), section.corners_sigma_px)
-    if section.markers is not None:
-        return MarkerTemplates(tuple(folder / name for name in section.markers), section.anchors_px or ())
-    if section.aruco_ids is not None:
-        return ArucoMarkers(section.aruco_ids, section.dictionary)
-    if section.dark_marks is not None:
-        return DarkMarks(section.dark_marks)
-    return WholeImage(section.whole or "edge")

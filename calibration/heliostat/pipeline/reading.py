@@ -17,7 +17,7 @@ from calibration.heliostat.pipeline.nominal_design import nominal_design
 from heliogauge.errors import InputError
 
 if TYPE_CHECKING:
-    from calibration.heliostat.beam_photos import BeamMeasurements
+    from calibration.beam.pipeline import BeamMeasurements
 
 
 @dataclass(frozen=True, slots=True, eq=False)

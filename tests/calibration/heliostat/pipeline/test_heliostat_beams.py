@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from calibration.heliostat.beam_photos.pipeline.target_frames import TargetFinder
-from calibration.heliostat.beam_photos.target.marks import CORNERS, mark_corner
+from calibration.beam.images.target_frames import TargetFinder
+from calibration.beam.target.marks import CORNERS, mark_corner
 from calibration.heliostat.kinematic_model.design import PlaneTarget
 from calibration.heliostat.observations.plant import Plant
 from calibration.heliostat.observations.rows import parse_rows

@@ -1,0 +1,1 @@
+"""Files of other programs: towers and records of the PAINT database."""

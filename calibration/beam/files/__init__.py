@@ -1,0 +1,1 @@
+"""Results of measured beams on disk."""

@@ -1,0 +1,167 @@
+"""From the photo of a target in its file to the beam on the target's plane."""
+
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from calibration.beam.images.target_frames import (
+    ArucoMarkers,
+    CornerPixels,
+    DarkMarks,
+    MarkerTemplates,
+    TargetFrame,
+    WholeImage,
+)
+from calibration.beam.light.background import TargetSurface, empty_target
+from calibration.beam.light.beam_flags import BeamFlag
+from calibration.beam.light.beam_image import Beam, BeamSettings, measure_beam, no_beam
+from calibration.beam.target.marks import (
+    CORNERS,
+    MarkTemplate,
+    TargetCorners,
+    dark_corners,
+    mark_corner,
+    template_corners,
+)
+from calibration.beam.target.view import Rectifier, TargetImage, view_from_points, whole_image
+from heliogauge.errors import EstimationError, InputError
+from heliogauge.images.photos import Image, read_channel
+from heliogauge.validate import float_array, freeze
+from photogrammetry.detection import find_markers
+
+__all__ = ["PhotoBeam", "TargetFinder"]
+
+
+class PhotoBeam(NamedTuple):
+    """The beam in a photo, and a note on the photo beyond its flags."""
+
+    beam: Beam
+    note: str = ""
+
+
+class TargetFinder:
+    """Rectifies the photos of one target; what does not change from photo to photo is made once.
+
+    InputError: Templates or photos without a beam that cannot be used.
+    EstimationError: The target is not found in a photo without a beam.
+    """
+
+    def __init__(self, frame: TargetFrame) -> None:
+        self._frame = frame
+        left, low = frame.corners_m.min(axis=0)
+        right, high = frame.corners_m.max(axis=0)
+        self._extent = np.array([left, right, low, high])
+        self._templates = _templates(frame.source) if isinstance(frame.source, MarkerTemplates) else ()
+        self._shape: tuple[int, int] | None = None
+        self._fixed: Rectifier | None = None
+        if isinstance(frame.source, CornerPixels):
+            self._fixed = self._rectifier(
+                TargetCorners(
+                    float_array("pixels_px", frame.source.pixels_px, (4, 2)), frame.source.sigma_px, np.ones(4)
+                )
+            )
+        self._near: TargetCorners | None = None
+        self._empty = self._empty_target()
+
+    def look(self, file: Path) -> None:
+        """Find the marks once, so that all photos start their search from the same place, whatever their order."""
+        if isinstance(self._frame.source, MarkerTemplates):
+            try:
+                self._near = template_corners(read_channel(file, self._frame.channel), self._templates)
+            except (EstimationError, InputError):
+                return  # Each photo then searches for itself, and notes what is wrong with it.
+
+    def measure(self, file: Path, settings: BeamSettings) -> PhotoBeam:
+        """Measure one photo; the note says what cannot be measured, nothing is raised."""
+        try:
+            photo = read_channel(file, self._frame.channel)
+        except InputError as error:
+            return PhotoBeam(no_beam(BeamFlag.UNREADABLE), str(error))
+        try:
+            image = self._on_target(photo)
+        except (EstimationError, InputError) as error:
+            return PhotoBeam(no_beam(BeamFlag.TARGET_NOT_FOUND), str(error))
+        if self._empty is not None and self._empty.values_dn.shape != image.values_dn.shape:
+            sizes = f"{image.values_dn.shape[::-1]} px, frames without a beam {self._empty.values_dn.shape[::-1]} px"
+            return PhotoBeam(no_beam(BeamFlag.TARGET_NOT_FOUND), f"the target measures {sizes}")
+        return PhotoBeam(measure_beam(image, empty=self._empty, settings=settings))
+
+    def image(self, file: Path) -> TargetImage:
+        """Read one photo and put it on the target's plane."""
+        return self._on_target(read_channel(file, self._frame.channel))
+
+    def _on_target(self, photo: Image) -> TargetImage:
+        source = self._frame.source
+        if isinstance(source, WholeImage):
+            return whole_image(photo, self._frame.corners_m, by_index=source.places == "index")
+        if self._fixed is not None:
+            return self._fixed.rectify(photo, full_scale_dn=_full_scale(photo))
+        return self._rectifier(self._corners(photo)).rectify(photo, full_scale_dn=_full_scale(photo))
+
+    def _rectifier(self, corners: TargetCorners) -> Rectifier:
+        frame = self._frame
+        view = view_from_points(corners.pixels_px, frame.corners_m, camera=frame.camera, sigma_px=corners.sigma_px)
+        made = Rectifier(view, self._extent, self._shape)
+        if self._empty_files and self._shape is None:
+            # Frames without a beam and photos must come out in the same pixels, wherever the marks are found.
+            self._shape = made.size
+        return made
+
+    @property
+    def _empty_files(self) -> tuple[Path, ...]:
+        return self._frame.empty_files
+
+    def _corners(self, photo: Image) -> TargetCorners:
+        source = self._frame.source
+        if isinstance(source, MarkerTemplates):
+            return template_corners(photo, self._templates, near=self._near)
+        if isinstance(source, ArucoMarkers):
+            return _marker_centers(photo, source)
+        outer = isinstance(source, DarkMarks) and source.corner == "outer"
+        return dark_corners(photo, outer=outer)
+
+    def _empty_target(self) -> TargetSurface | None:
+        if not self._empty_files:
+            return None
+        return empty_target([self.image(file).values_dn for file in self._empty_files])
+
+
+def _full_scale(photo: Image) -> float:
+    # Luminance of a photo in 16 bit comes as float32 (heliogauge.images.photos).
+    return 65535.0 if photo.dtype == np.uint16 or float(photo.max()) > 255.5 else 255.0
+
+
+def _templates(source: MarkerTemplates) -> tuple[MarkTemplate, ...]:
+    if len(source.files) != 4 or len(source.anchors_px) not in (0, 4):
+        raise InputError(f"markers: four pictures are needed ({', '.join(CORNERS)}), not {len(source.files)}")
+    templates = []
+    for k, (file, corner) in enumerate(zip(source.files, CORNERS, strict=True)):
+        values = np.asarray(read_channel(file, "luminance"), dtype=np.float64)
+        try:
+            anchor = source.anchors_px[k] if source.anchors_px else mark_corner(values, corner)[0]
+        except EstimationError as error:
+            raise InputError(
+                f"{file}: {error}; give anchors_px, the target's corner in each of the four pictures [column, row]"
+            ) from error
+        templates.append(MarkTemplate(freeze(values), np.asarray(anchor, dtype=np.float64)))
+    return tuple(templates)
+
+
+def _marker_centers(photo: Image, source: ArucoMarkers) -> TargetCorners:
+    found = find_markers(photo, "target", source.dictionary)
+    missing = [number for number in source.ids if number not in found.numbers]
+    twice = [number for number in source.ids if number in found.duplicated]
+    if missing or twice:
+        said = f"marker {missing[0]} is not found" if missing else f"marker {twice[0]} is found twice"
+        raise EstimationError(f"{said} in the photo; the target has {', '.join(map(str, source.ids))}")
+    squares = dict(zip(found.numbers, found.squares, strict=True))
+    centers, sigmas = [], []
+    for number in source.ids:
+        a, b, c, d = squares[number].corners_px
+        # The middle of a square is where its diagonals cross, also in perspective.
+        along = np.linalg.solve(np.stack([c - a, b - d], axis=1), b - a)
+        centers.append(a + along[0] * (c - a))
+        sigmas.append(squares[number].covariance_px2)
+    sigma = float(np.sqrt(np.mean([np.trace(each, axis1=-2, axis2=-1) / 2 for each in sigmas])))
+    return TargetCorners(freeze(np.array(centers)), sigma, np.ones(4))

@@ -1,0 +1,259 @@
+"""Brightness of the target itself: from frames without a beam, or from the picture around the beam.
+
+A target is lit by sky and ground, is made of panels, has marks, and the receiver above may cast a shadow on it.
+Where there are frames without a beam, the model is one of them times a plane plus a constant. Where there are none, it
+is a quadratic surface. What is left around the beam (panels, edges of shadows) is continued smoothly under the beam.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from calibration.beam.light.shadow_edge import strongest_edge
+from heliogauge.adjust.robust_loss import Tukey
+from heliogauge.adjust.robust_scale import robust_scale
+from heliogauge.errors import EstimationError, InputError
+from heliogauge.validate import BoolArray, FloatArray, freeze
+
+__all__ = [
+    "Background",
+    "TargetSurface",
+    "area_resized",
+    "background_around",
+    "empty_target",
+    "shadow_steps",
+    "taken_by_background",
+]
+
+#: Residuals beyond this many robust sigmas are marks, seams or glare, and do not count (Tukey).
+_TUKEY_SIGMAS = 4.7
+#: Least scatter of a pixel, the rounding of an 8-bit picture [share of the brightness range].
+_ROUNDING = 1 / np.sqrt(12) / 255
+#: Share of the target that must be free of the beam for a quadratic surface; a plane bends less far under the beam.
+_FREE_FOR_QUADRATIC = 0.25
+_MOST_ITERATIONS = 12
+#: Pixels that are enough for the six coefficients of the smooth part; more of them only cost time.
+_ENOUGH_PIXELS = 900
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TargetSurface:
+    """Pattern of a target without a beam, averaged over frames.
+
+    values_dn (h, w): Mean of the frames [DN].
+    """
+
+    values_dn: FloatArray
+    n_frames: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Background:
+    """Brightness of the target under and around a beam.
+
+    values_dn (h, w): The brightness without the beam [DN].
+    basis (h, w, k): Functions of which its smooth part is made.
+    cofactor (k, k): Covariance of their coefficients for pixels of variance 1.
+    scatter_dn: Robust scatter of the free pixels about the smooth part [DN].
+    residuals_dn (h, w): Picture minus the smooth part where no beam is, limited to what is no mark; 0 elsewhere
+        [DN].
+    """
+
+    values_dn: FloatArray
+    basis: FloatArray
+    cofactor: FloatArray
+    scatter_dn: float
+    residuals_dn: FloatArray
+
+
+def empty_target(frames_dn: Sequence[npt.NDArray[np.generic]]) -> TargetSurface:
+    """Average frames of the target without a beam.
+
+    frames_dn (h, w): Rectified pictures of one size; NaN where the target is not seen [DN].
+    Returns: Their mean after each was scaled to the brightness of the first: light changes between frames, the
+        pattern does not.
+    InputError: No frame, sizes that differ, or a frame that is black.
+    """
+    if not frames_dn:
+        raise InputError("empty frames: at least one is needed")
+    shapes = {frame.shape for frame in frames_dn}
+    if len(shapes) > 1:
+        raise InputError(f"empty frames: one size is needed, not {sorted(shapes)}")
+    frames = [np.asarray(frame, dtype=np.float64) for frame in frames_dn]
+    levels = [float(np.nanmedian(frame)) for frame in frames]
+    if not min(levels) > 0:
+        raise InputError(f"empty frame {int(np.argmin(levels)) + 1} is black (median {min(levels):.3g} DN)")
+    mean = np.nanmean([frame * (levels[0] / level) for frame, level in zip(frames, levels, strict=True)], axis=0)
+    return TargetSurface(freeze(mean), len(frames))
+
+
+def area_resized(values: npt.NDArray[np.floating], shape: tuple[int, int]) -> FloatArray:
+    """Resample by averaging over areas (down) or linearly (up); the outlines of the two pictures coincide.
+
+    Shapes: values (h, w).
+    shape: Rows and columns wanted.
+    """
+    if values.shape == shape:
+        return np.asarray(values, dtype=np.float64)
+    smaller = shape[0] <= values.shape[0] and shape[1] <= values.shape[1]
+    how = cv2.INTER_AREA if smaller else cv2.INTER_LINEAR
+    return np.asarray(cv2.resize(values, (shape[1], shape[0]), interpolation=how), dtype=np.float64)
+
+
+def background_around(
+    values_dn: FloatArray,
+    free: BoolArray,
+    *,
+    empty: FloatArray | None = None,
+    full_scale_dn: float = 255.0,
+    steps: Sequence[FloatArray] = (),
+    continued: bool = True,
+) -> Background:
+    """Estimate the target's own brightness from the pixels that no beam lights.
+
+    Shapes: values_dn (h, w), free (h, w).
+    empty (h, w): The target without a beam (`TargetSurface`) in the same pixels [DN].
+    full_scale_dn: End of the grey scale [DN].
+    steps (h, w): Steps from 0 to 1 at straight edges of shadows or panels (`shadow_steps`), with free heights.
+    continued: Whether what is left around the beam is continued under it; needed for the last answer only.
+    Returns: Its value everywhere, and what its uncertainty follows from.
+    EstimationError: Fewer free pixels than the model has coefficients, or they do not determine it.
+    """
+    degree = 2 if float(free.mean()) >= _FREE_FOR_QUADRATIC else 1
+    basis = _basis(values_dn.shape, degree, empty)
+    if int(free.sum()) < 4 * basis.shape[2]:
+        raise EstimationError(
+            f"only {int(free.sum())} pixels of the target are free of the beam; its own brightness needs "
+            f"{4 * basis.shape[2]}: take a frame without a beam"
+        )
+    basis = np.concatenate([basis, *(step[..., None] for step in steps)], axis=2)
+    smooth, residuals, scatter, cofactor = _fitted(values_dn, free, basis, full_scale_dn)
+    under = smooth + _continued(residuals, free) if continued else smooth
+    return Background(freeze(under), freeze(basis), freeze(cofactor), scatter, freeze(residuals))
+
+
+def shadow_steps(values_dn: FloatArray, free: BoolArray, background: Background, most: int) -> list[FloatArray]:
+    """Look for straight edges that a background without steps does not follow.
+
+    values_dn (h, w): Picture of the target [DN].
+    free (h, w): Pixels without a beam.
+    Returns (h, w): Steps from 0 to 1.
+    """
+    basis, residuals, scatter = background.basis, background.residuals_dn, background.scatter_dn
+    steps: list[FloatArray] = []
+    for _ in range(most):
+        # Marks and seams are darker than any shadow; they would hide it.
+        edge = strongest_edge(residuals, free & (residuals > -2 * scatter), basis)
+        if edge is None:
+            break
+        steps.append(edge)
+        basis = np.concatenate([basis, edge[..., None]], axis=2)
+        _, residuals, scatter, _ = _fitted(values_dn, free, basis, scatter)
+    return steps
+
+
+def taken_by_background(bell_dn: FloatArray, free: BoolArray, background: Background) -> FloatArray:
+    """Return what a background has taken of a beam's skirts for its own.
+
+    bell_dn (h, w): The beam where it does not stand out [DN].
+    free (h, w): Pixels that were taken for free of it.
+    Returns (h, w): The part of the background that is the beam's, under the beam too [DN].
+    """
+    rows, wanted = background.basis[free], bell_dn[free]
+    normal = rows.T @ rows
+    normal[np.diag_indices_from(normal)] += 1e-9 * np.trace(normal) / normal.shape[0]
+    smooth = background.basis @ np.linalg.solve(normal, rows.T @ wanted)
+    return smooth + _continued(np.where(free, bell_dn - smooth, 0.0), free)
+
+
+class _Smooth(NamedTuple):
+    """Smooth part; residuals, limited and 0 where a beam is; their scatter; cofactor of the coefficients."""
+
+    values_dn: FloatArray
+    residuals_dn: FloatArray
+    scatter_dn: float
+    cofactor: FloatArray
+
+
+def _fitted(values_dn: FloatArray, free: BoolArray, basis: FloatArray, full_scale_dn: float) -> _Smooth:
+    # An odd step, so that the pixels taken do not stand in columns.
+    step = (int(free.sum()) // _ENOUGH_PIXELS) | 1
+    rows, wanted = basis[free][::step], values_dn[free][::step]
+    coefficients, scatter, cofactor = _robust_fit(rows, wanted, _ROUNDING * full_scale_dn)
+    smooth = basis @ coefficients
+    limit = _TUKEY_SIGMAS * scatter
+    # What matters are errors that neighbours share; all pixels are as good as every step-th for them.
+    residuals = np.where(free, np.clip(values_dn - smooth, -limit, limit), 0.0)
+    return _Smooth(smooth, residuals, scatter, cofactor / step)
+
+
+def _basis(shape: tuple[int, ...], degree: int, empty: FloatArray | None) -> FloatArray:
+    if empty is not None:
+        plane = _polynomial((shape[0], shape[1]), 1)
+        pattern = (empty / float(np.mean(empty)))[..., None]
+        return np.concatenate([plane[..., :1], pattern * plane], axis=-1)
+    return _polynomial((shape[0], shape[1]), degree)
+
+
+@lru_cache(maxsize=16)
+def _polynomial(shape: tuple[int, int], degree: int) -> FloatArray:
+    # Coordinates of the pixels' centres in a square of -1 to 1: the same functions for every resolution.
+    y = ((np.arange(shape[0]) + 0.5) * (2 / shape[0]) - 1)[:, None]
+    x = ((np.arange(shape[1]) + 0.5) * (2 / shape[1]) - 1)[None, :]
+    one = np.ones(shape)
+    functions = [one, one * x, one * y]
+    if degree == 2:
+        functions += [one * x**2, x * y, one * y**2]
+    return np.asarray(freeze(np.stack(functions, axis=-1)))
+
+
+class _Robust(NamedTuple):
+    """Coefficients of a robust fit, scatter of the residuals, cofactor."""
+
+    coefficients: FloatArray
+    scatter: float
+    cofactor: FloatArray
+
+
+def _robust_fit(rows: FloatArray, values: FloatArray, floor: float) -> _Robust:
+    weights: FloatArray = np.ones(values.size)
+    coefficients: FloatArray = np.zeros(rows.shape[1])
+    normal: FloatArray = np.eye(rows.shape[1])
+    scatter = floor
+    for _ in range(_MOST_ITERATIONS):
+        weighted = rows * weights[:, None]
+        normal = np.asarray(weighted.T @ rows)
+        # An empty frame without a pattern equals the constant: the pair is then held together by a tiny ridge.
+        normal[np.diag_indices_from(normal)] += 1e-9 * np.trace(normal) / normal.shape[0]
+        previous, coefficients = coefficients, np.asarray(np.linalg.solve(normal, weighted.T @ values))
+        residuals: FloatArray = values - rows @ coefficients
+        # The fit is robust: the median of the residuals is near zero, and need not be taken off first.
+        scatter = float(np.hypot(robust_scale(residuals, upper=True), floor))
+        weights = Tukey(_TUKEY_SIGMAS).weight(residuals / scatter)
+        if np.abs(coefficients - previous).max() < 0.02 * floor:
+            break
+    return _Robust(coefficients, scatter, np.asarray(np.linalg.inv(normal)))
+
+
+def _continued(residuals: FloatArray, free: BoolArray) -> FloatArray:
+    """Continue residuals to where they are not known: averages of ever larger neighbourhoods (pull and push)."""
+    mask = free.astype(np.float32)
+    known = residuals.astype(np.float32)
+    blurred = cv2.GaussianBlur(known, (0, 0), 1.0)
+    share = cv2.GaussianBlur(mask, (0, 0), 1.0)
+    sums: list[npt.NDArray[Any]] = [np.where(free, blurred / np.maximum(share, 1e-3), 0.0).astype(np.float32)]
+    shares: list[npt.NDArray[Any]] = [mask]
+    while min(sums[-1].shape) > 2:
+        size = (max(1, sums[-1].shape[1] // 2), max(1, sums[-1].shape[0] // 2))
+        sums.append(cv2.resize(sums[-1], size, interpolation=cv2.INTER_AREA))
+        shares.append(cv2.resize(shares[-1], size, interpolation=cv2.INTER_AREA))
+    filled = sums[-1] / np.maximum(shares[-1], 1e-6)
+    for total, part in zip(sums[-2::-1], shares[-2::-1], strict=True):
+        coarser = cv2.resize(filled, (total.shape[1], total.shape[0]), interpolation=cv2.INTER_LINEAR)
+        filled = total + coarser * (1 - part)
+    return np.asarray(filled, dtype=np.float64)

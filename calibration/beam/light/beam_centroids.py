@@ -1,0 +1,400 @@
+"""Centroids of a beam by four methods, each with its influence function, so that one noise model gives all sigmas."""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+
+from calibration.beam.light.background import area_resized
+from heliogauge.adjust.robust_scale import robust_scale
+from heliogauge.adjust.small_fits import Descent, SmallFits, descend
+from heliogauge.errors import EstimationError
+from heliogauge.validate import BoolArray, FloatArray, IntArray
+
+__all__ = [
+    "CENTROID_METHODS",
+    "Centroid",
+    "PixelNoise",
+    "Spot",
+    "centroid_covariance_px2",
+    "gaussian_centroid",
+    "intensity_centroid",
+    "pixel_noise",
+    "propagated",
+    "super_gaussian_centroid",
+    "threshold_centroid",
+]
+
+#: Names of the methods; the first is the recommended one.
+CENTROID_METHODS = ("intensity", "threshold", "gaussian", "super_gaussian")
+_THRESHOLD = 0.5
+#: Fits run on a picture of at most this many pixels on the longer side: a beam is many of them wide.
+_FIT_PX = 64
+_DESCENT = Descent(most_steps=60, first=1e-3, down=1 / 8, up=8.0, most=1e12, ridge=1e-300)
+_LEAST_EXPONENT, _MOST_EXPONENT = 0.4, 6.0
+#: Blocks of the target across its longer side, in each of which an error of the background is taken as constant: from
+#: panels to shadows. The scale with the largest effect counts.
+_BLOCKS = (16, 8, 5)
+# Second difference in both directions; its variance is 36 times that of a pixel, and planes and parabolas vanish.
+_NOISE_KERNEL = np.array([[1.0, -2.0, 1.0], [-2.0, 4.0, -2.0], [1.0, -2.0, 1.0]]) / 6.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Spot:
+    """A beam whose background was subtracted.
+
+    values_dn (h, w): Brightness [DN].
+    smoothed_dn (h, w): The same, smoothed: it chooses pixels, so that noise does not choose [DN].
+    inside (h, w): The beam.
+    usable (h, w): Pixels that show the target and no other beam.
+    peak_dn: Largest smoothed value [DN].
+    outline_dn: Smoothed value on the beam's outline [DN].
+    smoothing_px: Standard deviation of the Gaussian that smoothed [px].
+    """
+
+    values_dn: FloatArray
+    smoothed_dn: FloatArray
+    inside: BoolArray
+    usable: BoolArray
+    peak_dn: float
+    outline_dn: float
+    smoothing_px: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Centroid:
+    """A position and how it depends on every pixel.
+
+    position_px (2,): Column and row [px].
+    influence (2, h, w): Derivative of the position by each pixel's value, on a grid that covers the same target
+        [px/DN].
+    exponent: Exponent of the super-Gaussian; NaN for other methods.
+    bell_dn (h, w): The bell that was fitted, on the grid of the influence; None for other methods [DN].
+    """
+
+    position_px: FloatArray
+    influence: FloatArray
+    exponent: float = float("nan")
+    bell_dn: FloatArray | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PixelNoise:
+    """Errors of a picture minus its background.
+
+    white_dn2 (h, w): Variance of each pixel, independent of its neighbours [DN^2].
+    block_dn2: Variance of the background's error, alike within a block, for each of several sizes of blocks [DN^2].
+    basis (hc, wc, k): Functions of the smooth background, on a coarser grid that covers the same target.
+    coefficients (k, k): Covariance of their coefficients.
+    """
+
+    white_dn2: FloatArray
+    block_dn2: tuple[float, ...]
+    basis: FloatArray
+    coefficients: FloatArray
+
+
+def intensity_centroid(spot: Spot) -> Centroid:
+    """Return the centre of the light inside the beam's outline.
+
+    Returns: ``sum(x B)/sum(B)`` over the pixels inside.
+    EstimationError: The light inside does not add up to a positive sum.
+    """
+    return _weighted(spot, spot.outline_dn, 0.5 * spot.outline_dn)
+
+
+def threshold_centroid(spot: Spot) -> Centroid:
+    """Return the centre of the light of the pixels above half the peak (Malan 2014, eq. 5.3 and 5.4).
+
+    Returns: ``sum(x B)/sum(B)`` over pixels whose smoothed brightness above the background is more than half the
+        peak's.
+    EstimationError: The light does not add up to a positive sum.
+    """
+    return _weighted(spot, _THRESHOLD * spot.peak_dn, 0.1 * spot.peak_dn)
+
+
+def gaussian_centroid(spot: Spot) -> Centroid:
+    """Return the centre of the elliptic Gaussian that fits best.
+
+    Returns: Centre of ``A exp(-q/2)``, q a quadratic form about it.
+    EstimationError: The fit does not converge on the target.
+    """
+    return _fitted(spot, free_exponent=False)
+
+
+def super_gaussian_centroid(spot: Spot) -> Centroid:
+    """Return the centre of the elliptic super-Gaussian that fits best.
+
+    Returns: Centre of ``A exp(-q^n/2)``; n = 1 is a Gaussian, more is flat-topped, less is peaked with wide skirts.
+    EstimationError: The fit does not converge on the target.
+    """
+    return _fitted(spot, free_exponent=True)
+
+
+def _weighted(spot: Spot, level_dn: float, ramp_dn: float) -> Centroid:
+    """Centre of the light above a level of the smoothed picture, which a ramp makes a function of the pixels.
+
+    With a sharp level, noise moves the outline by whole pixels and the influence would lack the outline's own part.
+    """
+    near = cv2.dilate(spot.inside.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
+    chosen = np.clip((spot.smoothed_dn - level_dn) / max(ramp_dn, 1e-300) + 0.5, 0.0, 1.0) * near
+    light = chosen * spot.values_dn
+    total = float(light.sum())
+    if not total > 0:
+        raise EstimationError(f"the light of the beam adds up to {total:.4g} DN: there is no centroid")
+    rows, columns = light.sum(axis=1), light.sum(axis=0)
+    x, y = np.arange(columns.size), np.arange(rows.size)
+    center = np.array([columns @ x, rows @ y]) / total
+    slope = np.where((chosen > 0) & (chosen < 1), spot.values_dn / (ramp_dn * total), 0.0)
+    parts = []
+    for arm in ((x - center[0])[None, :], (y - center[1])[:, None]):
+        outline = cv2.GaussianBlur(slope * arm, (0, 0), max(spot.smoothing_px, 1e-3))
+        parts.append(chosen / total * arm + np.asarray(outline, dtype=np.float64))
+    return Centroid(center, np.stack(parts))
+
+
+# --- fits -----------------------------------------------------------------------------------------------------------
+
+
+def _fitted(spot: Spot, *, free_exponent: bool) -> Centroid:
+    height, width = spot.values_dn.shape
+    scale = max(1.0, max(height, width) / _FIT_PX)
+    shape = (max(4, round(height / scale)), max(4, round(width / scale)))
+    values = area_resized(spot.values_dn, shape)
+    counted = (area_resized(spot.usable.astype(np.float32), shape) > 0.99).ravel()
+    stretch = np.array([width / shape[1], height / shape[0]])
+    columns, rows = np.meshgrid(np.arange(shape[1], dtype=np.float64), np.arange(shape[0], dtype=np.float64))
+    x, y, wanted = columns.ravel()[counted], rows.ravel()[counted], values.ravel()[counted]
+    start = _start(spot, shape)
+    free = np.array([True] * 6 + [free_exponent])
+    found, d_wanted = _descend(start, free, (x, y, wanted))
+    if not (-0.5 <= found[1] <= shape[1] - 0.5 and -0.5 <= found[2] <= shape[0] - 0.5):
+        raise EstimationError("the fitted beam's centre is not on the target")
+    influence = np.zeros((2, values.size))
+    influence[:, counted] = d_wanted
+    # Pixel centres of the coarser picture: outlines of both pictures coincide.
+    position = (found[1:3] + 0.5) * stretch - 0.5
+    bell = _model(found, columns.ravel(), rows.ravel())[0].reshape(shape)
+    exponent = float(found[6]) if free_exponent else float("nan")
+    return Centroid(position, influence.reshape(2, *shape) * stretch[:, None, None], exponent, bell)
+
+
+def _start(spot: Spot, shape: tuple[int, int]) -> FloatArray:
+    light = np.maximum(area_resized(np.where(spot.inside, spot.smoothed_dn, 0.0), shape), 0.0)
+    total = float(light.sum())
+    if not total > 0:
+        raise EstimationError("there is no light in the beam's outline")
+    x, y = np.arange(shape[1]), np.arange(shape[0])
+    columns, rows = light.sum(axis=0) / total, light.sum(axis=1) / total
+    center_x, center_y = float(columns @ x), float(rows @ y)
+    cross = float((y - center_y) @ light @ (x - center_x)) / total
+    spread = np.array([[columns @ (x - center_x) ** 2, cross], [cross, rows @ (y - center_y) ** 2]])
+    form = np.linalg.inv(spread + 0.1 * np.eye(2))
+    return np.array([spot.peak_dn, center_x, center_y, form[0, 0], form[0, 1], form[1, 1], 1.0])
+
+
+def _model(parameters: FloatArray, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Super-Gaussian: height, centre, quadratic form (xx, xy, yy), exponent; values and derivatives (m, 7)."""
+    height, center_x, center_y, xx, xy, yy, exponent = parameters
+    dx, dy = x - center_x, y - center_y
+    form = np.maximum(xx * dx * dx + 2 * xy * dx * dy + yy * dy * dy, 1e-12)
+    power = form**exponent
+    bell = np.exp(-0.5 * power)
+    values = height * bell
+    d_form = -0.5 * exponent * values * power / form
+    derivatives = np.stack(
+        [
+            bell,
+            d_form * -2 * (xx * dx + xy * dy),
+            d_form * -2 * (xy * dx + yy * dy),
+            d_form * dx * dx,
+            d_form * 2 * dx * dy,
+            d_form * dy * dy,
+            -0.5 * values * power * np.log(form),
+        ],
+        axis=1,
+    )
+    return values, derivatives
+
+
+def _possible(p: FloatArray) -> bool:
+    positive = p[0] > 0 and p[3] > 0 and p[3] * p[5] > p[4] ** 2
+    return bool(positive and _LEAST_EXPONENT <= p[6] <= _MOST_EXPONENT)
+
+
+def _descend(
+    start: FloatArray, free: BoolArray, pixels: tuple[FloatArray, FloatArray, FloatArray]
+) -> tuple[FloatArray, FloatArray]:
+    """Minimise the squares (Levenberg-Marquardt); return the parameters and the centre's derivative by each pixel."""
+    x, y, wanted = pixels
+
+    def at(values: FloatArray) -> FloatArray:
+        whole = start.copy()
+        whole[free] = values
+        return whole
+
+    def evaluate(rows: IntArray, trial: FloatArray) -> tuple[FloatArray, FloatArray]:
+        if not rows.size:
+            return np.empty((0, x.size)), np.empty((0, trial.shape[1], x.size))
+        values, jacobian = _model(at(trial[0]), x, y)
+        return (wanted - values)[None], jacobian.T[free][None]
+
+    one, first = np.arange(1), start[free][None]
+    residuals, jacobian = evaluate(one, first)
+    fit = SmallFits(
+        first.copy(),
+        residuals,
+        jacobian,
+        np.ones_like(residuals),
+        np.zeros_like(first),
+        np.zeros_like(first),
+        np.zeros(1, dtype=np.bool_),
+    )
+    descend(
+        fit,
+        one,
+        evaluate,
+        lambda step: np.abs(step[:, 1:3]).max(axis=1) < 1e-6,
+        _DESCENT,
+        lambda rows, trial: np.array([_possible(at(trial[0]))]),
+    )
+    if not fit.settled[0]:
+        raise EstimationError(f"the fit of the beam did not converge in {_DESCENT.most_steps} steps")
+    return at(fit.parameters[0]), _center_derivative(at(fit.parameters[0]), free, pixels, fit.jacobian[0])
+
+
+def _center_derivative(
+    found: FloatArray, free: BoolArray, pixels: tuple[FloatArray, FloatArray, FloatArray], jacobian: FloatArray
+) -> FloatArray:
+    """Implicit derivative at the minimum, with the true Hessian: a beam is no Gaussian, so residuals are not noise.
+
+    jacobian (p, m): Derivatives by the free parameters there.
+    """
+    x, y, wanted = pixels
+    names = np.flatnonzero(free)
+    hessian = np.empty((names.size, names.size))
+    for k, name in enumerate(names):
+        step = 1e-5 * max(abs(found[name]), 1e-3)
+        sides = []
+        for sign in (1, -1):
+            moved = found.copy()
+            moved[name] += sign * step
+            values, rows = _model(moved, x, y)
+            sides.append(rows[:, free].T @ (wanted - values))
+        hessian[:, k] = (sides[1] - sides[0]) / (2 * step)
+    scale = np.sqrt(np.abs(np.diag(hessian))) + 1e-300
+    solved = np.linalg.solve((hessian + hessian.T) / 2 / scale[:, None] / scale, jacobian / scale[:, None])
+    return np.asarray((solved / scale[:, None])[1:3])
+
+
+# --- noise ----------------------------------------------------------------------------------------------------------
+
+
+def pixel_noise(
+    values_dn: FloatArray, inside: BoolArray, free: BoolArray, background: tuple[FloatArray, FloatArray, FloatArray]
+) -> PixelNoise:
+    """Estimate the errors of a picture minus its background from the picture.
+
+    Shapes: values_dn (h, w), inside (h, w).
+    free (h, w): Pixels without a beam.
+    background: Basis (hc, wc, k), cofactor (k, k), and residuals (hc, wc) of the smooth background; 0 where not
+        free [DN].
+    Returns: White noise in the beam and beside it; what the background's residuals have beyond white noise.
+
+    White noise follows from second differences (Immerkaer 1996) through their median, so that seams do not count. The
+    background's error is the scatter of the residuals' means in blocks of the target.
+    """
+    filtered = cv2.filter2D(values_dn, cv2.CV_64F, _NOISE_KERNEL, borderType=cv2.BORDER_REFLECT)
+    difference = np.asarray(filtered, dtype=np.float64)
+    outside = _robust_variance(difference[free])
+    beam = max(outside, _robust_variance(difference[inside]))
+    white = np.where(inside, beam, outside)
+    basis, cofactor, residuals = background
+    # Pixels of the coarse grid are averages of finer ones.
+    finer = values_dn.size / residuals.size
+    excesses, correlated = [], 0.0
+    for blocks in _BLOCKS:
+        block, count, n = _block_variance(residuals, blocks)
+        # White noise alone exceeds its mean in the largest of three scales; only what is beyond counts.
+        excess = max(0.0, block - outside / finer / count * (1 + 2 * np.sqrt(2 / max(n, 1))))
+        excesses.append(excess)
+        correlated = max(correlated, excess * count)
+    return PixelNoise(white, tuple(excesses), basis, cofactor * (outside / finer + correlated))
+
+
+def _robust_variance(differences: FloatArray) -> float:
+    if differences.size < 10:
+        return 0.0
+    scale = robust_scale(differences)
+    near = differences[np.abs(differences) < 4 * scale]
+    # Grey values are whole numbers: a median of few distinct values is coarse, so the mean square of what is near it.
+    return float(np.mean(near**2)) if near.size else scale**2
+
+
+def _block_shape(shape: tuple[int, ...], blocks: int) -> tuple[int, int]:
+    side = max(shape) / blocks
+    return max(1, round(shape[0] / side)), max(1, round(shape[1] / side))
+
+
+class _Blocks(NamedTuple):
+    """Variance of the means of blocks, pixels in each, number of blocks."""
+
+    variance: float
+    pixels: float
+    blocks: int
+
+
+def _block_variance(residuals: FloatArray, blocks: int) -> _Blocks:
+    shape = _block_shape(residuals.shape, blocks)
+    share = area_resized((residuals != 0).astype(np.float32), shape)
+    means = area_resized(residuals, shape)[share > 0.7] / share[share > 0.7]
+    count = residuals.size / (shape[0] * shape[1])
+    return _Blocks(float(np.mean((means if means.size else residuals) ** 2)), count, means.size)
+
+
+def centroid_covariance_px2(centroid: Centroid, noise: PixelNoise) -> FloatArray:
+    """Propagate the errors of the pixels into the covariance of a centroid.
+
+    Shapes: result (2, 2).
+    """
+    return propagated(centroid.influence, noise)
+
+
+def propagated(influence: FloatArray, noise: PixelNoise) -> FloatArray:
+    """Propagate the errors of the pixels into the covariance of quantities of one unit.
+
+    influence (k, h, w): Derivative of each quantity by each pixel's value, on a grid that covers the same target.
+    Returns (k, k): Their covariance.
+    """
+    shape = influence.shape[1:]
+    finer = noise.white_dn2.size / (shape[0] * shape[1])
+    white = area_resized(noise.white_dn2, (shape[0], shape[1])) / finer
+    flat = influence.reshape(len(influence), -1)
+    covariance = (flat * white.ravel()) @ flat.T
+    covariance += max(_of_blocks(influence, noise), key=np.trace)
+    coarse = noise.basis.shape[:2]
+    weights = _sums(influence, (min(coarse[0], shape[0]), min(coarse[1], shape[1])))
+    basis = np.stack(
+        [
+            area_resized(function, (min(coarse[0], shape[0]), min(coarse[1], shape[1]))).ravel()
+            for function in np.moveaxis(noise.basis, 2, 0)
+        ],
+        axis=1,
+    )
+    pull = weights @ basis
+    return np.asarray(covariance + pull @ noise.coefficients @ pull.T)
+
+
+def _of_blocks(influence: FloatArray, noise: PixelNoise) -> list[FloatArray]:
+    found = []
+    for blocks, variance in zip(_BLOCKS, noise.block_dn2, strict=True):
+        sums = _sums(influence, _block_shape(influence.shape[1:], blocks))
+        found.append(variance * (sums @ sums.T))
+    return found
+
+
+def _sums(influence: FloatArray, shape: tuple[int, int]) -> FloatArray:
+    """Add up the influence in blocks, shape (k, blocks)."""
+    each = influence[0].size / (shape[0] * shape[1])
+    return np.stack([area_resized(part, shape).ravel() * each for part in influence])

@@ -1,0 +1,430 @@
+"""Measure the beam of one heliostat in a rectified picture of the target: place, size, shape, what to trust."""
+
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+
+from calibration.beam.light.background import TargetSurface, area_resized, taken_by_background
+from calibration.beam.light.beam_centroids import (
+    CENTROID_METHODS,
+    Centroid,
+    PixelNoise,
+    Spot,
+    centroid_covariance_px2,
+    gaussian_centroid,
+    intensity_centroid,
+    pixel_noise,
+    super_gaussian_centroid,
+    threshold_centroid,
+)
+from calibration.beam.light.beam_flags import REJECTED_BEAM, BeamFlag, beam_reason
+from calibration.beam.light.beam_lumps import count_lumps
+from calibration.beam.light.beam_moments import BeamMoments, beam_moments, encircled_diameters_m
+from calibration.beam.light.beam_region import BeamRegion, find_beam_region
+from calibration.beam.light.beam_size import BeamSize, LightPicture, Skirts, beam_size, no_size
+from calibration.beam.target.view import TargetImage
+from heliogauge.errors import EstimationError, InputError
+from heliogauge.validate import BoolArray, FloatArray, freeze
+
+__all__ = ["Beam", "BeamSettings", "SpotEstimate", "measure_beam", "no_beam"]
+
+_METHODS = {
+    "intensity": intensity_centroid,
+    "threshold": threshold_centroid,
+    "gaussian": gaussian_centroid,
+    "super_gaussian": super_gaussian_centroid,
+}
+#: Longer side of the picture in which the light is added up; finer pictures are averaged to it.
+_ANALYSIS_PX = 256
+#: Brightness below this share of the target's own is a mark, not the target.
+_MARK_SHARE = 0.75
+#: A pixel this near to the end of the scale counts as saturated.
+_SATURATION = 0.998
+#: How far the centre of the light is from the mirror's middle ray, as a share of the beam's RMS width: 0.7 % in 180
+#: drawn beams of 60 heliostats with canting errors and slanting sun (coma; `tests/recovery/test_beam_middle.py`),
+#: rounded up for vignetting, which moves the beams of `tests/recovery/test_beam_photos.py` by at most 3 mm.
+_MIDDLE_SHARE = 0.008
+#: Rounds in which a beam's skirts and the background are told apart, and the change that ends them, of the peak.
+_SKIRT_ROUNDS, _SKIRT_SETTLED = 6, 0.002
+_LIMITS = ("least_peak_to_scatter", "least_contrast", "most_edge_share", "most_saturated_share", "sunlit_share")
+
+
+@dataclass(frozen=True, slots=True)
+class BeamSettings:
+    """What decides whether there is a beam, and which centroid is taken.
+
+    method: One of `CENTROID_METHODS`: "intensity" (recommended), "threshold", "gaussian", "super_gaussian".
+    least_peak_to_scatter: Peak of a beam over the scatter of the target around it.
+    least_contrast: Peak of a beam over the target's own brightness.
+    most_edge_share: Brightness at the target's edge over the peak, above which the beam is called cut off.
+    most_saturated_share: Share of the beam's pixels at the end of the grey scale, above which it is called
+        saturated.
+    sunlit_share: Peak over the target's own brightness, below which the target is called sunlit.
+    InputError: An unknown method or a number that is not positive.
+    """
+
+    method: str = "intensity"
+    least_peak_to_scatter: float = 6.0
+    least_contrast: float = 0.02
+    most_edge_share: float = 0.2
+    most_saturated_share: float = 0.005
+    sunlit_share: float = 0.1
+
+    def __post_init__(self) -> None:
+        if self.method not in CENTROID_METHODS:
+            raise InputError(f"method: one of {', '.join(CENTROID_METHODS)} is needed, not {self.method!r}")
+        for name in _LIMITS:
+            if not getattr(self, name) > 0:
+                raise InputError(f"{name}: a positive number is needed, not {getattr(self, name)}")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SpotEstimate:
+    """Place of a beam by one method.
+
+    position_m (2,): x (right) and y (up) on the target [m].
+    covariance_m2 (2, 2): Its covariance: noise, background, homography [m^2].
+    exponent: Exponent of a super-Gaussian; NaN for other methods.
+    """
+
+    position_m: FloatArray
+    covariance_m2: FloatArray
+    exponent: float = float("nan")
+
+    @property
+    def sigma_m(self) -> FloatArray:
+        """Standard deviations of x and y, shape (2,) [m]."""
+        return np.sqrt(np.diag(self.covariance_m2))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Beam:
+    """A beam on the target.
+
+    spot: Place by the method that the settings choose; NaN where there is none.
+    estimates: Place by every method that gave one.
+    moments: Size and shape of the light inside the outline.
+    d50_m, d90_m: Diameters of the circles about the centroid that hold 50 and 90 % of the light [m].
+    area_m2: Area brighter than half the peak [m^2].
+    peak_dn, background_dn: Largest brightness above the target's own; the target's own under the beam [DN].
+    saturated_share: Share of the beam's pixels at the end of the grey scale.
+    edge_share: Brightness at the target's edge over the peak.
+    flags: Why it is doubtful or useless.
+    size: Sizes from all of its light, with sigma.
+    light: Its light without background; None where there is no beam.
+    """
+
+    spot: SpotEstimate
+    estimates: dict[str, SpotEstimate]
+    moments: BeamMoments
+    d50_m: float
+    d90_m: float
+    area_m2: float
+    peak_dn: float
+    background_dn: float
+    saturated_share: float
+    edge_share: float
+    flags: BeamFlag
+    size: BeamSize
+    light: LightPicture | None = None
+
+    @property
+    def rejected(self) -> bool:
+        """Whether the place must not be used."""
+        return bool(self.flags & REJECTED_BEAM)
+
+    @property
+    def reason(self) -> str:
+        """The flags in words; empty where there are none."""
+        return beam_reason(self.flags)
+
+
+def no_beam(flags: BeamFlag) -> Beam:
+    """Return the beam of a picture that shows none."""
+    nan, nowhere, square = float("nan"), np.full(2, np.nan), np.full((2, 2), np.nan)
+    empty = BeamMoments(nan, nowhere, square)
+    return Beam(SpotEstimate(nowhere, square), {}, empty, nan, nan, nan, nan, nan, nan, nan, flags, no_size())
+
+
+def measure_beam(
+    image: TargetImage, *, empty: TargetSurface | None = None, settings: BeamSettings | None = None
+) -> Beam:
+    """Measure the beam on a target.
+
+    image: The rectified picture.
+    empty: The same target without a beam, rectified alike.
+    settings: Method and limits.
+    Returns: Place by all methods, size, shape, flags. A picture without a beam gives NaN and its flag.
+    InputError: The frame without a beam is of another size.
+
+    Beam and background are found in turn (`find_beam_region`). The intensity centroid is recommended: it makes no
+    assumption about the shape, its outline at 10 % of the peak keeps errors of the background from the far target
+    out, and on real beams the threshold at 50 % and the fits follow single bright streaks. Its sigma contains the
+    pixels' noise, what the background has beyond it, the homography, the scatter of the methods' places beyond all
+    that, and 0.8 % of the beam's RMS width: no centroid is the mirror's middle ray.
+    """
+    chosen = settings or BeamSettings()
+    if empty is not None and empty.values_dn.shape != image.values_dn.shape:
+        raise InputError(
+            f"frame without a beam: {empty.values_dn.shape} pixels, the picture has {image.values_dn.shape}"
+        )
+    valid = np.isfinite(image.values_dn)
+    if valid.mean() < 0.75:
+        return no_beam(BeamFlag.NOT_FINITE)
+    picture = _prepared(image, valid, empty)
+    try:
+        beam, scatter = _attempt(image, picture, chosen, edges_first=False)
+        if beam.rejected:
+            again, other = _attempt(image, picture, chosen, edges_first=True)
+            beam = again if not again.rejected or other < scatter else beam
+    except EstimationError:
+        return no_beam(BeamFlag.NOT_FINITE)
+    return beam
+
+
+def _attempt(
+    image: TargetImage, picture: "_Picture", settings: BeamSettings, *, edges_first: bool
+) -> tuple[Beam, float]:
+    """Measure once; return the beam and the scatter of the background that goes with it."""
+    region = find_beam_region(
+        picture.values_dn,
+        picture.valid,
+        empty=picture.empty,
+        full_scale_dn=image.full_scale_dn,
+        edges_first=edges_first,
+    )
+    scatter = region.background.scatter_dn
+    if not region.inside.any() or region.peak_dn < _least_peak_dn(region, settings):
+        return no_beam(BeamFlag.NO_BEAM), scatter
+    beam = _measured(image, picture, region, settings)
+    # What is faint and no whole single lump is a panel, a shadow or a cloud's light rather than a beam.
+    return (no_beam(BeamFlag.NO_BEAM) if beam.rejected and beam.flags & BeamFlag.SUNLIT_TARGET else beam), scatter
+
+
+def _least_peak_dn(region: BeamRegion, settings: BeamSettings) -> float:
+    own = max(0.0, float(np.median(region.background.values_dn)))
+    return max(settings.least_peak_to_scatter * region.scatter_dn, settings.least_contrast * own)
+
+
+# --- the picture in which light is added up -------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Picture:
+    """Picture averaged to the analysis grid: values (finite), what is valid, saturated share, frame without a beam."""
+
+    values_dn: FloatArray
+    valid: BoolArray
+    saturated: FloatArray
+    empty: FloatArray | None
+    stretch: FloatArray
+
+
+def _prepared(image: TargetImage, valid: BoolArray, empty: TargetSurface | None) -> _Picture:
+    height, width = image.values_dn.shape
+    scale = max(1, -(-max(height, width) // _ANALYSIS_PX))
+    shape = (round(height / scale), round(width / scale))
+    values = np.where(valid, image.values_dn, float(np.median(image.values_dn[valid])))
+    saturated = (values >= _SATURATION * image.full_scale_dn).astype(np.float32)
+    pattern = None
+    if empty is not None:
+        known = np.isfinite(empty.values_dn)
+        valid = valid & known
+        pattern = area_resized(np.where(known, empty.values_dn, float(np.median(empty.values_dn[known]))), shape)
+    return _Picture(
+        area_resized(values, shape),
+        area_resized(valid.astype(np.float32), shape) > 0.999,
+        area_resized(saturated, shape),
+        pattern,
+        np.array([width / shape[1], height / shape[0]]),
+    )
+
+
+class _OnGrid(NamedTuple):
+    """The beam on the analysis grid, the background there, and the pixels free of a beam."""
+
+    spot: Spot
+    ground_dn: FloatArray
+    free: BoolArray
+
+
+def _spot(picture: _Picture, region: BeamRegion) -> _OnGrid:
+    shape = (picture.values_dn.shape[0], picture.values_dn.shape[1])
+    ground = area_resized(region.background.values_dn, shape)
+    if picture.empty is not None:
+        # The pattern is known finer than the coarse grid resolves it.
+        coarse = (region.values_dn.shape[0], region.values_dn.shape[1])
+        detail = picture.empty / area_resized(area_resized(picture.empty, coarse), shape)
+        ground = ground * detail
+    difference = picture.values_dn - ground
+    marks = picture.valid & (picture.values_dn < _MARK_SHARE * ground) & (difference < -3 * region.scatter_dn)
+    smoothed = area_resized(region.smoothed_dn, shape)
+    if marks.any():
+        difference = _bridged(difference, marks | ~picture.valid, marks)
+    labelled = area_resized(region.inside.astype(np.float32), shape) > 0.5
+    others = area_resized(region.others.astype(np.float32), shape) > 0.5
+    free = area_resized(region.free.astype(np.float32), shape) > 0.999
+    spot = Spot(
+        difference,
+        smoothed,
+        labelled & picture.valid,
+        picture.valid & ~others,
+        region.peak_dn,
+        region.outline_dn,
+        region.smoothing * max(shape),
+    )
+    return _OnGrid(spot, ground, free & picture.valid & ~marks)
+
+
+def _bridged(difference: FloatArray, unknown: BoolArray, marks: BoolArray) -> FloatArray:
+    """Replace marks by what surrounds them: they are darker than the beam that falls on them."""
+    grown = cv2.dilate(marks.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
+    known = (~(unknown | grown)).astype(np.float64)
+    sigma = 0.015 * max(difference.shape)
+    share = cv2.GaussianBlur(known, (0, 0), sigma)
+    around = cv2.GaussianBlur(np.where(known > 0, difference, 0.0), (0, 0), sigma) / np.maximum(share, 1e-3)
+    return np.where(grown, around, difference)
+
+
+# --- the result -----------------------------------------------------------------------------------------------------
+
+
+def _measured(image: TargetImage, picture: _Picture, region: BeamRegion, settings: BeamSettings) -> Beam:
+    spot, ground, free = _spot(picture, region)
+    background = region.background
+    noise = pixel_noise(
+        picture.values_dn, spot.inside, free, (background.basis, background.cofactor, background.residuals_dn)
+    )
+    estimates, centroids = {}, {}
+    for name, method in _METHODS.items():
+        try:
+            centroids[name] = method(spot)
+            estimates[name] = _estimate(image, picture, centroids[name], noise)
+        except (EstimationError, np.linalg.LinAlgError):
+            continue
+    if settings.method not in estimates or "intensity" not in estimates:
+        return no_beam(BeamFlag.NO_BEAM)
+    axes = _axes(image, picture, spot, centroids["intensity"].position_px)
+    moments, widths = _moments(spot, axes)
+    chosen = _with_shape(settings.method, estimates, moments)
+    saturated = float(picture.saturated[spot.inside].mean())
+    edge = _edge_share(region)
+    flags = _flags(region, settings, saturated, edge)
+    under = float(np.average(ground[spot.inside], weights=np.maximum(spot.smoothed_dn[spot.inside], 1e-12)))
+    if region.peak_dn < settings.sunlit_share * under:
+        flags |= BeamFlag.SUNLIT_TARGET
+    if _disagree(estimates, moments):
+        flags |= BeamFlag.METHODS_DISAGREE
+    light = LightPicture(freeze(spot.values_dn), spot.inside, spot.usable & ~free, axes[0], axes[1])
+    skirts = _skirts(centroids.get("super_gaussian"), region, spot)
+    try:
+        size = beam_size(light, spot.smoothed_dn, skirts, noise)
+    except EstimationError:
+        size = no_size()
+    return Beam(
+        chosen,
+        estimates,
+        moments,
+        widths[0],
+        widths[1],
+        widths[2],
+        region.peak_dn,
+        under,
+        saturated,
+        edge,
+        flags,
+        size,
+        light,
+    )
+
+
+def _skirts(bell: Centroid | None, region: BeamRegion, spot: Spot) -> Skirts | None:
+    """Continue the beam by its bell; the background is estimated without it, and the bell again above that."""
+    shape = (spot.values_dn.shape[0], spot.values_dn.shape[1])
+    coarse = (region.free.shape[0], region.free.shape[1])
+    found: Skirts | None = None
+    for _ in range(_SKIRT_ROUNDS):
+        if bell is None or bell.bell_dn is None:
+            break
+        fine = area_resized(bell.bell_dn, shape)
+        taken = taken_by_background(area_resized(bell.bell_dn, coarse), region.free, region.background)
+        before, found = found, Skirts(fine, area_resized(taken, shape))
+        moved = found.taken_dn if before is None else found.taken_dn - before.taken_dn
+        if np.abs(moved).max() < _SKIRT_SETTLED * spot.peak_dn:
+            break
+        try:
+            bell = super_gaussian_centroid(replace(spot, values_dn=spot.values_dn + found.taken_dn))
+        except EstimationError:
+            break
+    return found
+
+
+def _estimate(image: TargetImage, picture: _Picture, centroid: Centroid, noise: PixelNoise) -> SpotEstimate:
+    pixel = (centroid.position_px + 0.5) * picture.stretch - 0.5
+    jacobian = image.jacobian(pixel) * picture.stretch
+    covariance = jacobian @ centroid_covariance_px2(centroid, noise) @ jacobian.T
+    place = image.points_m(pixel)
+    return SpotEstimate(freeze(place), freeze(covariance + image.covariance_m2(place)), centroid.exponent)
+
+
+def _with_shape(method: str, estimates: dict[str, SpotEstimate], moments: BeamMoments) -> SpotEstimate:
+    """Add to the covariance what a lopsided beam's centre depends on the method, and what any centroid leaves open.
+
+    One difference of two places is often near zero by chance; both directions of all methods know the scatter better.
+    """
+    chosen = estimates[method]
+    places = np.array([one.position_m for one in estimates.values()])
+    noise = float(np.mean([np.trace(one.covariance_m2) / 2 for one in estimates.values()]))
+    scatter = float(places.var(axis=0, ddof=1).mean()) if len(places) > 1 else 0.0
+    covariance = chosen.covariance_m2 + max(0.0, scatter - noise) * np.eye(2)
+    return replace(chosen, covariance_m2=freeze(covariance + _MIDDLE_SHARE**2 * moments.covariance_m2))
+
+
+def _axes(image: TargetImage, picture: _Picture, spot: Spot, centroid: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Places of columns and rows on the target [m]."""
+    rows, columns = spot.values_dn.shape
+    pixel = (centroid + 0.5) * picture.stretch - 0.5
+    jacobian, place = image.jacobian(pixel) * picture.stretch, image.points_m(pixel)
+    # Perspective within a rectified picture is millimetres: straight axes through the centroid do.
+    x_m = place[0] + jacobian[0, 0] * (np.arange(columns) - centroid[0])
+    y_m = place[1] + jacobian[1, 1] * (np.arange(rows) - centroid[1])
+    return freeze(x_m), freeze(y_m)
+
+
+def _moments(spot: Spot, axes: tuple[FloatArray, FloatArray]) -> tuple[BeamMoments, tuple[float, float, float]]:
+    """Moments, and diameters that hold 50 and 90 % with the area above half the peak."""
+    light = np.where(spot.inside, spot.values_dn, 0.0)
+    x_m, y_m = axes
+    moments = beam_moments(light, x_m, y_m)
+    d50, d90 = encircled_diameters_m(light, x_m, y_m, moments.centroid_m, (0.5, 0.9))
+    bright = int(np.count_nonzero(spot.inside & (spot.smoothed_dn > 0.5 * spot.peak_dn)))
+    pixel_m2 = abs(float((x_m[1] - x_m[0]) * (y_m[1] - y_m[0])))
+    return moments, (float(d50), float(d90), bright * pixel_m2)
+
+
+def _edge_share(region: BeamRegion) -> float:
+    edge = np.zeros(region.inside.shape, dtype=bool)
+    edge[[0, -1], :] = edge[:, [0, -1]] = True
+    touching = edge & region.inside
+    return float(region.smoothed_dn[touching].max() / region.peak_dn) if touching.any() else 0.0
+
+
+def _flags(region: BeamRegion, settings: BeamSettings, saturated: float, edge: float) -> BeamFlag:
+    flags = BeamFlag(0)
+    if edge > settings.most_edge_share:
+        flags |= BeamFlag.CUT_BY_EDGE
+    if count_lumps(region.smoothed_dn, region.inside, region.others) > 1:
+        flags |= BeamFlag.TWO_BEAMS
+    if saturated > settings.most_saturated_share:
+        flags |= BeamFlag.SATURATED
+    if region.little_background:
+        flags |= BeamFlag.LITTLE_BACKGROUND
+    return flags
+
+
+def _disagree(estimates: dict[str, SpotEstimate], moments: BeamMoments) -> bool:
+    """Whether methods differ by more than half the beam's minor width: it is then no single lump."""
+    places = np.array([estimate.position_m for estimate in estimates.values()])
+    return bool(np.ptp(places, axis=0).max() > 0.5 * moments.widths_m[1])

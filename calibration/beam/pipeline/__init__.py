@@ -1,0 +1,12 @@
+"""Photos of beams, one after the other, to places and sizes on their targets."""
+
+from typing import TYPE_CHECKING
+
+from heliogauge.faces import lazy_face
+
+if TYPE_CHECKING:
+    from calibration.beam.pipeline.beams import BeamMeasurements as BeamMeasurements
+    from calibration.beam.pipeline.beams import measure_beams as measure_beams
+    from calibration.beam.pipeline.beams import write_beams as write_beams
+
+__getattr__, __dir__, __all__ = lazy_face(__name__)

@@ -1,0 +1,73 @@
+"""What a user must hear about measured beams."""
+
+from collections import Counter
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from calibration.beam.light.beam_flags import BEAM_FLAG_TEXTS, BeamFlag
+from heliogauge.doubts import Doubt, Severity, gather_doubts
+
+if TYPE_CHECKING:
+    from calibration.beam.files.result import Result
+
+__all__ = ["doubts_of_beams"]
+
+#: Share of the light in the skirts beyond which the size depends on how they are continued.
+_MUCH_SKIRT = 0.1
+
+
+def doubts_of_beams(result: "Result") -> tuple[Doubt, ...]:
+    """Judge the beams of a measurement."""
+    beams = result.beams
+    doubts = []
+    refused = beams.rejected
+    if refused.any():
+        reasons = Counter(reason.split(";")[0] for reason, bad in zip(beams.reasons, refused, strict=True) if bad)
+        said = ", ".join(f"{count} x {reason}" for reason, count in reasons.most_common(3))
+        doubts.append(
+            Doubt(
+                "beams_refused",
+                f"{int(refused.sum())} of {refused.size} photos gave no beam that can be used ({said}); beams.csv "
+                f"has the "
+                "reason of each",
+                {"refused_count": int(refused.sum()), "beams_count": refused.size},
+                Severity.SERIOUS if refused.all() else Severity.DOUBT,
+            )
+        )
+    if result.photos.left_out:
+        name, reason = next(iter(result.photos.left_out.items()))
+        doubts.append(
+            Doubt(
+                "photos_left_out",
+                f"{len(result.photos.left_out)} rows or records were left out ({name}: {reason}); left_out.csv has all",
+                {"left_out_count": len(result.photos.left_out)},
+            )
+        )
+    saturated = (beams.flags & np.uint32(BeamFlag.SATURATED)) != 0
+    if saturated.any():
+        doubts.append(
+            Doubt(
+                "beams_saturated",
+                f"in {int(saturated.sum())} of {saturated.size} photos {BEAM_FLAG_TEXTS[BeamFlag.SATURATED]}: peak, "
+                f"flux and "
+                "sizes are wrong there, the centre a little; shorten the exposure",
+                {"saturated_count": int(saturated.sum()), "beams_count": saturated.size},
+            )
+        )
+    skirts = np.array([one.skirt_share for one in beams.sizes])
+    wide = ~refused & (skirts > _MUCH_SKIRT)
+    if wide.any():
+        doubts.append(
+            Doubt(
+                "beams_with_wide_skirts",
+                f"{int(wide.sum())} beams have more than {_MUCH_SKIRT:.0%} of their light where it does not stand "
+                f"out of the "
+                "background: their sizes rest on how the skirts are continued (in the sigma); expose longer, or "
+                "give frames "
+                "without a beam",
+                {"beams_count": int(wide.sum())},
+                Severity.NOTE,
+            )
+        )
+    return gather_doubts(result.photos.doubts, doubts)

@@ -1,0 +1,1 @@
+"""Sections of the report of measured beams: from the files of their results."""

@@ -1,1 +1,0 @@
-"""Photos of beams, one after the other, to places on their targets."""
