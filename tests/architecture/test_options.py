@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+import tomllib
 from enum import Enum
 from importlib import import_module
 from typing import Any
@@ -9,7 +10,7 @@ from typing import Any
 import pytest
 import typer
 
-from heliogauge.instruments import Instrument, instrument_named, instruments, resolve
+from heliogauge.instruments import Instrument, instruments, resolve
 from heliogauge.running import cli, commands
 from tests.architecture.source_tree import PACKAGES, REPOSITORY
 
@@ -67,7 +68,10 @@ def _same(one: Any, other: Any) -> bool:
 
 def parameters_of(instrument: str) -> dict[str, Any]:
     """Return names and defaults of the parameters of an instrument's ``measure``."""
-    command = cli.group_of(instrument_named(instrument)).commands["measure"]
+    # As pyproject.toml has it: the installed list may be that of another tree.
+    project = tomllib.loads((REPOSITORY / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    home = project["entry-points"]["heliogauge.instruments"][instrument]
+    command = cli.group_of(resolve(home)).commands["measure"]
     return {parameter.name: parameter.default for parameter in command.params if parameter.name != "help"}
 
 
