@@ -15,6 +15,9 @@ PYTEST := $(ONE_THREAD) PYTHONDONTWRITEBYTECODE= $(BIN)/python -m pytest -n 2 --
 
 # What open3d needs of the system: installed where apt and rights allow, otherwise named, and its tests skip.
 LIBRARIES := libusb-1.0-0 libgl1 libgomp1
+# What PDF needs of it: likewise.
+PDF_LIBRARIES := libpango-1.0-0 libpangoft2-1.0-0 libharfbuzz-subset0
+PDF_LOADS = $(BIN)/python -c 'import weasyprint' >/dev/null 2>&1
 OPEN3D_LOADS = $(BIN)/python -c 'import open3d' >/dev/null 2>&1
 # The browser in which the views are tested: installed likewise.
 HAS_CHROMIUM = { command -v chromium || command -v chromium-browser || command -v google-chrome; } >/dev/null 2>&1
@@ -79,6 +82,8 @@ clean:
 	$(PIP_INSTALL) -e '.[all,dev]'
 	@$(OPEN3D_LOADS) || { $(APT_INSTALL) $(LIBRARIES) >/dev/null 2>&1; } || true
 	@$(OPEN3D_LOADS) || echo "open3d cannot be imported, so the tests of CAD meshes and PLY files skip; as root: apt-get install $(LIBRARIES)" >&2
+	@$(PDF_LOADS) || { $(APT_INSTALL) $(PDF_LIBRARIES) >/dev/null 2>&1; } || true
+	@$(PDF_LOADS) || echo "weasyprint cannot be imported, so the tests of PDF skip; as root: apt-get install $(PDF_LIBRARIES)" >&2
 	@$(HAS_CHROMIUM) || { $(APT_INSTALL) chromium >/dev/null 2>&1; } || true
 	@$(HAS_CHROMIUM) || echo "there is no Chromium, so the tests of the views in a browser skip; as root: apt-get install chromium" >&2
 	@touch $@ .make/core

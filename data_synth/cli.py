@@ -45,7 +45,9 @@ TroughPreset = Literal[
     "absorber",
     "panel",
 ]
-HeliostatPreset = Literal["small", "field", "juelich", "faulty", "stellenbosch", "drone", "images", "images-lens"]
+HeliostatPreset = Literal[
+    "small", "field", "juelich", "faulty", "stellenbosch", "drone", "images", "images-lens", "tests"
+]
 
 Replace = Annotated[bool, typer.Option("--force", help="Replace an earlier synthetic measurement.")]
 Scale = Annotated[float, typer.Option(min=0.05, max=4.0, help="Pixels per pixel of the preset's camera.")]
@@ -346,7 +348,7 @@ def heliostat(
             help="Plant: small (4 heliostats of 60 beams), field (100 of 100), juelich (20 with linear actuators, "
             "three targets), faulty (24, half of them with one fault each), stellenbosch (one with a worm gear, four "
             "days), drone (sightings from 32 to 70 m), images (photos of 32 beams), images-lens (a distorting "
-            "lens)."
+            "lens), tests (all tests of one for its data sheet)."
         ),
     ] = "small",
     seed: Annotated[
@@ -382,6 +384,13 @@ def heliostat(
     from data_synth.heliostats.presets import HeliostatChoice, heliostat_scene
     from heliogauge.running.terminal import terminal_progress
 
+    if preset == "tests":
+        from data_synth.acceptance.dataset import write_tests_folder
+
+        write_tests_folder(folder, seed=seed, force=force)
+        if not quiet:
+            typer.echo(f"heliostat AB12 under test; truth in {folder / 'truth.json'}")
+        return
     scene = heliostat_scene(preset, HeliostatChoice(seed, heliostats, observations))
     spot_m = None if spot_sigma_mm is None else (1e-3 * spot_sigma_mm, 1e-3 * spot_sigma_mm)
     wind_rad = None if wind_mrad is None else 1e-3 * wind_mrad

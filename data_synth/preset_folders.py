@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+from data_synth.acceptance import write_tests_folder
 from data_synth.fringes import DatasetOptions, preset_scene, write_dataset
 from data_synth.heliostats import HeliostatChoice, HeliostatOptions, heliostat_scene, write_heliostat_dataset
 from data_synth.lasers import write_laser_scan
@@ -56,5 +57,8 @@ def heliostat(
     folder: Path, *, preset: str = "small", seed: int = 0, force: bool = False, progress: Progress | None = None
 ) -> None:
     """Let heliostats throw the sun on a tower's targets."""
+    if preset == "tests":
+        write_tests_folder(folder, seed=seed, force=force)
+        return
     scene = heliostat_scene(preset, HeliostatChoice(seed))
     write_heliostat_dataset(folder, scene, HeliostatOptions(seed, force), progress)

@@ -41,8 +41,8 @@ METHOD = {
         "studies",
     ),
     "calibration.beam": ("images", "target", "light"),
-    "calibration.heliostat": ("kinematic_model", "observations", "fitting", "diagnosis", "exports"),
-    "data_synth": ("optics", "fringes", "dots", "targets", "troughs", "heliostats", "lasers"),
+    "calibration.heliostat": ("kinematic_model", "observations", "fitting", "diagnosis", "exports", "performance"),
+    "data_synth": ("optics", "fringes", "dots", "targets", "troughs", "heliostats", "acceptance", "lasers"),
     "heliogauge": (
         "geometry",
         "camera",

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
+from calibration.heliostat.performance.cli import add_performance
 from heliogauge.running.commands import (
     AsJson,
     Force,
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
 
 app = make_app("Where beams were seen and the drive readings -> tracking models of heliostats.")
 exports = add_formats(app, "export")
+add_performance(app)
 
 TableDay = Annotated[
     str | None, typer.Option(metavar="YYYY-MM-DD", help="The day; default: today.", show_default=False)

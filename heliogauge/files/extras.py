@@ -11,6 +11,8 @@ _EXTRAS = {
     "pandas": _TABLES,
     "xarray": _TABLES,
     "h5netcdf": _TABLES,
+    "weasyprint": ("data sheets as PDF need it", "pdf"),
+    "duckdb": ("stores of many results need it", "survey"),
     "matplotlib": ("figures that are changed or saved need it; reports and views do not", "plots"),
 }
 
@@ -18,11 +20,11 @@ _EXTRAS = {
 def of_extra(library: str) -> Any:
     """Import a library of an extra.
 
-    library: "pandas", "xarray", "h5netcdf" or "matplotlib".
+    library: One of `_EXTRAS`.
     InputError: It is not installed.
     """
     try:
         return import_module(library)
     except ImportError as error:
-        reason, extra = _EXTRAS[library]
+        reason, extra = _EXTRAS[library.partition(".")[0]]
         raise InputError(f"{library} is not installed; {reason}: pip install 'heliogauge[{extra}]'") from error

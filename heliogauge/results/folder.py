@@ -90,6 +90,8 @@ UNITS: dict[str, str] = {
     "_px": "px",
     "_dn": "DN",
     "_s": "s",
+    "_wh": "Wh",
+    "_w": "W",
     "_mib": "MiB",
     "_share": "",
     "_ratio": "",

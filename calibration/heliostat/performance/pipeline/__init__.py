@@ -1,0 +1,1 @@
+"""From tables of what was done to entries of a data sheet."""

@@ -1,0 +1,145 @@
+"""From results of tests to data sheets: entries of each heliostat, what limits make of them, what was not measured."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from calibration.heliostat.performance.entries import Conformity, Decision, Entry, Limit, decide
+from calibration.heliostat.performance.files.limits import Limits, read_limits
+from calibration.heliostat.performance.files.result import ENTRIES_FILE, KIND, read_entries
+from calibration.heliostat.performance.files.sheets import Sheet, SheetLine, Sheets
+from heliogauge.doubts import Doubt, Severity, gather_doubts
+from heliogauge.errors import InputError
+from heliogauge.instruments import near_match
+from heliogauge.results.folder import SUMMARY_FILE, Summary, hash_files, read_summary, read_table_csv
+from heliogauge.running.progress import Progress, SilentProgress
+
+#: What every sheet has, measured or not (Stage-STE 12.6, 1.4 and 1.4.1).
+STANDARD: tuple[tuple[str, str, str], ...] = (
+    ("day", "beam_rms_rad", "Tracking accuracy, RMS of the beam's error"),
+    ("day", "normal_rms_rad", "Tracking accuracy, RMS of the normal's error"),
+    ("day", "beam_spread_rad", "Tracking precision, beam about its mean"),
+    ("day", "beam_noon_right_rad", "Beam at solar noon, to the right"),
+    ("day", "beam_noon_up_rad", "Beam at solar noon, up"),
+    ("drift", "right_beam_rad", "Drift of the beam to the right, range of the cubic"),
+    ("drift", "up_beam_rad", "Drift of the beam upwards, range of the cubic"),
+    ("repeat", "right_beam_rad", "Repeatability of the beam to the right, standard deviation"),
+    ("repeat", "up_beam_rad", "Repeatability of the beam upwards, standard deviation"),
+    ("backlash", "azimuth_axis_rad", "Backlash of the azimuth axis, end to end"),
+    ("backlash", "elevation_axis_rad", "Backlash of the elevation axis, end to end"),
+    ("wind", "w1_1_beam_rms_rad", "Beam accuracy in wind class W1.1 (full operation), RMS"),
+    ("wind", "w1_2_beam_rms_rad", "Beam accuracy in wind class W1.2 (reduced accuracy), RMS"),
+    ("quality", "sd_rad", "Normal's slope deviation SD from the design, RMS"),
+    ("quality", "sd_best_focus_rad", "Normal's slope deviation SD from the best-fit focal length, tilt removed, RMS"),
+    ("quality", "canting_rms_rad", "Canting error of the facets' normals, RMS"),
+    ("quality", "beam_d90_m", "Diameter of the beam that holds 90 % of its light, median"),
+    ("sun_camera", "normal_rms_rad", "Shift of the normal since the start while following the sun, RMS"),
+    ("reflectance", "solar_weighted_share", "Solar-weighted reflectance"),
+    ("control", "commands_answered_share", "Commands answered in time (test 1)"),
+    ("control", "faults_answered_share", "Faults answered in time (test 2)"),
+    ("power", "mean_w", "Mean power"),
+    ("year", "intercept_share", "Intercept over the year"),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class SheetOptions:
+    """Choices of the data sheets.
+
+    limits: File with what entries must keep; None: nothing is asked.
+    pdf: Also make PDF.
+    """
+
+    limits: Path | None = None
+    pdf: bool = True
+
+
+def run(folders: Sequence[Path], options: SheetOptions | None = None, progress: Progress | None = None) -> Sheets:
+    """Make a data sheet of each heliostat that results are of.
+
+    InputError: A folder without entries, or limits that cannot be read.
+    """
+    options, progress = options or SheetOptions(), progress or SilentProgress()
+    limits = Limits() if options.limits is None else read_limits(options.limits)
+    by_heliostat: dict[str, list[Path]] = {}
+    summaries: dict[Path, Summary] = {}
+    for folder in folders:
+        summary = summaries[folder] = read_summary(folder / SUMMARY_FILE)
+        if summary.kind != KIND:
+            raise InputError(
+                f"{folder}: results of the kind {summary.kind!r}; those of `heliogauge heliostat test` are "
+                "needed. Slope "
+                "maps and beams come in by [quality] results of its measurement.toml, which says whose they are"
+            )
+        name, _ = read_entries(folder / ENTRIES_FILE)
+        if name != summary.name:
+            raise InputError(
+                f"{folder}: entries.csv is of {name!r}, summary.json of {summary.name!r}: results of another heliostat"
+            )
+        by_heliostat.setdefault(name, []).append(folder)
+    with progress.stage("sheets"):
+        sheets = tuple(_sheet(name, own, summaries, limits) for name, own in by_heliostat.items())
+    hashes = hash_files([folder / ENTRIES_FILE for folder in folders])
+    names = list(by_heliostat)
+    return Sheets(
+        sheets=sheets,
+        pdf=options.pdf,
+        confidence=limits.confidence,
+        name=names[0] if len(names) == 1 else f"{len(names)} heliostats",
+        doubts=gather_doubts(*(sheet.doubts for sheet in sheets)),
+        durations_s=dict(progress.durations_s),
+        input_sha256=hashes,
+    )
+
+
+def _sheet(name: str, folders: Sequence[Path], summaries: dict[Path, Summary], limits: Limits) -> Sheet:
+    entries: dict[str, Entry] = {}
+    doubts: list[Doubt] = []
+    about: dict[str, str] = {}
+    tables: dict[str, dict[str, list[str]]] = {}
+    for folder in folders:
+        doubts += [one.prefixed(name) for one in summaries[folder].doubts if one.severity is not Severity.NOTE]
+        about |= summaries[folder].texts
+        for file in ("day_rows", "year_costs"):
+            if (folder / f"{file}.csv").is_file():
+                tables[file] = read_table_csv(folder / f"{file}.csv")
+        for entry in read_entries(folder / ENTRIES_FILE)[1]:
+            earlier = entries.get(entry.name)
+            if earlier is None or earlier.value is None or (entry.value is not None and entry.date >= earlier.date):
+                entries[entry.name] = entry
+            if earlier is not None and earlier.value is not None and entry.value is not None:
+                kept, left = (entry, earlier) if entries[entry.name] is entry else (earlier, entry)
+                doubts.append(
+                    Doubt(
+                        "measured_twice",
+                        f"{name}: {entry.name} was measured twice; the sheet has that of "
+                        f"{kept.date or 'no date'}, not that of "
+                        f"{left.date or 'no date'}",
+                        severity=Severity.NOTE,
+                    )
+                )
+    for test, key, label in STANDARD:
+        entries.setdefault(f"{test}_{key}", Entry(test, key, label, None, note="not measured"))
+    known = list(entries)
+    for asked in limits.by_name:
+        if asked not in entries:
+            test, _, key = asked.partition("_")
+            entries[asked] = Entry(test, key, key.replace("_", " "), None, note="asked for, not measured")
+            doubts.append(
+                Doubt(
+                    "limit_without_entry",
+                    f"{name}: {limits.source} has a limit for {asked}, which no result has; {near_match(asked, known)}",
+                )
+            )
+    lines = tuple(_line(entry, limits.by_name.get(full), limits.confidence) for full, entry in entries.items())
+    failed = [one.entry.label for one in lines if one.decision.conformity is Conformity.FAIL]
+    if failed:
+        doubts.append(
+            Doubt("limits_not_kept", f"{name}: limits are not kept: {', '.join(failed)}", {"failed_count": len(failed)})
+        )
+    return Sheet(name, lines, about, gather_doubts(doubts), tables)
+
+
+def _line(entry: Entry, limit: Limit | None, confidence: float) -> SheetLine:
+    decision: Decision = decide(entry, limit, confidence)
+    return SheetLine(entry, limit, decision)

@@ -1,0 +1,177 @@
+"""A folder of what was done becomes results and a data sheet; bad input is said in a sentence."""
+
+import json
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from calibration.heliostat.performance.files.result import read_entries
+from calibration.heliostat.performance.keys import load_tests
+from calibration.heliostat.performance.pipeline.make_sheet import SheetOptions
+from calibration.heliostat.performance.pipeline.make_sheet import run as make_sheets
+from calibration.heliostat.performance.pipeline.run_tests import Options, run
+from data_synth.acceptance.dataset import write_tests_folder
+from heliogauge.errors import InputError
+from heliogauge.results.frame import into_folder
+from heliogauge.running.progress import SilentProgress
+
+
+@pytest.fixture(scope="module")
+def drawn(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("tests") / "AB12"
+    write_tests_folder(folder, seed=3)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def results(drawn, tmp_path_factory):
+    out = tmp_path_factory.mktemp("results") / "AB12"
+    into_folder(out, lambda: run(load_tests(drawn)), SilentProgress(), force=False, report=True)
+    return out
+
+
+def edited(drawn, tmp_path, name, change):
+    """Copy the folder with one table changed."""
+    folder = tmp_path / "copy"
+    folder.mkdir()
+    for file in drawn.iterdir():
+        text = file.read_text()
+        (folder / file.name).write_text(change(text) if file.name == name else text)
+    return folder
+
+
+def test_entries_are_the_truth_within_their_sigmas(drawn, results):
+    truth = json.loads((drawn / "truth.json").read_text())
+    _, entries = read_entries(results / "entries.csv")
+    known = {one.name: one for one in entries}
+    compared = [key for key in known if key in truth]
+    assert len(compared) >= 14
+    scores = {key: (known[key].value - truth[key]) / known[key].sigma for key in compared}
+    assert max(map(abs, scores.values())) < 3.5, scores
+    assert (results / "report.html").stat().st_size > 10_000
+
+
+def test_sheet_has_every_entry_and_what_was_not_measured(drawn, results, tmp_path):
+    sheets = make_sheets([results], SheetOptions(limits=drawn / "limits.toml", pdf=False))
+    sheets.write(tmp_path)
+    page = (tmp_path / "AB12.html").read_text()
+    assert "Example laboratory" in page
+    assert "Approved by: B. Person" in page
+    assert "not measured" in page
+    assert "http" not in page.replace("http://www.w3.org", "").replace("http-equiv", "")
+    lines = {line.entry.name: line for line in sheets.sheets[0].lines}
+    assert lines["day_beam_rms_rad"].decision.conformity == "pass"
+    assert lines["quality_sd_rad"].decision.conformity == "not measured"
+    assert lines["control_faults_answered_share"].decision.conformity == "conditional fail"
+
+
+def test_pdf_is_one_page(drawn, results, tmp_path):
+    pytest.importorskip("weasyprint", exc_type=ImportError)
+    from calibration.heliostat.performance.report.sheet_page import sheet_page
+    from heliogauge.reporting.print_pdf import write_pdf
+
+    sheets = make_sheets([results], SheetOptions(limits=drawn / "limits.toml"))
+    assert write_pdf(sheet_page(sheets.sheets[0], 0.95, printed=True), tmp_path / "sheet.pdf") == 1
+    assert (tmp_path / "sheet.pdf").read_bytes().startswith(b"%PDF")
+
+
+def test_one_test_alone(drawn):
+    found = run(load_tests(drawn), Options("backlash"))
+    assert {one.test for one in found.entries} == {"backlash"}
+    with pytest.raises(InputError, match=r"no section \[quality\]"):
+        run(load_tests(drawn), Options("quality"))
+
+
+def test_wrong_time_zone_is_named(drawn, tmp_path):
+    """Clocks 6 hours ahead put the last beams into the night."""
+    folder = edited(drawn, tmp_path, "day_1.csv", lambda text: text.replace("Z,", "-06:00,"))
+    with pytest.raises(InputError, match=r"below the horizon .* wrong time zone.*clocks that are \d h ahead"):
+        run(load_tests(folder), Options("day"))
+
+
+def test_time_without_zone_is_refused(drawn, tmp_path):
+    folder = edited(drawn, tmp_path, "wind.csv", lambda text: text.replace("Z,", ","))
+    with pytest.raises(InputError, match="says no zone"):
+        run(load_tests(folder), Options("wind"))
+
+
+def test_log_out_of_order_is_sorted_and_said(drawn, tmp_path):
+    def swapped(text):
+        lines = text.splitlines()
+        return "\n".join([lines[0], *lines[20:], *lines[1:20]]) + "\n"
+
+    folder = edited(drawn, tmp_path, "wind.csv", swapped)
+    found, plain = (run(load_tests(one), Options("wind")) for one in (folder, drawn))
+    assert "log_out_of_order" in {one.code for one in found.doubts}
+    assert [one.value for one in found.entries] == [one.value for one in plain.entries]
+
+
+def test_degrees_are_read_and_said(drawn, tmp_path):
+    def to_degrees(text):
+        head, *rows = text.splitlines()
+        cells = [row.split(",") for row in rows]
+        body = [f"{a},{np.degrees(1e-3 * float(b))},{np.degrees(1e-3 * float(c))}" for a, b, c in cells]
+        return "\n".join([head.replace("_mrad", "_deg"), *body]) + "\n"
+
+    folder = edited(drawn, tmp_path, "sun_camera.csv", to_degrees)
+    found, plain = (run(load_tests(one), Options("sun_camera")) for one in (folder, drawn))
+    assert "angles_in_degrees" in {one.code for one in found.doubts}
+    assert [one.value for one in found.entries] == pytest.approx([one.value for one in plain.entries])
+
+
+def test_column_without_a_unit_is_refused(drawn, tmp_path):
+    folder = edited(drawn, tmp_path, "sun_camera.csv", lambda text: text.replace("azimuth_mrad", "azimuth"))
+    with pytest.raises(InputError, match="has no unit"):
+        run(load_tests(folder), Options("sun_camera"))
+
+
+def test_pixels_as_metres_are_noticed(drawn, tmp_path):
+    def enlarged(text):
+        head, *rows = text.splitlines()
+        cells = [row.split(",") for row in rows]
+        return "\n".join([head, *(",".join([c[0], f"{400 + float(c[1])}", *c[2:]]) for c in cells)]) + "\n"
+
+    folder = edited(drawn, tmp_path, "wind.csv", enlarged)
+    with pytest.raises(InputError, match="a unit or an origin is wrong"):
+        run(load_tests(folder), Options("wind"))
+
+
+def test_rows_of_another_heliostat_are_refused(drawn, tmp_path):
+    def named(text):
+        head, *rows = text.splitlines()
+        return (
+            "\n".join([f"{head},heliostat", *(f"{row},{'AB12' if k else 'CD34'}" for k, row in enumerate(rows))]) + "\n"
+        )
+
+    folder = edited(drawn, tmp_path, "wind.csv", named)
+    with pytest.raises(InputError, match=r"CD34.*another heliostat"):
+        run(load_tests(folder), Options("wind"))
+
+
+def test_gap_of_spectra_is_named(drawn):
+    found = run(load_tests(drawn), Options("reflectance"))
+    texts = [one.text for one in found.doubts if one.code == "spectrum_gap"]
+    assert any("840 to 885 nm" in text for text in texts)
+
+
+def test_unknown_limit_is_listed_and_doubted(results, tmp_path):
+    (tmp_path / "limits.toml").write_text("[day_beam_rmz_mrad]\nmost = 2.0\n")
+    sheets = make_sheets([results], SheetOptions(limits=tmp_path / "limits.toml", pdf=False))
+    (doubt,) = [one for one in sheets.doubts if one.code == "limit_without_entry"]
+    assert "day_beam_rms_rad" in doubt.text
+    (tmp_path / "limits.toml").write_text("[day_beam_rms]\nmost = 2.0\n")
+    with pytest.raises(InputError, match="with its unit"):
+        make_sheets([results], SheetOptions(limits=tmp_path / "limits.toml", pdf=False))
+
+
+def test_two_commands(drawn, tmp_path):
+    """From the folder to the sheet by the command line."""
+    from calibration.heliostat.cli import app
+
+    runner = CliRunner()
+    first = runner.invoke(app, ["test", "backlash", str(drawn), "-o", str(tmp_path / "R"), "--no-report"])
+    assert first.exit_code == 0, first.output
+    second = runner.invoke(app, ["sheet", str(tmp_path / "R"), "-o", str(tmp_path / "S"), "--no-pdf"])
+    assert second.exit_code == 0, second.output
+    assert (tmp_path / "S" / "AB12.html").is_file()
