@@ -64,12 +64,13 @@ class ModuleSection(Section):
     """One of several collectors in the same photos: where it is, what targets it has, how it differs from the others.
 
     ``place_m`` is its origin in the frame of the common list of targets, ``turn_deg`` its turn there by the right
-    hand about +y; with a list of its own, which is in its own frame, they are for pictures only.
+    hand about +y; with a list of its own, which is in its own frame, they are for pictures only. Without marked
+    targets that frame is level: across, along (``azimuth_deg``) and up, and ``place_m`` is good to half a panel.
     """
 
     name: Text = Field(description="Name of the module; its results get a folder of this name.")
     place_m: tuple[Number, Number, Number] = Field(
-        (0.0, 0.0, 0.0), description="Its origin in the frame of the common targets [m]."
+        (0.0, 0.0, 0.0), description="Its origin in the frame that all modules have in common [m]."
     )
     loop: Text | None = Field(None, description="Loop that it belongs to; the overview has numbers for each loop.")
     turn_deg: Number = Field(0.0, description="Its turn in that frame, right-handed about +y [deg].")
@@ -118,8 +119,8 @@ class KnownTargetsSection(TargetsSection):
 class CornersSection(Section):
     """Corners of the mirror panels as natural targets, for photos without marked ones.
 
-    They need the panels' edges and gaps of ``[collector]``, and ``[positions]`` with the camera's turns, or the
-    ``[tilts]`` of a collector that turns before a fixed camera.
+    They need the panels' edges and gaps of ``[collector]``, and ``[positions]``, or the ``[tilts]`` of a collector that
+    turns before a fixed camera. The camera's turns beside its positions are not needed; they save time.
     """
 
     azimuth_deg: Number | None = Field(
@@ -296,8 +297,8 @@ class ObserverModel(MeasurementModel):
             raise ValueError("corners: azimuth_deg is needed with [positions]: the direction of +y, along the trough")
         if self.tilts is not None and self.images.video is not None:
             raise ValueError("tilts: give photos: readings belong to photos by their names or times")
-        if self.module:
-            raise ValueError("corners: several modules are distinguished by coded targets; give [targets]")
+        if self.module and (self.tilts is not None or any(one.targets_file for one in self.module)):
+            raise ValueError("corners: several modules are found by the drone's positions, without lists of targets")
         if self.scale_bar or self.distance:
             raise ValueError("corners: scale_bar and distance are lengths between marked targets; leave them out")
         return self

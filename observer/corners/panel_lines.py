@@ -329,6 +329,10 @@ class FittedPose:
         each = hits * np.log(_SHOWN / _CHANCE) + (1 - hits) * np.log((1 - _SHOWN) / (1 - _CHANCE))
         return float(self.pieces @ each) / _ALIKE_PIECES
 
+    def turned(self, frame_from_turned: RigidTransform) -> "FittedPose":
+        """Return the same picture of a collector that is turned into itself: the lines keep their odds, not names."""
+        return replace(self, cam_from_frame=self.cam_from_frame @ frame_from_turned)
+
 
 def fit_pose(
     image: Float32Array,

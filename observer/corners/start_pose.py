@@ -17,8 +17,9 @@ from heliogauge.validate import Float32Array, FloatArray
 from observer.corners.lattice import PanelLattice
 from observer.photo_edges.views import AnyImage, View
 
-#: Pixels of the longer side of the photo in which the collector is searched: gaps 200 px apart stay 30 px apart.
-_SIDE_PX = 320
+#: Pixels of the longer side of the photo in which the collector is searched: gaps 200 px apart stay 30 px apart; and
+#: where thousands of poses are tried before the best ones are looked at closer.
+_SIDE_PX, COARSE_SIDE_PX = 320, 160
 #: Share of these that are taken for edges: lines of 49 panels' edges of three pixels cover some 15 %.
 _EDGE_SHARE = 0.15
 #: Step of the distances that are tried: half a step moves lines at the border of the photo by 2 pixels.
@@ -31,6 +32,8 @@ _REFINED = 4
 _APART_M = 0.5
 #: Points of each line.
 _POINTS = 12
+#: First step of the distance of a pose that is made to fit, and steps of one size.
+_COARSEST_SHARE, _CLIMBS = 0.05, 6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,10 +68,13 @@ class Match:
         return self.cam_from_frame.inverse().translation_m
 
 
-def edge_map(image: AnyImage) -> EdgeMap:
-    """Return where a photo has edges."""
+def edge_map(image: AnyImage, side_px: int = _SIDE_PX) -> EdgeMap:
+    """Return where a photo has edges.
+
+    side_px: Pixels of the map's longer side.
+    """
     height, width = image.shape[:2]
-    reduction = max(1.0, max(height, width) / _SIDE_PX)
+    reduction = max(1.0, max(height, width) / side_px)
     smooth = cv2.GaussianBlur(np.asarray(image, dtype=np.float32), (0, 0), 1.0)
     strength = cv2.magnitude(cv2.Sobel(smooth, cv2.CV_32F, 1, 0), cv2.Sobel(smooth, cv2.CV_32F, 0, 1))
     size = round(width / reduction), round(height / reduction)
@@ -143,6 +149,22 @@ def match_at_place(
     return best
 
 
+def turned_about_axis(view: View, angle_rad: float) -> View:
+    """Return a camera in the same place that is turned about its line of sight.
+
+    angle_rad: By the right hand [rad].
+    """
+    rotation = rotation_from_vector(np.array([0.0, 0.0, angle_rad])) @ view.cam_from_frame.rotation
+    return View(view.camera, RigidTransform(rotation, -rotation @ view.eye_m))
+
+
+def aimed_at_origin(view: View) -> View:
+    """Return a camera in the same place that looks at the origin, turned as little as possible."""
+    ray = view.cam_from_frame.translation_m
+    rotation = rotation_between(ray / np.linalg.norm(ray), np.array([0.0, 0.0, 1.0])) @ view.cam_from_frame.rotation
+    return View(view.camera, RigidTransform(rotation, -rotation @ view.eye_m))
+
+
 def _moved_onto(edges: EdgeMap, camera: Camera, pose: RigidTransform, lattice: PanelLattice) -> Match | None:
     """Move a camera across its line of sight until the drawing fits; the score is that of the pose before."""
     template = _template(View(camera, pose), lattice, edges)
@@ -156,23 +178,27 @@ def _moved_onto(edges: EdgeMap, camera: Camera, pose: RigidTransform, lattice: P
 
 
 def match_anywhere(
-    edges: EdgeMap, view: View, lattice: PanelLattice, turns_rad: Sequence[float], most: int = 4
+    edges: EdgeMap,
+    camera: Camera,
+    rotations: Sequence[FloatArray],
+    lattice: PanelLattice,
+    *,
+    step: float = _DISTANCE_STEP,
+    most: int = 4,
 ) -> list[Match]:
-    """Find a collector of which only the camera's turn against it is known.
+    """Find a collector of which only the camera's turn against it is known, or guessed.
 
-    view: Its pose's rotation counts, not its place.
-    turns_rad: Turns about its line of sight that are tried [rad].
+    rotations: Turns of the frame into the camera's that are tried, shape (3, 3) each.
+    step: Of the distances that are tried, one over the other, less 1.
     most: Poses that are returned, the best first, apart from each other.
     """
-    camera = view.camera
     diagonal = float(np.hypot(camera.width_px, camera.height_px))
     size = max(lattice.collector.length_m, lattice.collector.aperture_width_m)
     near, far = (camera.focal_x_px * size / (share * diagonal) for share in (_MOST_SIZE, _LEAST_SIZE))
-    count = int(np.log(far / near) / _DISTANCE_STEP) + 1
+    count = int(np.log(far / near) / step) + 1
     tried: list[Match] = []
     for distance in np.geomspace(near, far, count):
-        for turn in turns_rad:
-            rotation = rotation_from_vector(np.array([0.0, 0.0, turn])) @ view.cam_from_frame.rotation
+        for rotation in rotations:
             moved = _moved_onto(edges, camera, RigidTransform(rotation, np.array([0.0, 0.0, distance])), lattice)
             tried += [] if moved is None else [moved]
     tried.sort(key=lambda one: -one.score)
@@ -193,3 +219,29 @@ def match_anywhere(
         if len(chosen) == most:
             break
     return chosen
+
+
+def turned_to_fit(edges: EdgeMap, camera: Camera, match: Match, lattice: PanelLattice, step_rad: float) -> Match:
+    """Turn a camera whose direction is a guess, and change its distance, until the drawing fits better by neither.
+
+    step_rad: First step; it is halved three times [rad].
+    """
+    best = match
+    for halving in range(4):
+        turn, share = step_rad / 2**halving, 0.5 * _COARSEST_SHARE / 2**halving
+        for _ in range(_CLIMBS):
+            before = best
+            for axis, way in ((0, 1), (0, -1), (1, 1), (1, -1), (2, 1), (2, -1), (3, 1), (3, -1)):
+                pose = before.cam_from_frame
+                middle = pose.translation_m * (1 + way * share if axis == 3 else 1.0)
+                # About the collector: its picture stays where it is, the camera goes round it.
+                vector = np.zeros(3)
+                vector[axis % 3] = 0.0 if axis == 3 else way * turn
+                moved = _moved_onto(
+                    edges, camera, RigidTransform(rotation_from_vector(vector) @ pose.rotation, middle), lattice
+                )
+                if moved is not None and moved.score > best.score:
+                    best = moved
+            if best is before:
+                break
+    return best

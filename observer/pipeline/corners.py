@@ -1,30 +1,39 @@
 """Photos without marked targets: corners of the mirror panels from drawing, drone's positions and gimbal's turns.
 
-The camera's place and turn predict where the collector is in a photo but for two things that the whole flight has in
+The camera's place and turn predict where a collector is in a photo but for two things that the whole flight has in
 common: where the drone's positions have the collector, and how compass and drawing are turned against each other. Both
 come from a few photos in which the collector is searched for everywhere, as far as these agree. Then each photo is
-looked at where it is predicted.
+looked at where it is predicted. Where nobody says how the camera was turned, its place alone predicts how the drawing
+looks, and it is searched for in the whole photo.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple, Protocol
+from typing import Protocol
 
 import numpy as np
 
 from heliogauge.errors import EstimationError, InputError
 from heliogauge.flags import SampleFlag
-from heliogauge.geometry.rigid import RigidTransform, nearest_rotation
+from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.images.photos import read_luma
 from heliogauge.images.thumbnails import make_thumbnail
 from heliogauge.running.progress import Progress
 from heliogauge.running.threads import side_by_side
-from heliogauge.validate import Float32Array, FloatArray
+from heliogauge.validate import FloatArray
 from observer.corners.corner_points import corner_points
 from observer.corners.lattice import PanelLattice
 from observer.corners.panel_lines import FittedPose, fit_pose, photo_noise
-from observer.corners.start_pose import edge_map, match_anywhere, match_at_place
+from observer.corners.start_pose import (
+    EdgeMap,
+    Match,
+    aimed_at_origin,
+    edge_map,
+    match_at_place,
+    turned_about_axis,
+)
+from observer.corners.tie import SearchedCollector, SearchedPhoto, Tied, tie
 from observer.photo_edges.views import View
 from observer.pipeline.photos import Finder, FirstLook
 from observer.product.pictures import empty_slices
@@ -33,12 +42,10 @@ from photogrammetry.detection import Detections
 from photogrammetry.pipeline import OnePhoto
 from photogrammetry.start_values import LeftOut
 
-#: Photos in which the collector is searched for everywhere.
-_START_PHOTOS = 3
+#: Photos in which the collectors are searched for everywhere: of one, and at most of several.
+_START_PHOTOS, _MOST_START_PHOTOS = 3, 7
 #: Turns about the line of sight that are tried, and how far a direction may be off, in sigmas of the turns.
 _TURNS, _REACH = (-2.0, -1.2, -0.4, 0.4, 1.2, 2.0), 3.0
-#: A collector is found when the odds against the next best place are this large.
-_CLEAR_ODDS = float(np.log(1e3))
 #: A photo is refused when its place contradicts the drone's by so many sigmas: by chance one in 10^6.
 _CONTRADICTED = 5.0
 #: Fewest corners of a photo that hold its pose.
@@ -66,48 +73,21 @@ class PlacesOfPhotos(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CornerSearch:
-    """What predicts the corners.
+    """What predicts the corners of a collector.
 
-    lattice: The drawing.
+    collector: Its drawing, turn and place.
     positions: Places and turns of the camera.
-    lever_m (3,): From the camera to what is positioned, in the camera's frame [m].
-    enu_from_frame (3, 3): The collector's turn by azimuth and orientation.
-    turn_sigma_rad: Error of the turns, 1 sigma [rad].
     is_tied: Whether the places are in the collector's frame already, as those of a far camera.
     """
 
-    lattice: PanelLattice
+    collector: SearchedCollector
     positions: PlacesOfPhotos
-    lever_m: FloatArray
-    enu_from_frame: FloatArray
-    turn_sigma_rad: float
     is_tied: bool = False
 
     @property
-    def same_m(self) -> float:
-        """Two places of the drone against the drawing are the same within half a panel: wrong ones are panels off [m].
-
-        Positions are good to centimetres; poses of single photos are moved by a decimetre by corners that are off by
-        millimetres.
-        """
-        return 0.5 * min(float(np.diff(edges).min()) for edges in self.lattice.edges_m)
-
-
-class _Tied(NamedTuple):
-    """The drone's positions in the collector's frame: its turn, and its origin east, north, up [m]."""
-
-    enu_from_frame: FloatArray
-    origin_m: FloatArray
-
-
-class _Photo(NamedTuple):
-    """A photo in hand: name, image, camera by the finder, and the place and turn that the drone says."""
-
-    name: str
-    image: Float32Array
-    place_m: FloatArray
-    sigma_m: FloatArray
-    enu_from_camera: FloatArray
+    def lattice(self) -> PanelLattice:
+        """The drawing."""
+        return self.collector.lattice
 
 
 def find_corners(
@@ -118,155 +98,126 @@ def find_corners(
     files: The photos.
     finder: With the cameras.
     Returns: Corners and provisional poses; photos that were refused have a reason and neither.
-    InputError: The camera is not known, positions or turns are missing, or a photo cannot be read.
+    InputError: The camera is not known, positions are missing, or a photo cannot be read.
     EstimationError: The collector is not found, or it may lie in several places.
     """
-    missing = [file.name for file in files if file.name not in finder.camera_of]
+    [look] = find_corners_of_each(files, [finder], [search], jobs=jobs, progress=progress)
+    if len(look.poses) < 2:
+        reasons = "; ".join(f"{one.refused[0].name}: {one.refused[0].reason}" for one in look.targets if one.refused)
+        raise EstimationError(
+            f"corners: {len(look.poses)} photos show enough of them, two are needed ({reasons[:400]})"
+        )
+    return look
+
+
+def find_corners_of_each(
+    files: Sequence[Path],
+    finders: Sequence[Finder],
+    searches: Sequence[CornerSearch],
+    *,
+    jobs: int | None,
+    progress: Progress,
+) -> list[FirstLook]:
+    """Find the corners of several collectors in the same photos, each of which is read once.
+
+    finders, searches: Of each collector, with the same cameras and positions.
+    Returns: Of each collector what the photos show of it.
+    InputError: The camera is not known, positions are missing, or a photo cannot be read.
+    EstimationError: The collectors are not found, or they may lie in several places.
+    """
+    camera_of, positions = finders[0].camera_of, searches[0].positions
+    missing = [file.name for file in files if file.name not in camera_of]
     if missing:
         raise InputError("corners: the camera must be known (a file, or focal_px): corners predict from it")
-    said = {name: k for k, name in enumerate(search.positions.photos)}
-    turned = [file for file in files if _row(search, said, file.name) is not None]
-    if len(turned) < 2 and not search.is_tied:
+    said = {name: k for k, name in enumerate(positions.photos)}
+    placed = [file for file in files if file.name in said]
+    if len(placed) < 2 and not searches[0].is_tied:
         raise InputError(
-            f"positions: {len(turned)} of {len(files)} photos have a place and the turn of the camera (yaw, pitch, "
-            "roll), two are needed to predict where the panels' corners are"
+            f"positions: {len(placed)} of {len(files)} photos have a place, two are needed to predict where the "
+            "panels' corners are"
         )
-    with progress.stage("find the collector"):
-        some = [turned[k] for k in np.unique(np.linspace(0, len(turned) - 1, _START_PHOTOS + 2).round().astype(int))]
-        some = some[1:-1] if len(some) > 3 else some
-        tied = _Tied(np.eye(3), np.zeros(3)) if search.is_tied else _tie(some, finder, search, said, jobs)
+
+    def opened(file: Path) -> SearchedPhoto:
+        row = said[file.name]
+        image = np.asarray(read_luma(file), dtype=np.float32)
+        return SearchedPhoto(
+            file.name,
+            image,
+            camera_of[file.name],
+            positions.enu_m[row],
+            positions.sigma_m[row],
+            positions.enu_from_camera(row),
+        )
+
+    collectors = [one.collector for one in searches]
+    tied = Tied(np.eye(3), np.zeros(3))
+    if not searches[0].is_tied:
+        with progress.stage("find the collector"):
+            some = [opened(file) for file in _start_photos(placed, len(searches))]
+            tied = tie(some, collectors, lambda one, count: side_by_side(one, range(count), jobs))
     with progress.stage("find corners", len(files)) as stage:
 
-        def one(number: int) -> tuple[OnePhoto, RigidTransform | None]:
-            found = _look(files[number], finder, search, said, tied)
+        def one(number: int) -> list[tuple[OnePhoto, RigidTransform | None]]:
+            file = files[number]
+            if file.name in said:
+                photo = opened(file)
+                found = [_look(photo, own, tied) for own in collectors]
+            else:
+                none = _refused(file.name, read_luma(file).shape, "nobody says where it was taken"), None
+                found = [none for _ in collectors]
             stage.advance()
             return found
 
         found = side_by_side(one, range(len(files)), jobs)
     names = tuple(file.name for file in files)
-    poses = {name: pose for name, (_, pose) in zip(names, found, strict=True) if pose is not None}
-    if len(poses) < 2:
-        reasons = "; ".join(f"{one.refused[0].name}: {one.refused[0].reason}" for one, _ in found if one.refused)
-        raise EstimationError(f"corners: {len(poses)} photos show enough of them, two are needed ({reasons[:400]})")
-    slices = empty_slices(finder.expected.collector, finder.expected.y_m, len(files))
-    return FirstLook(names, tuple(one for one, _ in found), poses, {}, {}, slices, finder.encodings)
+    looks = []
+    for k, finder in enumerate(finders):
+        own = [of_photo[k] for of_photo in found]
+        poses = {name: pose for name, (_, pose) in zip(names, own, strict=True) if pose is not None}
+        slices = empty_slices(finder.expected.collector, finder.expected.y_m, len(files))
+        looks.append(FirstLook(names, tuple(one for one, _ in own), poses, {}, {}, slices, finder.encodings))
+    return looks
 
 
-def _row(search: CornerSearch, said: dict[str, int], name: str) -> tuple[int, FloatArray] | None:
-    row = said.get(name)
-    turn = None if row is None else search.positions.enu_from_camera(row)
-    return None if row is None or turn is None else (row, turn)
+def _start_photos(files: Sequence[Path], n_collectors: int) -> list[Path]:
+    """Return photos in which the collectors are searched for: of one the inner part of a pass, where all of it is seen.
 
-
-def _open(file: Path, search: CornerSearch, said: dict[str, int]) -> _Photo | None:
-    known = _row(search, said, file.name)
-    if known is None:
-        return None
-    row, turn = known
-    image = np.asarray(read_luma(file), dtype=np.float32)
-    return _Photo(file.name, image, search.positions.enu_m[row], search.positions.sigma_m[row], turn)
-
-
-class _Candidate(NamedTuple):
-    """A place at which a photo may show the collector."""
-
-    photo: int
-    fitted: FittedPose
-    enu_from_frame: FloatArray
-    origin_m: FloatArray
-
-
-def _tie(files: Sequence[Path], finder: Finder, search: CornerSearch, said: dict[str, int], jobs: int | None) -> _Tied:
-    """Find the collector in some photos, and from these where the drone's positions have it.
-
-    EstimationError: No place in which the photos agree, or two.
+    Of several the first and the last ones, too: rows look alike, and only their ends tell which is which.
     """
-
-    def one(number: int) -> list[_Candidate]:
-        photo = _open(files[number], search, said)
-        if photo is None:
-            return []
-        camera = finder.camera_of[photo.name]
-        rotation = photo.enu_from_camera.T @ search.enu_from_frame
-        turns = search.turn_sigma_rad * np.array([-1.0, 0.0, 1.0])
-        start = View(camera, RigidTransform(rotation, np.array([0.0, 0.0, 1.0])))
-        noise = photo_noise(photo.image)
-        found = []
-        for match in match_anywhere(edge_map(photo.image), start, search.lattice, turns.tolist()):
-            fitted = fit_pose(photo.image, View(camera, match.cam_from_frame), search.lattice, noise)
-            if fitted is not None:
-                found.append(_candidate(number, fitted, photo, search))
-        return found
-
-    candidates = [one for part in side_by_side(one, range(len(files)), jobs) for one in part]
-    if not candidates:
-        raise EstimationError(
-            f"corners: the panels' edges of the drawing are in none of {', '.join(file.name for file in files)}; are "
-            "panel_edges_x_m, panel_edges_y_m, azimuth_deg, the camera and its turns right?"
-        )
-    totals = np.array([_agreeing(one, candidates, len(files), search.same_m) for one in candidates])
-    best = candidates[int(np.argmax(totals))]
-    apart = np.array([np.linalg.norm(one.origin_m - best.origin_m) > search.same_m for one in candidates])
-    rival = float(totals[apart].max(initial=0.0))
-    if totals.max() - rival < _CLEAR_ODDS:
-        raise EstimationError(
-            "corners: the panels' edges fit the photos in two places nearly as well, by whole panels apart; show more "
-            "of the collector's ends in the photos, or mark targets"
-        )
-    same = [one for one, is_apart in zip(candidates, apart, strict=True) if not is_apart]
-    turn = nearest_rotation(np.sum([one.enu_from_frame for one in same], axis=0))
-    origins = [
-        photo_place - turn @ one.fitted.cam_from_frame.inverse().apply(search.lever_m)
-        for one in same
-        for photo_place in [search.positions.enu_m[said[files[one.photo].name]]]
-    ]
-    return _Tied(turn, np.median(origins, axis=0))
+    if n_collectors > 1:
+        count = min(_START_PHOTOS + n_collectors - 1, _MOST_START_PHOTOS)
+        return [files[k] for k in np.unique(np.linspace(0, len(files) - 1, count).round().astype(int))]
+    some = [files[k] for k in np.unique(np.linspace(0, len(files) - 1, _START_PHOTOS + 2).round().astype(int))]
+    return some[1:-1] if len(some) > 3 else some
 
 
-def _candidate(number: int, fitted: FittedPose, photo: _Photo, search: CornerSearch) -> _Candidate:
-    turn = photo.enu_from_camera @ fitted.cam_from_frame.rotation
-    # By the stated turn: gimbals are off by different amounts from photo to photo.
-    origin = photo.place_m - search.enu_from_frame @ fitted.cam_from_frame.inverse().apply(search.lever_m)
-    return _Candidate(number, fitted, turn, origin)
-
-
-def _agreeing(one: _Candidate, candidates: Sequence[_Candidate], count: int, same_m: float) -> float:
-    """Return the logarithm of the odds of a place from all photos: of each its best candidate that agrees."""
-    best = np.zeros(count)
-    for other in candidates:
-        if float(np.linalg.norm(other.origin_m - one.origin_m)) <= same_m:
-            best[other.photo] = max(best[other.photo], other.fitted.log_odds)
-    return float(best.sum())
-
-
-def _look(
-    file: Path, finder: Finder, search: CornerSearch, said: dict[str, int], tied: _Tied
-) -> tuple[OnePhoto, RigidTransform | None]:
-    """Find the corners of one photo."""
-    photo = _open(file, search, said)
-    if photo is None:
-        return _refused(file.name, read_luma(file).shape, "no position and turn of the camera"), None
-    camera, lattice, shape = finder.camera_of[photo.name], search.lattice, photo.image.shape
-    rotation = photo.enu_from_camera.T @ tied.enu_from_frame
-    antenna = tied.enu_from_frame.T @ (photo.place_m - tied.origin_m)
-    eye = antenna - rotation.T @ search.lever_m
-    start = View(camera, RigidTransform(rotation, -rotation @ eye))
-    turns = search.turn_sigma_rad * np.array(_TURNS)
-    match = match_at_place(edge_map(photo.image), start, lattice, _REACH * search.turn_sigma_rad, turns.tolist())
-    noise = photo_noise(photo.image)
-    fitted = None if match is None else fit_pose(photo.image, View(camera, match.cam_from_frame), lattice, noise)
+def _look(photo: SearchedPhoto, own: SearchedCollector, tied: Tied) -> tuple[OnePhoto, RigidTransform | None]:
+    """Find the corners of one collector in one photo."""
+    lattice, shape = own.lattice, photo.image.shape
+    enu_from_frame = tied.enu_from_frame(own)
+    antenna = enu_from_frame.T @ (photo.place_m - tied.origin_of(own))
+    noise, reason = photo_noise(photo.image), "it shows too little of the collector, by the drone's place"
+    edges = edge_map(photo.image)
+    fitted: FittedPose | None = None
+    for match in _predicted(photo, own, tied, antenna, edges):
+        reason = "the panels' edges are not where drone and drawing predict them"
+        fitted = fit_pose(photo.image, View(photo.camera, match.cam_from_frame), lattice, noise)
+        if fitted is None:
+            continue
+        pose = fitted.cam_from_frame
+        off = enu_from_frame @ (pose.inverse().apply(own.lever_m) - antenna)
+        turned = enu_from_frame @ pose.origin_covariance(fitted.covariance) @ enu_from_frame.T
+        expected = turned + np.diag(2 * photo.sigma_m**2)
+        far = float(np.linalg.norm(off))
+        if float(off @ np.linalg.solve(expected, off)) <= _CONTRADICTED**2 or far <= own.same_m:
+            break
+        reason, fitted = f"by its panels' edges it was taken {far:.2g} m from where the drone says", None
     if fitted is None:
-        return _refused(file.name, shape, "the panels' edges are not where drone and drawing predict them"), None
+        return _refused(photo.name, shape, reason), None
     pose = fitted.cam_from_frame
-    off = tied.enu_from_frame @ (pose.inverse().apply(search.lever_m) - antenna)
-    turned = tied.enu_from_frame @ pose.origin_covariance(fitted.covariance) @ tied.enu_from_frame.T
-    expected = turned + np.diag(2 * photo.sigma_m**2)
-    if float(off @ np.linalg.solve(expected, off)) > _CONTRADICTED**2 and float(np.linalg.norm(off)) > search.same_m:
-        reason = f"by its panels' edges it was taken {float(np.linalg.norm(off)):.2g} m from where the drone says"
-        return _refused(file.name, shape, reason), None
-    points = corner_points(View(camera, pose), lattice, fitted)
+    points = corner_points(View(photo.camera, pose), lattice, fitted)
     found = Detections(
-        file.name,
+        photo.name,
         lattice.names,
         points.pixels_px,
         points.covariance_px2,
@@ -274,18 +225,63 @@ def _look(
         points.flags,
     )
     refused = tuple(
-        LeftOut(f"{name} in {file.name}", _REASONS[SampleFlag(int(flag))])
+        LeftOut(f"{name} in {photo.name}", _REASONS[SampleFlag(int(flag))])
         for name, flag in zip(lattice.names, points.flags, strict=True)
         if flag
     )
     count = int(np.count_nonzero(found.usable))
     if count < _LEAST_CORNERS or not spans_an_area(lattice.points_m[found.usable]):
-        return _refused(file.name, shape, f"{count} corners, {_LEAST_CORNERS} not on a line are needed"), None
+        return _refused(photo.name, shape, f"{count} corners, {_LEAST_CORNERS} not on a line are needed"), None
     none = found.chosen(np.zeros(0, dtype=np.intp))
     shapes = np.full((len(found), 2, 2), np.nan)
     size = int(shape[1]), int(shape[0])
     one = OnePhoto(found, shapes, size, refused, none, np.zeros((0, 2, 2)))
     return one.with_thumbnail(make_thumbnail(photo.image)), pose
+
+
+def _predicted(
+    photo: SearchedPhoto, own: SearchedCollector, tied: Tied, antenna_m: FloatArray, edges: EdgeMap
+) -> Iterator[Match]:
+    """Yield where the collector is in a photo by the drone, the likeliest first.
+
+    antenna_m (3,): The drone's place in the collector's frame [m].
+    """
+    enu_from_frame, sigma = tied.enu_from_frame(own), own.turn_sigma_rad
+    turns = (sigma * np.array(_TURNS)).tolist()
+    if photo.enu_from_camera is not None:
+        rotation = photo.enu_from_camera.T @ enu_from_frame
+        match = match_at_place(edges, _posed(photo, rotation, own, antenna_m), own.lattice, _REACH * sigma, turns)
+        yield from [] if match is None else [match]
+        return
+    if not tied.headings:
+        return
+    # The camera is turned as in the nearest photo in which the collector was found, or points at it as there.
+    near = min(tied.headings, key=lambda one: float(np.linalg.norm(one.place_m - photo.place_m)))
+    held = _posed(photo, near.enu_from_camera.T @ enu_from_frame, own, antenna_m)
+    aimed = aimed_at_origin(held)
+    yield from _whole_turn(held, aimed, own, edges, turns)
+
+
+def _whole_turn(
+    held: View, aimed: View, own: SearchedCollector, edges: EdgeMap, turns: Sequence[float]
+) -> Iterator[Match]:
+    """Yield where a camera of unknown direction shows the collector; then turned by half a turn, as on the way back."""
+    aside = float(np.linalg.norm(held.eye_m[:2]))
+    for half in (0.0, np.pi):
+        # Above the middle of a collector that looks the same after half a turn a photo does not tell them apart.
+        if half and own.is_symmetric and 2 * aside < own.same_m:
+            return
+        tried = [
+            match_at_place(edges, turned_about_axis(view, half), own.lattice, np.pi / 2, turns)
+            for view in (held, aimed)
+        ]
+        found = [match for match in tried if match is not None]
+        yield from sorted(found, key=lambda match: -match.score)[:1]
+
+
+def _posed(photo: SearchedPhoto, rotation: FloatArray, own: SearchedCollector, antenna_m: FloatArray) -> View:
+    eye = antenna_m - rotation.T @ own.lever_m
+    return View(photo.camera, RigidTransform(rotation, -rotation @ eye))
 
 
 #: Why a corner is missing.

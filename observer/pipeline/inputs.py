@@ -18,6 +18,7 @@ from heliogauge.running.progress import Progress
 from heliogauge.sunlight.sun_shapes import BuieSun, GaussianSun, PillboxSun, SunShape, TabulatedSun
 from heliogauge.validate import FloatArray
 from observer.corners.lattice import PanelLattice
+from observer.corners.tie import SearchedCollector
 from observer.files import ABSORBER_COLUMNS, SUN_COLUMNS, absorber_of_table, is_number, number_in_cell, read_sun_table
 from observer.keys import ObserverMeasurement, SunSection, TroughSection
 from observer.light.trace import Sunlight
@@ -190,10 +191,16 @@ def refuse_modules(measurement: ObserverMeasurement) -> None:
         )
 
 
-def build_inputs(measurement: ObserverMeasurement, tables: Tables, coordinates: Sequence[CoordinateSection]) -> Inputs:
+def build_inputs(
+    measurement: ObserverMeasurement,
+    tables: Tables,
+    coordinates: Sequence[CoordinateSection],
+    place_m: Sequence[float] = (0.0, 0.0, 0.0),
+) -> Inputs:
     """Return a measurement as values.
 
     coordinates: Known coordinates of targets in the trough's frame.
+    place_m: Without marked targets: the collector's origin from that which several have in common [m].
     Returns: Without the hashes of files.
     InputError: Targets, camera, tables or dimensions that cannot be used.
     """
@@ -210,7 +217,7 @@ def build_inputs(measurement: ObserverMeasurement, tables: Tables, coordinates: 
     rows = collector.rows_m(1e-3 * model.evaluation.row_step_mm)
     expected = Expectation(collector, design, rows, 1e-3 * model.evaluation.largest_slope_error_mrad)
     tilts = read_tilts(measurement)
-    corners, kinds = build_corners(measurement, collector, tilts), None
+    corners, kinds = build_corners(measurement, collector, tilts, place_m), None
     if corners is not None:
         lattice = corners.lattice
         survey = build_corner_survey(measurement, lattice)
@@ -351,11 +358,15 @@ def build_survey(
 
 
 def build_corners(
-    measurement: ObserverMeasurement, collector: Collector, tilts: Tilts | None = None
+    measurement: ObserverMeasurement,
+    collector: Collector,
+    tilts: Tilts | None = None,
+    place_m: Sequence[float] = (0.0, 0.0, 0.0),
 ) -> CornerSearch | None:
     """Return what predicts the corners of panels; None where targets are marked.
 
     tilts: Readings of a collector that turns before a fixed camera.
+    place_m: Its origin, level: across, along and up from that which several collectors have in common [m].
     InputError: Positions that cannot be read, or a drawing without corners that can be seen.
     """
     section, positions = measurement.model.corners, measurement.model.positions
@@ -364,7 +375,8 @@ def build_corners(
     lattice = PanelLattice(collector, 1e-3 * section.mounting_sigma_mm, 1e-3 * section.corner_sigma_mm)
     turn_sigma = float(np.radians(section.turn_sigma_deg))
     if tilts is not None:
-        return CornerSearch(lattice, tilts.places(), np.zeros(3), np.eye(3), turn_sigma, is_tied=True)
+        own = SearchedCollector(lattice, np.eye(3), np.zeros(3), np.zeros(3), turn_sigma)
+        return CornerSearch(own, tilts.places(), is_tied=True)
     if positions is None or section.azimuth_deg is None:
         return None
     turn = np.radians(section.azimuth_deg)
@@ -374,13 +386,10 @@ def build_corners(
     found = read_drone_positions(build_corner_survey(measurement, lattice))
     if found is None:
         return None
-    return CornerSearch(
-        lattice,
-        found,
-        1e-3 * np.array(positions.lever_arm_mm),
-        np.stack([np.cross(along, up), along, up], axis=1) @ tilted,
-        turn_sigma,
-    )
+    enu_from_level = np.stack([np.cross(along, up), along, up], axis=1)
+    lever = 1e-3 * np.array(positions.lever_arm_mm)
+    own = SearchedCollector(lattice, enu_from_level @ tilted, enu_from_level @ np.array(place_m), lever, turn_sigma)
+    return CornerSearch(own, found)
 
 
 def build_corner_survey(measurement: ObserverMeasurement, lattice: PanelLattice) -> PhotogrammetryMeasurement:

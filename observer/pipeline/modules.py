@@ -12,10 +12,11 @@ from heliogauge.errors import EstimationError, InputError, MetrologyError
 from heliogauge.results.folder import hash_files
 from heliogauge.running.progress import Progress, SilentProgress, Stage
 from observer.keys import ModuleSection, ObserverMeasurement
+from observer.pipeline.corners import find_corners_of_each
 from observer.pipeline.inputs import AXES, Inputs, build_collector, build_inputs, listed_coordinates, read_tables
 from observer.pipeline.measure import Options, evaluate
 from observer.pipeline.photos import FirstLook, look_first_at_each
-from observer.pipeline.target_list import leave_out_lines
+from observer.pipeline.target_list import CheckedList, leave_out_lines
 from observer.studies import overview as pipeline_overview
 from observer.targets.module_targets import ListedPlaces, beside, in_frame
 from observer.trough.collector import Collector
@@ -51,8 +52,7 @@ def run(
     modules, failed = _modules(measurement)
     looks: list[FirstLook] = []
     if modules:
-        finders = [one.inputs.finder for one in modules]
-        looks = look_first_at_each(measurement.photo_files, finders, jobs=options.jobs, progress=progress)
+        looks = _look_at_each(measurement, [one.inputs for one in modules], options, progress)
     for number, module in enumerate(modules):
         name = module.section.name
         try:
@@ -78,6 +78,17 @@ def run(
     return found
 
 
+def _look_at_each(
+    measurement: ObserverMeasurement, inputs: list[Inputs], options: Options, progress: Progress
+) -> list[FirstLook]:
+    """Return what the photos show of each module, by marked targets or by corners of its panels."""
+    files, finders = measurement.photo_files, [one.finder for one in inputs]
+    searches = [one.corners for one in inputs if one.corners is not None]
+    if searches:
+        return find_corners_of_each(files, finders, searches, jobs=options.jobs, progress=progress)
+    return look_first_at_each(files, finders, jobs=options.jobs, progress=progress)
+
+
 def _solve(
     module: _Module,
     look: FirstLook,
@@ -87,12 +98,20 @@ def _solve(
     hashes: dict[str, str],
 ) -> None:
     """Evaluate one module and write its folder, which is there whole or not at all."""
-    own = _own(look, module.targets)
+    own = _own(look, module.targets) if module.inputs.corners is None else _posed(look)
     shown = {one.detections.photo for one in own.targets}
     survey = module.inputs.survey
     survey = replace(survey, photo_files=tuple(file for file in survey.photo_files if file.name in shown))
     # A flight passes beside each module: photos of one rim only are no news.
-    listed = leave_out_lines(survey, own, module.inputs.finder.known)
+    if module.inputs.corners is None:
+        listed = leave_out_lines(survey, own, module.inputs.finder.known)
+    else:
+        listed = CheckedList(survey, own, ())
+    if len(listed.first.targets) < 2 and module.inputs.corners is not None:
+        raise EstimationError(
+            f"{len(listed.first.targets)} of {len(look.photos)} photos show enough corners of its panels for their "
+            "pose, two are needed; are its panels and place_m right?"
+        )
     if len(listed.first.targets) < 2:
         raise EstimationError(
             f"{len(listed.first.targets)} of {len(look.photos)} photos show enough of its {len(module.targets)} targets"
@@ -110,6 +129,11 @@ def _solve(
 
 def _is_photo(name: str, look: FirstLook) -> bool:
     return Path(name).name in look.photos
+
+
+def _posed(look: FirstLook) -> FirstLook:
+    """Return what was found of one module in the photos that show enough corners of its panels."""
+    return replace(look, targets=tuple(one for one in look.targets if one.detections.photo in look.poses))
 
 
 def _own(look: FirstLook, targets: frozenset[str]) -> FirstLook:
@@ -133,6 +157,9 @@ def _modules(measurement: ObserverMeasurement) -> tuple[list[_Module], dict[str,
     for section in model.module:
         collector = section.collector or model.collector
         try:
+            if model.corners is not None:
+                modules.append(_by_corners(measurement, section))
+                continue
             list_file = section.targets_file or str(model.targets_file)
             tables = read_tables(measurement, list_file)
             known = listed_coordinates(tables.targets or {}, measurement.folder / list_file)
@@ -153,6 +180,18 @@ def _modules(measurement: ObserverMeasurement) -> tuple[list[_Module], dict[str,
         except InputError as error:
             failed[section.name] = str(error)
     return modules, failed
+
+
+def _by_corners(measurement: ObserverMeasurement, section: ModuleSection) -> _Module:
+    """Return a module whose panels' corners take the place of targets.
+
+    InputError: A drawing without corners that can be seen, or positions that cannot be read.
+    """
+    model = measurement.model
+    collector = section.collector or model.collector
+    turned = collector.model_copy(update={"orientation_deg": collector.orientation_deg + section.turn_deg})
+    own = replace(measurement, model=model.model_copy(update={"name": section.name, "collector": turned, "module": ()}))
+    return _Module(section, build_inputs(own, read_tables(own, None), (), section.place_m), frozenset())
 
 
 def _near(
