@@ -1,10 +1,14 @@
 """Photos and cameras that cannot give a result, or not a good one: where they stand, how far apart, how exposed."""
 
+import re
+from collections.abc import Sequence
+
 import numpy as np
 
+from heliogauge.adjust.robust_scale import robust_scale
 from heliogauge.doubts import Doubt, Severity
 from heliogauge.errors import InputError
-from heliogauge.validate import FloatArray
+from heliogauge.validate import FloatArray, IntArray
 from observer.trough.collector import Collector
 
 #: Bright spots of a sky are a few per cent of the mirror; more is an exposure that was too long.
@@ -17,6 +21,12 @@ _FAR_M, _GOOD_TURN_DEG = 42.0, 0.125
 #: Edges of targets foretell the scatter of centres to a factor of 1.3 (`photogrammetry.centers.edge_noise`); where it
 #: is so many times larger something moved. Slopes of troughs are wanted to a tenth of a milliradian [rad].
 _SCATTER_FACTOR, _WANTED_RAD = 3.0, 1e-4
+#: Photos are said to be missing where their numbers leave out so many of all: a drone that writes every picture leaves
+#: out none, a few are sorted out by hand.
+_MISSING_SHARE = 0.2
+#: The other encoding makes targets 4 to 10 % larger or smaller (`observer.photo_edges.tone`): half of the least. In
+#: photos of one flight sizes differ by a few tenths; beyond so many of their scatters it is no chance.
+_OTHER_SIZE, _SIZE_TIMES_SCATTER, _FEWEST_SIZES = 0.02, 6.0, 4
 #: No camera that sees a collector is further away than this many times its largest dimension.
 _FARTHEST_TIMES = 100.0
 
@@ -101,4 +111,69 @@ def scatter_doubt(image_sigma_factor: float, residual_rms_px: float, focal_px: f
         "focus change, or did the camera fly fast with a rolling shutter?",
         {"image_sigma_factor": image_sigma_factor, "image_residual_rms_px": residual_rms_px, "slope_rad": slope_rad},
         Severity.SERIOUS if slope_rad > _WANTED_RAD else Severity.DOUBT,
+    )
+
+
+def missing_photos_doubt(names: Sequence[str]) -> Doubt | None:
+    """Say whether the numbers in the photos' names leave out many.
+
+    names: File names in their order.
+    Returns: Nothing where names hold no numbers that count up; a note where every n-th is there, which may be wanted.
+    """
+    found = [re.fullmatch(r"(.*?)(\d+)(\.\w+)?", name) for name in names]
+    parts = [(one[1], int(one[2])) for one in found if one is not None]
+    if len(parts) < max(3, len(names)) or len({start for start, _ in parts}) > 1:
+        return None
+    numbers = np.array(sorted(number for _, number in parts))
+    steps = np.diff(numbers)
+    span = int(numbers[-1] - numbers[0]) + 1
+    missing = span - numbers.size
+    # Numbers that are times or dates leave out nearly all.
+    if (steps < 1).any() or not _MISSING_SHARE * span <= missing <= numbers.size:
+        return None
+    widest = int(np.argmax(steps))
+    between = f"{names[widest]} and {names[widest + 1]}" if steps[widest] > 2 else f"{names[0]} and {names[-1]}"
+    return Doubt(
+        "photos_missing",
+        f"{missing} of {span} numbers of photos are missing, "
+        f"{int(steps[widest]) - 1 if steps[widest] > 2 else missing} of them between {between}: an edge of the "
+        "reflection gives the slope only where it lies, so what these showed is not measured; were files lost on the "
+        "way from the camera?",
+        {"missing_count": missing, "photos_count": int(numbers.size)},
+        Severity.NOTE if np.ptp(steps) == 0 else Severity.DOUBT,
+    )
+
+
+def other_sizes_doubt(
+    photos: Sequence[str], photo: IntArray, target: IntArray, over_expected: FloatArray
+) -> Doubt | None:
+    """Say whether targets look larger or smaller in a few photos than in the others, as in another encoding.
+
+    photos: Names of the photos.
+    photo, target (n,): Number of the photo and of the target of each size.
+    over_expected (n,): Sizes over what any one diameter lets expect at that place.
+    """
+    size = np.log(over_expected)
+    usual = np.array(
+        [np.median(size[target == one]) if (target == one).any() else 0.0 for one in range(target.max(initial=0) + 1)]
+    )
+    off = size - usual[target]
+    own = [off[photo == one] for one in range(len(photos))]
+    means = np.array([np.median(one) if one.size >= _FEWEST_SIZES else np.nan for one in own])
+    known = np.isfinite(means)
+    if np.count_nonzero(known) < 3:
+        return None
+    means -= np.nanmedian(means)
+    least = max(_OTHER_SIZE, _SIZE_TIMES_SCATTER * robust_scale(means[known]))
+    out = np.flatnonzero(np.abs(np.where(known, means, 0.0)) > least)
+    if not out.size:
+        return None
+    worst = float(means[out[np.argmax(np.abs(means[out]))]])
+    more = f" and {out.size - 5} more" if out.size > 5 else ""
+    return Doubt(
+        "targets_of_other_size",
+        f"in {', '.join(photos[k] for k in out[:5])}{more} targets look {100 * abs(worst):.1f} % "
+        f"{'larger' if worst > 0 else 'smaller'} than in the others: they are encoded otherwise (linear or sRGB), or "
+        "overexposed, which moves their edges of the reflection, too; convert them as the others, or leave them out",
+        {"photos_count": int(out.size), "size_off_ratio": worst},
     )

@@ -32,6 +32,8 @@ _TIMES_SIGMA = 5.0
 #: The tube's diameter: more than this share of it and than so many sigmas; its sigma holds what all edges may have
 #: in common (0.2 mm from 24 photos of VGA), so that three are a third of a percent.
 _DIAMETER_SHARE, _DIAMETER_TIMES_SIGMA = 5e-3, 3.0
+#: How much thicker or thinner the tube looks in the other encoding, in photos of half a megapixel.
+_OTHER_ENCODING_SHARE = 0.014
 #: What is reported of width and length: more than this share, and more than so many sigmas.
 _SPAN_SHARE = 4e-3
 #: Slopes that vary along a row as much as this jump at panel edges: mirrors of one piece have 1e-4 to 3e-3, a mirror of
@@ -119,14 +121,16 @@ def diameter_of_absorber(reflector: Reflector, collector: Collector) -> Found:
     return Found(2 * (radius + unit * value / own), 2 * unit * np.sqrt(variance / own))
 
 
-def diameter_doubt(found: Found, collector: Collector) -> Doubt | None:
+def diameter_doubt(found: Found, collector: Collector, *, encoding_is_clear: bool = True) -> Doubt | None:
     """Say whether the stated diameter of the tube contradicts the width of its reflection.
 
+    encoding_is_clear: Whether it is known how the photos are encoded.
     Returns: None where it does not.
     """
     stated = collector.absorber_diameter_m
     off = found.value_m - stated
-    if abs(off) < max(_DIAMETER_TIMES_SIGMA * found.sigma_m, _DIAMETER_SHARE * stated):
+    sigma = found.sigma_m if encoding_is_clear else float(np.hypot(found.sigma_m, _OTHER_ENCODING_SHARE * stated))
+    if abs(off) < max(_DIAMETER_TIMES_SIGMA * sigma, _DIAMETER_SHARE * stated):
         return None
     return Doubt(
         "absorber_diameter_contradicts_reflection",

@@ -220,5 +220,6 @@ def headline_text(summary: Summary) -> str:
             f"  measured         {said('measured_share')} of the mirror, {said('seeable_measured_share')} of what can "
             "show the tube",
             f"  design           {summary.texts['design']}",
+            f"  files            {summary.texts['encoding']}",
         ]
     )

@@ -4,7 +4,7 @@ import numpy as np
 
 from heliogauge.doubts import Doubt, gather_doubts
 from heliogauge.images.photos import read_luma
-from observer.doubts.photos import overexposure_doubt, sparse_doubt
+from observer.doubts.photos import missing_photos_doubt, other_sizes_doubt, overexposure_doubt, sparse_doubt
 from observer.doubts.stated_dimensions import (
     diameter_doubt,
     diameter_of_absorber,
@@ -18,20 +18,31 @@ from observer.photo_edges.outline import clipped_share, photos_from_above, plate
 from observer.pipeline.cameras import Cameras
 from observer.pipeline.inputs import Inputs
 from observer.pipeline.mirror import PlacedAbsorber, SolvedMirror
+from observer.pipeline.photos import FirstLook
 from observer.pipeline.stated_camera import is_camera_wrong, stated_camera_doubt
 from observer.pipeline.target_list import CheckedList
+from observer.pipeline.tone import Encodings
 from observer.product.longitudinal import incidence_doubt
 from observer.selection.edge_refusal import unchecked_doubt
 from observer.slopes.shape_share import shape_doubt
 from observer.trough.collector import Collector
 from observer.trough.visibility import coverage_doubt, seeable_shares
 
+#: A place, and two beside it across the optical axis, small against any distance [m].
+_SMALL_STEPS = (np.zeros(3), np.array([0.01, 0.0, 0.0]), np.array([0.0, 0.01, 0.0]))
+
 
 def judge(
-    inputs: Inputs, listed: CheckedList, cameras: Cameras, placed: PlacedAbsorber, mirror: SolvedMirror
+    inputs: Inputs,
+    listed: CheckedList,
+    cameras: Cameras,
+    placed: PlacedAbsorber,
+    mirror: SolvedMirror,
+    encodings: Encodings,
 ) -> tuple[Doubt, ...]:
     """Return what is doubtful of a solution, and of what was stated.
 
+    encodings: Of the photos.
     InputError: A photo cannot be read.
     """
     reflector, slope_map, eyes = mirror.reflector, mirror.slope_map, cameras.photos.eyes_m
@@ -48,7 +59,9 @@ def judge(
         panels_doubt(reflector.roughness, inputs.collector),
         heights_doubt(reflector) if with_sizes else None,
         sparse,
-        design_doubts(cameras, mirror, inputs.collector, with_sizes=with_sizes),
+        missing_photos_doubt([file.name for file in inputs.survey.photo_files]),
+        None if _is_mixed(encodings) else _sizes_doubt(cameras, listed.first),
+        design_doubts(cameras, mirror, inputs.collector, with_sizes=with_sizes, encoding_is_clear=not encodings.doubts),
         placed.doubts,
         coverage_doubt(mirror.visible, slope_map.x_m, slope_map.aperture, eyes),
         incidence_doubt(slope_map, eyes, inputs.collector, along_rad),
@@ -57,12 +70,48 @@ def judge(
     )
 
 
+def _is_mixed(encodings: Encodings) -> bool:
+    return any(one.own for one in encodings.kinds)
+
+
+def _sizes_doubt(cameras: Cameras, first: FirstLook) -> Doubt | None:
+    """Compare the sizes of round targets between photos, each over what its place lets expect."""
+    found, names = cameras.network.points, [file.name for file in cameras.files]
+    place = dict(zip(found.ids, found.xyz_m, strict=True))
+    number = {name: k for k, name in enumerate(found.ids)}
+    photo, target, sizes = [], [], []
+    for one in first.targets:
+        table = one.detections
+        rows = [
+            k
+            for k, name in enumerate(table.names)
+            if name in place and table.usable[k] and np.isfinite(table.radius_px[k])
+        ]
+        if not rows or table.photo not in names:
+            continue
+        view = cameras.views[names.index(table.photo)]
+        middle = np.array([place[table.names[k]] for k in rows])
+        # Targets look along the optical axis: a unit square across it shows how large a unit disc looks.
+        corners = [view.camera.project(view.cam_from_frame.apply(middle + step)) for step in _SMALL_STEPS]
+        area = np.abs(np.linalg.det(np.stack([corners[1] - corners[0], corners[2] - corners[0]], axis=2)))
+        photo += [names.index(table.photo)] * len(rows)
+        target += [number[table.names[k]] for k in rows]
+        sizes += (table.radius_px[rows] / np.sqrt(area)).tolist()
+    return other_sizes_doubt(names, np.array(photo, np.intp), np.array(target, np.intp), np.array(sizes))
+
+
 def design_doubts(
-    cameras: Cameras, mirror: SolvedMirror, collector: Collector, *, with_sizes: bool = True
+    cameras: Cameras,
+    mirror: SolvedMirror,
+    collector: Collector,
+    *,
+    with_sizes: bool = True,
+    encoding_is_clear: bool = True,
 ) -> tuple[Doubt, ...]:
     """Compare width, length, focal length and tube diameter as stated with what seven of the photos show.
 
     with_sizes: Whether focal length and tube are judged.
+    encoding_is_clear: Whether it is known how the photos are encoded, which changes the width of the tube.
     Returns: What does not fit; and whether the mirror is overexposed.
     InputError: A photo cannot be read.
     """
@@ -77,6 +126,7 @@ def design_doubts(
     if with_sizes:
         seen = focal_length_of_mirror(mirror.slope_map, collector)
         focal_length = focal_length_doubt(seen, mirror.absorber, collector)
-        diameter = diameter_doubt(diameter_of_absorber(mirror.reflector, collector), collector)
+        seen_width = diameter_of_absorber(mirror.reflector, collector)
+        diameter = diameter_doubt(seen_width, collector, encoding_is_clear=encoding_is_clear)
     sizes = outline_doubts(*spans_of(np.array(rims)), collector)
     return gather_doubts(overexposure_doubt(float(np.median(clipped))), focal_length, diameter, sizes)

@@ -155,7 +155,8 @@ class Encodings:
     @property
     def doubts(self) -> tuple[Doubt, ...]:
         """What is not clear of it."""
-        found = [_unclear(one) for one in self.kinds if one.log_odds < _CLEAR]
+        # Photos of two encodings contradict each other in their common odds: each was judged by itself.
+        found = [_unclear(one) for one in self.kinds if one.log_odds < _CLEAR and not one.own]
         return (*found, *(_differing(one) for one in self.kinds if one.own))
 
 

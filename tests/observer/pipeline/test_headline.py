@@ -65,7 +65,7 @@ def test_mirror_alone_and_with_the_absorber_are_compared_as_angles():
         ),
         0.5,
     ) | {"panels_count": 8, "panels_to_turn_count": 3}
-    said = headline_text(Summary("observer", "t", numbers | others, texts={"design": "d"}))
+    said = headline_text(Summary("observer", "t", numbers | others, texts={"design": "d", "encoding": "e"}))
     assert re.search(r"SDx +2\.0\d* ± [\d.]+ mrad \(RMS of theta_r\)", said)
     assert re.search(r"with the absorber theta_ra 2\.0\d* ± [\d.]+ mrad RMS", said)
     assert "turning 3 of 8 gains 0.50 ± 0.50;" in said
