@@ -25,6 +25,8 @@ FringePreset = Literal[
     "curved-screen",
     "ensemble",
     "laser-scan",
+    "gazing",
+    "gazing-close",
 ]
 TargetPreset = Literal["small", "panel", "single", "retro", "busy", "markers", "natural"]
 BoardPreset = Literal["chessboard", "charuco", "circles", "circles-asymmetric", "targets"]
@@ -106,6 +108,13 @@ def deflectometry(
         from data_synth.lasers import write_laser_scan
 
         write_laser_scan(folder, seed=seed, force=force)
+        if not quiet:
+            print(folder)
+        return
+    if preset in ("gazing", "gazing-close"):
+        from data_synth.sky import gazing_preset, write_gazing
+
+        write_gazing(folder, gazing_preset(preset, seed), seed, force=force)
         if not quiet:
             print(folder)
         return

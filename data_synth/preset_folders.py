@@ -6,6 +6,7 @@ from data_synth.acceptance import write_tests_folder
 from data_synth.fringes import DatasetOptions, preset_scene, write_dataset
 from data_synth.heliostats import HeliostatChoice, HeliostatOptions, heliostat_scene, write_heliostat_dataset
 from data_synth.lasers import write_laser_scan
+from data_synth.sky import gazing_preset, write_gazing
 from data_synth.targets import (
     PhotoOptions,
     board_scene,
@@ -25,6 +26,9 @@ def deflectometry(
     """Draw fringe images of a screen seen in a mirror, or scan one with a laser."""
     if preset == "laser-scan":
         write_laser_scan(folder, seed=seed, force=force)
+        return
+    if preset in ("gazing", "gazing-close"):
+        write_gazing(folder, gazing_preset(preset, seed), seed, force=force)
         return
     write_dataset(folder, preset_scene(preset), DatasetOptions(seed, force=force), progress)
 

@@ -111,6 +111,11 @@ def measure_command(
             from deflectometry.laser.pipeline.measure import run as run_laser
 
             return run_laser(load_laser(folder), options, progress)
+        if kind == "backward-gazing":
+            from deflectometry.gazing.keys import load_gazing
+            from deflectometry.gazing.pipeline.measure import run as run_gazing
+
+            return run_gazing(load_gazing(folder), options, progress)
         from deflectometry.keys import load_deflectometry
 
         return run(load_deflectometry(folder), options, progress)

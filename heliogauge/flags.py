@@ -33,6 +33,7 @@ class SampleFlag(IntFlag):
     NOT_COVERED = 1 << 19
     UNCERTAIN = 1 << 20
     COARSE_CENTER = 1 << 21
+    BLIND = 1 << 22
 
 
 FLAG_TEXTS: dict[SampleFlag, str] = {
@@ -57,6 +58,7 @@ FLAG_TEXTS: dict[SampleFlag, str] = {
     SampleFlag.BEHIND_TUBE: "the receiver hides it from all cameras that would see the tube there",
     SampleFlag.NOT_COVERED: "no camera was where it would show the tube's edge",
     SampleFlag.COARSE_CENTER: "no blurred disc: its centre is that of its outline, with a larger sigma",
+    SampleFlag.BLIND: "blind zone: the sun looks so even there that its brightness says too little of the slope",
     SampleFlag.UNCERTAIN: "too uncertain: no edge of the reflection near enough",
 }
 

@@ -8,6 +8,7 @@ import numpy as np
 from deflectometry.keys import (
     BenchMeasurement,
     CameraParameters,
+    CameraSection,
     DeflectometryMeasurement,
     DotScreenSection,
     FacetSection,
@@ -49,7 +50,7 @@ def build_setup(measurement: BenchMeasurement) -> Setup:
     section = measurement.model.screen
     known = _known_pose(section)
     return Setup(
-        camera=_build_camera(measurement),
+        camera=build_camera(measurement.model.camera, measurement.folder),
         screen=_build_screen(measurement),
         cam_from_screen=known.cam_from_mirror,
         covariance_cam_from_screen=known.covariance,
@@ -59,10 +60,14 @@ def build_setup(measurement: BenchMeasurement) -> Setup:
     )
 
 
-def _build_camera(measurement: BenchMeasurement) -> Camera:
-    section = measurement.model.camera
+def build_camera(section: CameraSection, folder: Path) -> Camera:
+    """Build a camera from its parameters or its file.
+
+    folder: Of the measurement; a file's name is relative to it.
+    InputError: A camera file that cannot be read.
+    """
     if not isinstance(section, CameraParameters):
-        return read_camera_json(measurement.path(section.file))
+        return read_camera_json(folder / section.file)
     distortion = BrownDistortion(
         k1=section.k1,
         k2=section.k2,

@@ -20,6 +20,7 @@ PIPELINES = {
     "deflectometry.poses.pipeline.measure": "deflectometry",
     "deflectometry.dots.pipeline.measure": "deflectometry",
     "deflectometry.laser.pipeline.measure": "deflectometry",
+    "deflectometry.gazing.pipeline.measure": "deflectometry",
     "photogrammetry.pipeline.measure": "photogrammetry",
     "observer.pipeline.measure": "observer",
     "calibration.screen.pipeline": "screen",

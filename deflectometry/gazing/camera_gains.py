@@ -1,0 +1,207 @@
+"""What each camera sees over what it should: found with the slopes, and which camera contradicts the others."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations, permutations
+
+import numpy as np
+
+from deflectometry.gazing.node_slopes import (
+    Brightness,
+    NodeSlopes,
+    d_deviation_d_slopes,
+    d_expected_d_deviation,
+    expected,
+    solve_nodes,
+)
+from deflectometry.gazing.sun_profile import SunProfile
+from heliogauge.errors import EstimationError
+from heliogauge.validate import FloatArray, IntArray
+
+#: Fewer cameras leave two slopes no check.
+FEWEST_CAMERAS = 3
+#: Nodes of all facets together from which the gains are found: four numbers from hundreds.
+_NODES = 400
+_ROUNDS = 6
+#: Share of a residual that the slopes must leave for it to test anything.
+_TESTED = 0.05
+#: A gain beyond so many of its standard deviations is not its scatter: 1 of 10^6 Gaussian ones.
+_WRONG_GAIN = 5.0
+#: Cameras are exchanged where that lowers chi-square of the nodes by so much that chance has no part: e^-50.
+_CLEARLY = 100.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Gains:
+    """What each camera sees over what it should, as its logarithm.
+
+    logarithm (c,): Adjusted.
+    covariance (c, c): Of these.
+    misfit (c,): RMS of each camera's residuals over their sigmas, the share that two slopes took away restored.
+    """
+
+    logarithm: FloatArray
+    covariance: FloatArray
+    misfit: FloatArray
+
+    @property
+    def factors(self) -> FloatArray:
+        """The gains themselves, shape (c,)."""
+        return np.asarray(np.exp(self.logarithm))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LeftOutCamera:
+    """A camera that contradicts the others: its gain with that of the others alone, and its standard deviation."""
+
+    number: int
+    gain: float
+    sigma: float
+
+
+def spread_nodes(facets: Sequence[Brightness], count: int = _NODES) -> list[Brightness]:
+    """Return nodes evenly over all facets, those that at least one camera sees in the sun."""
+    chosen = []
+    each = max(count // len(facets), 12)
+    for seen in facets:
+        lit = np.flatnonzero(np.nansum(seen.value > 4 * seen.sigma, axis=0) >= 2)
+        if lit.size:
+            chosen.append(seen.chosen(lit[np.linspace(0, lit.size - 1, min(each, lit.size)).astype(np.intp)]))
+    return chosen
+
+
+def fit_gains(facets: Sequence[Brightness], profile: SunProfile, prior: FloatArray) -> Gains:
+    """Find the gains of all cameras and the slopes of some nodes together.
+
+    facets: Nodes of each facet, from `spread_nodes`.
+    prior (c, c): Covariance of the logarithms before: of each camera's level, and of the reflectance.
+    Returns: The gains.
+
+    Two slopes leave of c brightnesses c - 2 that know the gains: the slopes are eliminated from the normal equations
+    node by node (Schur complement).
+    """
+    count = len(prior)
+    logarithm, inverse_prior = np.zeros(count), np.linalg.inv(prior)
+    normal = inverse_prior
+    for _ in range(_ROUNDS):
+        normal, right = inverse_prior.copy(), -inverse_prior @ logarithm
+        squares, freedom = np.zeros(count), np.zeros(count)
+        for seen in facets:
+            found = solve_nodes(seen, profile, np.exp(logarithm))
+            model, residual, weight, kept = _eliminated(seen, found, profile, np.exp(logarithm))
+            left = np.diagonal(kept, axis1=1, axis2=2)
+            share_left = np.divide(left, weight, out=np.zeros(left.shape), where=weight > 0)
+            # Where the slopes take a camera's light as it is, its residual says nothing.
+            tested = share_left > _TESTED
+            squares += (residual**2 * weight * tested).sum(axis=0)
+            freedom += (share_left * tested).sum(axis=0)
+            # Nodes that no slopes explain would draw the gains to themselves.
+            share = 1.0 / np.maximum(1.0, found.misfit / (4.0 * max(count - 2, 1)))
+            normal += np.einsum("n,nc,ncd,nd->cd", share, model, kept, model)
+            right += np.einsum("n,nc,ncd,nd->c", share, model, kept, residual)
+        step = np.linalg.solve(normal, right)
+        # A twentieth of what is unknown: the next round would change nothing that matters.
+        if (np.abs(step) < 0.05 * np.sqrt(np.diag(np.linalg.inv(normal)))).all():
+            break
+        logarithm = logarithm + np.clip(step, -0.5, 0.5)
+    return Gains(logarithm, np.linalg.inv(normal), np.sqrt(squares / np.maximum(freedom, 1e-9)))
+
+
+def _eliminated(
+    seen: Brightness, found: NodeSlopes, profile: SunProfile, gains: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Return model (n, c), residual (n, c), weights (n, c), and what the slopes leave of the weights (n, c, c)."""
+    model = (gains[:, None] * expected(seen, found.slopes, profile)).T
+    weight = np.nan_to_num(1.0 / seen.sigma**2).T
+    residual = np.where(weight > 0, np.nan_to_num(seen.value.T) - model, 0.0)
+    design = slope_design(seen, found.slopes, profile, gains)
+    weighted = weight[..., None] * design
+    inner = np.einsum("nci,ncj->nij", weighted, design)
+    # Where the profile is flat the slopes take nothing away; the smallest addition keeps the inverse finite.
+    inner += np.eye(2) * (1e-9 * np.trace(inner, axis1=1, axis2=2)[:, None, None] + 1e-12)
+    taken = np.einsum("nci,nij,ndj->ncd", weighted, np.linalg.inv(inner), weighted)
+    kept = np.einsum("nc,cd->ncd", weight, np.eye(len(gains))) - taken
+    return model, residual, weight, kept
+
+
+def slope_design(seen: Brightness, slopes: FloatArray, profile: SunProfile, gains: FloatArray) -> FloatArray:
+    """Return the derivative of each camera's light by the two slopes, shape (n, c, 2)."""
+    by_deviation = d_expected_d_deviation(seen, slopes, profile) * gains[:, None, None]
+    return np.asarray(np.einsum("cni,nij->ncj", by_deviation, d_deviation_d_slopes(seen, slopes)))
+
+
+def contradicting_camera(found: Gains, prior: FloatArray) -> LeftOutCamera | None:
+    """Return the one camera whose light contradicts that of the others, or None.
+
+    found: Gains of all cameras together.
+    prior (c, c): Covariance of their logarithms before.
+
+    Four cameras know each other's levels much better than filters and exposures do: a cloud before the sun, a filter
+    that was changed or an exposure that was not noted moves the gain of one, and the others stay where they were to be.
+    """
+    off = np.abs(found.logarithm) / np.sqrt(np.diag(prior))
+    wrong = np.flatnonzero(off > _WRONG_GAIN)
+    if wrong.size != 1 or len(prior) <= FEWEST_CAMERAS:
+        return None
+    number = int(wrong[0])
+    gain = float(found.factors[number])
+    return LeftOutCamera(number, gain, gain * float(np.sqrt(found.covariance[number, number])))
+
+
+def refuse_exchanged(
+    names: Sequence[str], facets: Sequence[Brightness], profile: SunProfile, prior: FloatArray
+) -> None:
+    """Refuse images that belong to each other's cameras.
+
+    EstimationError: The images explain each other much better if they are exchanged; the message says which.
+
+    Exchanged left for right and up for down at once, cameras around the middle of the receiver see what a mirror with
+    slopes of the other sign would show: that no image can tell.
+    """
+    count = len(names)
+    order = np.arange(count)
+    trial = [one.chosen(np.arange(0, one.x_m.size, max(1, one.x_m.size // 12))) for one in facets]
+    # Levels are not fitted here: they may be off by what is known of them.
+    level = np.sqrt(np.diag(prior))[:, None]
+    trial = [replace(one, sigma=np.hypot(one.sigma, level * one.value)) for one in trial]
+    as_given = _total_misfit(trial, profile, order)
+    if as_given < 2.0 * count * sum(one.x_m.size for one in trial):
+        return
+    orders = (
+        [np.array(one) for one in permutations(range(count))]
+        if count <= 4
+        else [_swapped(count, *pair) for pair in combinations(range(count), 2)]
+    )
+    scores = [_total_misfit(trial, profile, one) for one in orders]
+    best = int(np.argmin(scores))
+    if scores[best] < as_given - _CLEARLY and scores[best] < 0.25 * as_given:
+        alike = [one for one, score in zip(orders, scores, strict=True) if score < 2 * scores[best] + _CLEARLY]
+        # A square of cameras looks the same turned and mirrored: of orders alike those that move fewest.
+        fewest = min(np.count_nonzero(one != order) for one in alike)
+        words = ", or ".join(_exchange_words(names, one) for one in alike if np.count_nonzero(one != order) == fewest)
+        raise EstimationError(
+            f"the cameras' images are exchanged: chi-square of {sum(one.x_m.size for one in trial)} mirror points is "
+            f"{as_given:.3g}, and {scores[best]:.3g} if {words}; put frames or place_m right"
+        )
+
+
+def _exchange_words(names: Sequence[str], order: IntArray) -> str:
+    pairs = zip(range(len(names)), order.tolist(), strict=True)
+    return " and ".join(f"{names[a]} shows what {names[b]} should" for a, b in pairs if a != b)
+
+
+def _swapped(count: int, first: int, second: int) -> IntArray:
+    order: IntArray = np.arange(count)
+    order[[first, second]] = order[[second, first]]
+    return order
+
+
+def _total_misfit(facets: Sequence[Brightness], profile: SunProfile, order: IntArray) -> float:
+    """Return chi-square of nodes whose images belong to cameras in another order."""
+    total = 0.0
+    for seen in facets:
+        moved = replace(
+            seen, places_m=seen.places_m[order], more_slope=seen.more_slope[order], eyes_m=seen.eyes_m[order]
+        )
+        total += float(solve_nodes(moved, profile, np.ones(len(order))).misfit.sum())
+    return total

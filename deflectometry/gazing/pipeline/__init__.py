@@ -1,0 +1,1 @@
+"""The stages of backward gazing, in a row in `measure`."""

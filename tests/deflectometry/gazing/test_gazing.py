@@ -1,0 +1,240 @@
+"""Backward gazing: slopes, sigmas, blind zones and what contradicts, against heliostats traced by data_synth."""
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.optimize import least_squares
+
+from data_synth.sky import GazingScene, write_gazing
+from data_synth.sky.gazing_scene import heliostat_of_table_6, no_errors, sun_light, super_gaussian, true_slopes
+from data_synth.sky.heliostat import DrawnHeliostat
+from deflectometry.gazing.keys import load_gazing
+from deflectometry.gazing.node_slopes import Brightness, solve_nodes
+from deflectometry.gazing.pipeline.measure import run
+from deflectometry.gazing.pipeline.result import GazingResult
+from deflectometry.gazing.sun_profile import SunProfile, measure_sun
+from deflectometry.pipeline.choices import Options
+from deflectometry.shape.smooth_shape import Align
+from heliogauge.errors import EstimationError, InputError
+
+RADIUS, EXPONENT, DISTANCE = np.radians(16 / 60), 4.0, 200.0
+ANGLES = np.linspace(0, 8e-3, 300)
+PROFILE = SunProfile(ANGLES, np.exp(-((ANGLES / RADIUS) ** EXPONENT)))
+SMALL = GazingScene(
+    DrawnHeliostat(
+        1, 2, 1.5, 1.0, 0.05, 400.0, 400.0, 1e-3 * np.array([[1.2, -0.9], [-0.8, 1.3]]), 1e-3 * np.full((2, 3), 0.1)
+    ),
+    pixels=110,
+    focal_px=6000.0,
+    sun_focal_px=7000.0,
+)
+
+
+def points(spacing_m: float, slope_mrad: float, count: int = 200) -> tuple[Brightness, np.ndarray]:
+    """Return noisy brightness of points of one slope (C-47's table: 1 % noise, normal incidence), eyes (4, 2) [rad]."""
+    rng = np.random.default_rng(1)
+    side = 0.5 * spacing_m * np.array([[-1, -1], [1, -1], [-1, 1], [1, 1]])
+    zero = np.zeros(count)
+    # A normal that leans by s sends a sight that comes from o to -2 s - o.
+    angle = np.hypot(*(2e-3 * slope_mrad + side / DISTANCE).T)
+    light = np.exp(-((angle / RADIUS) ** EXPONENT))[:, None] + 0.01 * rng.standard_normal((4, count))
+    eyes = np.column_stack([side, np.full(4, DISTANCE)])
+    seen = Brightness(
+        zero,
+        zero,
+        zero,
+        zero,
+        np.zeros((4, count, 1, 3)),
+        np.zeros((4, count, 1, 2)),
+        light,
+        np.full((4, count), 0.01),
+        eyes,
+        np.array([0.0, 0.0, 1.0]),
+    )
+    return seen, side / DISTANCE
+
+
+@pytest.mark.parametrize(
+    ("spacing_m", "slope_mrad", "published_mrad"),
+    [(0.2, 0.5, 0.17), (0.2, 1.0, 0.057), (0.2, 1.5, 0.046), (0.2, 2.0, 0.12), (0.4, 1.0, 0.027), (0.8, 0.0, 0.021)],
+)
+def test_published_errors_of_a_point_are_reproduced_and_predicted(
+    spacing_m: float, slope_mrad: float, published_mrad: float
+) -> None:
+    seen, _ = points(spacing_m, slope_mrad)
+    found = solve_nodes(seen, PROFILE, np.ones(4))
+    error = 1e3 * found.slopes - slope_mrad
+    sigma = 1e3 * np.sqrt(np.diagonal(found.covariance, axis1=1, axis2=2))
+    assert np.sqrt(np.mean(error**2)) == pytest.approx(published_mrad, rel=0.15)
+    assert np.sqrt(np.mean((error / sigma) ** 2)) == pytest.approx(1.0, abs=0.12)
+    assert np.mean(found.misfit) == pytest.approx(2.0, abs=0.5)
+
+
+def test_near_zero_slope_is_named_by_its_sigma_where_the_profile_is_flat() -> None:
+    """Least squares from the truth scatter by 0.29 mrad at 20 cm (C-47); the sigma says so, also of the mean."""
+    seen, offsets = points(0.2, 0.0, 60)
+
+    def residual(slope: np.ndarray, light: np.ndarray) -> np.ndarray:
+        angle = np.hypot(*(2 * slope + offsets).T)
+        return (np.exp(-((angle / RADIUS) ** EXPONENT)) - light) / 0.01
+
+    best = np.array([least_squares(residual, np.zeros(2), args=(one,), x_scale=1e-4).x for one in seen.value.T])
+    assert 1e3 * np.sqrt(np.mean(best**2)) == pytest.approx(0.29, abs=0.06)
+    found = solve_nodes(seen, PROFILE, np.ones(4))
+    sigma = 1e3 * np.sqrt(np.diagonal(found.covariance, axis1=1, axis2=2))
+    assert 0.18 < np.sqrt(np.mean(sigma**2)) < 0.32
+    assert np.sqrt(np.mean((1e3 * found.slopes) ** 2)) < np.sqrt(np.mean(sigma**2))
+
+
+def test_profile_is_the_sun_that_was_drawn() -> None:
+    image = sun_light(super_gaussian(RADIUS, EXPONENT), 150, 7000.0)
+    found = measure_sun(image, 7000.0, "sun")
+    angle = np.linspace(0, 8e-3, 200)
+    assert np.abs(found.level * found.profile.at(angle) - np.exp(-((angle / RADIUS) ** EXPONENT))).max() < 1e-3
+    # Half of the middle's level, which is a mean over 15 % of the disc.
+    assert found.profile.radius_rad == pytest.approx(RADIUS * np.log(2 / found.level) ** 0.25, rel=1e-3)
+    with pytest.raises(EstimationError, match="saturated"):
+        measure_sun(np.where(image > 0.5, np.nan, image), 7000.0, "sun")
+    cloudy = image.copy()
+    cloudy[:, 75:] *= 0.9
+    with pytest.raises(EstimationError, match="one side"):
+        measure_sun(cloudy, 7000.0, "sun")
+    with pytest.raises(EstimationError, match="border"):
+        measure_sun(image[:, 40:], 7000.0, "sun")
+
+
+def measured(folder: Path, scene: GazingScene, seed: int = 0, **options: object) -> GazingResult:
+    write_gazing(folder, scene, seed, force=True)
+    return run(load_gazing(folder), Options(align=Align.OUTLINE, **options))
+
+
+def errors_of(scene: GazingScene, result: GazingResult) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return slope errors (m,), their random sigmas (m,) and common modes (k, m) of all nodes, x before y."""
+    errors, sigmas, modes = [], [], []
+    for number, facet in enumerate(result.facets):
+        one = result.maps[facet.name]
+        x, y = (grid[one.valid] for grid in np.meshgrid(one.x_m, one.y_m))
+        truth = true_slopes(scene, number, x, y)
+        errors += [one.slope_x[one.valid] - truth[0], one.slope_y[one.valid] - truth[1]]
+        sigmas += [one.sigma_random_x[one.valid], one.sigma_random_y[one.valid]]
+        modes += list(np.moveaxis(one.common.evaluate(x, y), 1, 0))
+    return np.concatenate(errors), np.concatenate(sigmas), np.concatenate(modes, axis=1)
+
+
+def whitened(errors: np.ndarray, sigmas: np.ndarray, modes: np.ndarray) -> tuple[float, np.ndarray]:
+    """Return chi-square over the whole covariance for each number, and that along each mode that outweighs noise."""
+    white, basis = errors / sigmas, modes / sigmas
+    left, size, _ = np.linalg.svd(basis.T, full_matrices=False)
+    parts = left.T @ white
+    chi = parts**2 / (1 + size**2)
+    return float((white @ white - parts @ parts + chi.sum()) / white.size), chi[size > 0.5]
+
+
+def test_slopes_of_a_drawn_heliostat(tmp_path: Path) -> None:
+    result = measured(tmp_path / "drawn", replace(SMALL, known=no_errors(), noise_share=1e-3, pattern_share=0.0))
+    errors, _, _ = errors_of(SMALL, result)
+    assert np.sqrt(np.mean(errors**2)) < 1e-5
+    assert result.assembled.measured_share > 0.9
+    assert len(result.cantings) == 2
+
+
+@pytest.mark.slow
+def test_sigmas_are_the_scatter(tmp_path: Path) -> None:
+    """Chi-square over all nodes with the whole covariance, and along each of its common modes, over 12 seeds."""
+    whole, along = [], []
+    for seed in range(12):
+        result = measured(tmp_path / "drawn", SMALL, seed)
+        mean, chi = whitened(*errors_of(SMALL, result))
+        whole.append(mean)
+        along.append(chi)
+    together = np.concatenate(along)
+    assert np.mean(whole) == pytest.approx(1.0, abs=0.1)
+    # The largest modes of 12 seeds: their mean chi-square scatters by sqrt(2 / n).
+    assert together.mean() == pytest.approx(1.0, abs=3 * np.sqrt(2 / together.size))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("noise", "asked_mrad"), [(1e-4, 0.04), (1e-2, 0.06)])
+def test_tables_6_and_8(tmp_path: Path, noise: float, asked_mrad: float) -> None:
+    """T6 without noise: tilts within 0.04 mrad; T8 with 1 % noise and threshold: slopes within 0.06 mrad, at 20 cm."""
+    scene = GazingScene(
+        heliostat_of_table_6(0),
+        pixels=200,
+        focal_px=4800.0,
+        sun_focal_px=9000.0,
+        noise_share=noise,
+        pattern_share=0.0,
+        known=no_errors(),
+    ).with_spacing(0.2)
+    result = measured(tmp_path / "drawn", scene)
+    errors, _, _ = errors_of(scene, result)
+    assert 1e3 * np.sqrt(np.mean(errors**2)) < asked_mrad
+    tilts = np.array([one.canting.components_rad for one in result.cantings if one.canting is not None])
+    assert len(tilts) == 10
+    assert 1e3 * np.sqrt(np.mean((tilts - scene.heliostat.tilts_rad) ** 2)) < 0.04
+
+
+@pytest.mark.slow
+def test_camera_behind_a_cloud_is_left_out_and_named(tmp_path: Path) -> None:
+    clouds = np.ones(8)
+    clouds[2] = 0.7
+    result = measured(tmp_path / "drawn", replace(SMALL, clouds=clouds))
+    (doubt,) = [one for one in result.doubts if one.code == "camera_contradicts_others"]
+    assert "camera 3" in doubt.text
+    assert doubt.numbers["gain_ratio"] == pytest.approx(0.7, abs=0.03)
+    assert whitened(*errors_of(SMALL, result))[0] < 1.4
+    with pytest.raises(EstimationError, match="--strict"):
+        measured(tmp_path / "drawn", replace(SMALL, clouds=clouds), strict=True)
+
+
+@pytest.mark.slow
+def test_sun_camera_behind_a_cloud_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(EstimationError, match="cloud"):
+        measured(tmp_path / "drawn", replace(SMALL, clouds=np.full(8, 0.7)))
+
+
+@pytest.mark.slow
+def test_exchanged_cameras_are_refused_with_names(tmp_path: Path) -> None:
+    folder = tmp_path / "drawn"
+    write_gazing(folder, SMALL, 1)
+    file = folder / "measurement.toml"
+    text = file.read_text()
+    text = text.replace("camera_1/mirror", "X").replace("camera_2/mirror", "camera_1/mirror")
+    file.write_text(text.replace("X", "camera_2/mirror"))
+    with pytest.raises(EstimationError, match="camera 1 shows what camera 2 should"):
+        run(load_gazing(folder))
+
+
+def test_saturated_camera_and_missing_flat_are_said(tmp_path: Path) -> None:
+    folder = tmp_path / "drawn"
+    write_gazing(folder, replace(SMALL, saturated=(1,)), 2)
+    file = folder / "measurement.toml"
+    file.write_text(re.sub(r'flat = "camera_1.*\n', "", file.read_text(), count=1))
+    result = run(load_gazing(folder), Options(align=Align.OUTLINE))
+    codes = {one.code for one in result.doubts}
+    assert {"camera_saturated", "flat_missing"} <= codes
+    assert whitened(*errors_of(SMALL, result))[0] < 1.4
+
+
+def test_wrong_corner_is_refused_with_its_number(tmp_path: Path) -> None:
+    folder = tmp_path / "drawn"
+    write_gazing(folder, SMALL, 1)
+    file = folder / "measurement.toml"
+    text = file.read_text()
+    first = re.search(r"image_px = \[([^,]+), ([^\]]+)\]", text)
+    assert first is not None
+    file.write_text(text.replace(first.group(0), f"image_px = [{float(first[1]) + 15}, {first[2]}]", 1))
+    with pytest.raises(EstimationError, match="camera 1: point"):
+        run(load_gazing(folder))
+
+
+def test_keys_of_benches_are_refused(tmp_path: Path) -> None:
+    folder = tmp_path / "drawn"
+    write_gazing(folder, SMALL, 1)
+    file = folder / "measurement.toml"
+    file.write_text(file.read_text().replace("[mirror]\n", "[mirror]\nroll_deg = 1.0\n", 1))
+    with pytest.raises(InputError, match="roll_deg belongs to a mirror before a screen"):
+        load_gazing(folder)
