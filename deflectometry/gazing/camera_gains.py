@@ -6,6 +6,7 @@ from itertools import combinations, permutations
 
 import numpy as np
 
+from deflectometry.gazing.mirror_points import FEWEST_CAMERAS
 from deflectometry.gazing.node_slopes import (
     Brightness,
     NodeSlopes,
@@ -18,8 +19,6 @@ from deflectometry.gazing.sun_profile import SunProfile
 from heliogauge.errors import EstimationError
 from heliogauge.validate import FloatArray, IntArray
 
-#: Fewer cameras leave two slopes no check.
-FEWEST_CAMERAS = 3
 #: Nodes of all facets together from which the gains are found: four numbers from hundreds.
 _NODES = 400
 _ROUNDS = 6

@@ -12,6 +12,8 @@ from deflectometry.shape.gridding import grid_axis
 from heliogauge.geometry.surfaces import Facet
 from heliogauge.validate import BoolArray, FloatArray
 
+#: Two brightnesses leave two pairs of slopes, mirror images about the line through both cameras: a third decides.
+FEWEST_CAMERAS = 3
 #: Pixels of a node across: its light is the mean over so many squared.
 PIXELS_ACROSS = 4.0
 #: A node of fewer pixels has no light of its own.
@@ -164,12 +166,12 @@ def brightness_of(
 
     levels: Light of the sun's middle in each camera, reflected by the mirror [DN/ms].
     sun (3,): Direction to the sun in the mirror's frame.
-    Returns: The nodes that at least two cameras measured, and which of the grid's nodes these are.
+    Returns: The nodes that at least three cameras measured, and which of the grid's nodes these are.
     """
     facet = grid.facet
     step_m = grid.x_m[1] - grid.x_m[0]
     usable = np.stack([(one.count >= _FEWEST_PIXELS) & (one.saturated == 0) for one in seen])
-    nodes = grid.aperture & (np.count_nonzero(usable, axis=0) >= 2)
+    nodes = grid.aperture & (np.count_nonzero(usable, axis=0) >= FEWEST_CAMERAS)
     x, y = (values[nodes] for values in np.meshgrid(grid.x_m, grid.y_m))
     own = facet.design.gradient(x, y)
     places, more, value, sigma = [], [], [], []

@@ -6,7 +6,6 @@ from dataclasses import replace
 import numpy as np
 
 from deflectometry.gazing.camera_gains import (
-    FEWEST_CAMERAS,
     Gains,
     LeftOutCamera,
     contradicting_camera,
@@ -23,6 +22,7 @@ from deflectometry.gazing.facet_maps import (
 )
 from deflectometry.gazing.keys import GazingMeasurement
 from deflectometry.gazing.mirror_points import (
+    FEWEST_CAMERAS,
     PIXELS_ACROSS,
     FacetGrid,
     FacetPixels,
