@@ -53,7 +53,7 @@ METHOD = {
         "light",
         "studies",
     ),
-    "calibration.beam": ("images", "target", "light"),
+    "calibration.beam": ("images", "target", "light", "mirror"),
     "calibration.heliostat": ("kinematic_model", "observations", "fitting", "diagnosis", "exports", "performance"),
     "data_synth": ("optics", "fringes", "dots", "targets", "troughs", "heliostats", "acceptance", "lasers", "sky"),
     "heliogauge": (

@@ -1,7 +1,7 @@
 """``heliogauge beam``: photos of beams on targets to centres, sizes and flux."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -49,6 +49,54 @@ def measure_command(
     deliver(
         out,
         lambda: run(load_beams(folder), Options(jobs=jobs), progress),
+        progress,
+        force=force,
+        quiet=quiet,
+        report=not no_report,
+        as_json=as_json,
+    )
+
+
+@app.command("compare")
+def compare_command(
+    folder: BeamFolder,
+    out: OutFolder,
+    surface: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Surface of the mirror: slope_map.nc, a file of ARTIST (.h5), or points (.csv).",
+            show_default=False,
+        ),
+    ] = None,
+    heliostat: Annotated[str | None, typer.Option(help="Its name in a file of ARTIST.", show_default=False)] = None,
+    position_m: Annotated[
+        tuple[float, float, float] | None,
+        typer.Option("--position", metavar="E N U", help="Its middle in the field [m].", show_default=False),
+    ] = None,
+    mount: Annotated[
+        Literal["azimuth-elevation", "east-axis"] | None,
+        typer.Option(help="How it turns; default: as [mirror] says, or by the files.", show_default=False),
+    ] = None,
+    fit: Annotated[
+        bool, typer.Option("--fit/--no-fit", help="Estimate canting, focus and scatter from the flux.")
+    ] = True,
+    force: Force = False,
+    no_report: NoReport = False,
+    as_json: AsJson = False,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+) -> None:
+    """Compare beams with the mirror that made them: expected flux, correlation, canting from flux."""
+    from calibration.beam.keys import load_beams
+    from calibration.beam.pipeline.compare import CompareOptions, run
+    from heliogauge.running.terminal import terminal_progress
+
+    progress = terminal_progress(quiet=quiet, verbose=verbose)
+    options = CompareOptions(surface, heliostat, position_m, mount, fit)
+    deliver(
+        out,
+        lambda: run(load_beams(folder), options, progress),
         progress,
         force=force,
         quiet=quiet,

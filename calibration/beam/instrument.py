@@ -18,5 +18,8 @@ INSTRUMENT = Instrument(
             recognises="calibration.beam.keys:paint_beams",
         ),
     ),
-    reports={"beam": "calibration.beam.report:report.ipynb"},
+    reports={
+        "beam": "calibration.beam.report:report.ipynb",
+        "beam-mirror": "calibration.beam.report:report_mirror.ipynb",
+    },
 )

@@ -14,11 +14,13 @@ from heliogauge.measurement.models import (
     ImageFiles,
     Index,
     MeasurementModel,
+    Number,
     Positive,
     Section,
     Sigma,
     Text,
     Vector2,
+    Vector3,
     repeated,
 )
 
@@ -88,12 +90,18 @@ class BeamTargetSection(Section):
     distance_m: Positive | None = Field(
         None, description="From the mirror's middle to the target's: turns metres into angles of the beam [m]."
     )
+    center_m: Vector3 | None = Field(
+        None, description="Its centre in the field, east, north, up; needed by `beam compare` [m]."
+    )
+    facing_azimuth_deg: Number | None = Field(None, description="Azimuth that it faces; 180: south [deg].")
 
     @model_validator(mode="after")
     def _one_form(self) -> Self:
         given = [key for key in ("width_m", "height_m") if getattr(self, key) is not None]
         if self.corners_m is not None and given:
             raise ValueError(f"the corners define the target, and so does {given[0]}; leave one of both out")
+        if (self.center_m is None) != (self.facing_azimuth_deg is None):
+            raise ValueError("center_m and facing_azimuth_deg belong together: where the target stands in the field")
         if self.corners_m is None and len(given) < 2:
             raise ValueError("width_m and height_m are needed, or the four corners_m")
         return self
@@ -106,7 +114,8 @@ class BeamPhotosSection(Section):
     table: Text | None = Field(
         None,
         description="CSV with a row for each photo: image; target, time_utc, distance_m, power_w, sigma_power_w, "
-        "label_x_m, label_y_m where known; all other columns (drive readings) are passed on.",
+        "label_x_m, label_y_m, sun_azimuth_deg (0 north, clockwise), sun_elevation_deg where known; all other "
+        "columns (drive readings) are passed on.",
     )
     video: Text | None = Field(None, description="A video of the beam; its frames are the photos.")
     every_nth: Count = Field(1, description="Of a video only every nth frame.")
@@ -162,6 +171,53 @@ class BeamEvaluationSection(Section):
     )
 
 
+class BeamSiteSection(Section):
+    """Where the mirror stands on Earth: for the sun at the times of the photos."""
+
+    latitude_deg: Annotated[float, Field(strict=True, ge=-90, le=90)] = Field(
+        description="Latitude, north positive [deg]."
+    )
+    longitude_deg: Annotated[float, Field(strict=True, ge=-180, le=360)] = Field(
+        description="Longitude, east positive [deg]."
+    )
+    altitude_m: Number = Field(0.0, description="Height above sea level [m].")
+
+
+class BeamFacetSection(Section):
+    """A rectangular facet of a mirror as it is designed; frame of the mirror: x right, y up from the front, z out."""
+
+    center_m: Vector3 = Field(description="Its middle [m].")
+    width_m: Positive = Field(description="Size along x [m].")
+    height_m: Positive = Field(description="Size along y [m].")
+    focal_length_m: Positive | None = Field(None, description="Focal length; default: flat [m].")
+    canting_mrad: Vector2 = Field((0.0, 0.0), description="Turn of its normal towards +x and +y [mrad].")
+
+
+class BeamMirrorSection(Section):
+    """The mirror that made the beams: for `beam compare`."""
+
+    surface: Text | None = Field(
+        None,
+        description="Measured surface: slope_map.nc of heliogauge, a file of ARTIST (.h5, NURBS), or a CSV with x_m, "
+        "y_m, z_m, slope_x, slope_y, area_m2 and facet.",
+    )
+    heliostat: Text | None = Field(None, description="Its name in a file of ARTIST.")
+    facet: tuple[BeamFacetSection, ...] = Field((), description="Instead of a surface: its facets by design.")
+    position_m: Vector3 | None = Field(None, description="Its middle in the field: east, north, up [m].")
+    mount: Literal["azimuth-elevation", "east-axis"] | None = Field(
+        None,
+        description="How it turns: azimuth-elevation, or an axis to the east that carries one along its height (two "
+        "linear actuators). Default: east-axis for PAINT and ARTIST, else azimuth-elevation.",
+    )
+    circumsolar_ratio: Annotated[float, Field(strict=True, ge=0, le=0.8)] | None = Field(
+        None, description="Of the sun's shape by Buie; 0: the disc alone; default: estimated from each photo's skirts."
+    )
+    sun_file: Text | None = Field(None, description="Measured sun shape: CSV with angle_mrad, radiance.")
+    scatter_mrad: Sigma = Field(
+        0.0, description="1 sigma of the beam's scatter in one direction beyond the surface [mrad]."
+    )
+
+
 class PaintBeamsSection(Section):
     """Records of the PAINT database: one JSON for each photo, and the tower's file."""
 
@@ -182,6 +238,8 @@ class BeamModel(MeasurementModel):
     )
     photos: BeamPhotosSection | None = Field(None, description="The photos.")
     paint: PaintBeamsSection | None = Field(None, description="Records of the PAINT database, instead of the above.")
+    site: BeamSiteSection | None = Field(None, description="Where on Earth; for the sun from time_utc of the photos.")
+    mirror: BeamMirrorSection = Field(BeamMirrorSection(), description="The mirror, for `beam compare`.")
     flux: BeamFluxSection = Field(BeamFluxSection(), description="What makes the flux absolute.")
     evaluation: BeamEvaluationSection = Field(BeamEvaluationSection(), description="How beams are measured.")
 
@@ -232,7 +290,18 @@ class BeamsMeasurement:
         photos, flux = self.model.photos, self.model.flux
         named = [] if photos is None else [photos.table, photos.video]
         cameras = [one.camera for one in self.model.images]
-        return (*own, *(self.path(one) for one in (*named, flux.reflectance_map, *cameras) if one is not None))
+        return (
+            *own,
+            *(
+                self.path(one)
+                for one in (*named, flux.reflectance_map, *self._mirror_files, *cameras)
+                if one is not None
+            ),
+        )
+
+    @property
+    def _mirror_files(self) -> tuple[str | None, ...]:
+        return self.model.mirror.surface, self.model.mirror.sun_file
 
     @property
     def photo_files(self) -> tuple[Path, ...]:

@@ -1,7 +1,7 @@
 """The photos of a measurement: files, their targets, and what is known of each."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +12,8 @@ from calibration.beam.images.target_frames import TargetFrame, WholeImage, frame
 from calibration.beam.keys import BeamsMeasurement, BeamTargetSection, PaintBeamsSection
 from heliogauge.doubts import Doubt
 from heliogauge.errors import InputError
+from heliogauge.geometry.sun import Site, direction_from_angles, sun_directions, utc_times
+from heliogauge.geometry.target_planes import PlaneTarget
 from heliogauge.images.video import list_frames
 from heliogauge.results.tables import read_table_csv
 from heliogauge.validate import FloatArray
@@ -19,7 +21,15 @@ from heliogauge.validate import FloatArray
 __all__ = ["BeamPhotos", "read_photos"]
 
 #: Columns of a table of photos that are numbers and used here.
-NUMBERS = ("distance_m", "power_w", "sigma_power_w", "label_x_m", "label_y_m")
+NUMBERS = (
+    "distance_m",
+    "power_w",
+    "sigma_power_w",
+    "label_x_m",
+    "label_y_m",
+    "sun_azimuth_deg",
+    "sun_elevation_deg",
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -34,6 +44,8 @@ class BeamPhotos:
     left_out: Rows without a usable photo: name and reason.
     doubts: What was wrong with the files and was got round.
     shared_files: Files beside the photos that were read.
+    planes: Targets in the field, by name; missing where their place is not known.
+    to_sun (n, 3): Direction to the sun of each photo, east, north, up; NaN where not known.
     """
 
     files: tuple[Path, ...]
@@ -45,6 +57,8 @@ class BeamPhotos:
     left_out: Mapping[str, str] = field(default_factory=dict)
     doubts: tuple[Doubt, ...] = ()
     shared_files: tuple[Path, ...] = ()
+    planes: Mapping[str, PlaneTarget] = field(default_factory=dict)
+    to_sun: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
 
 
 def read_photos(measurement: BeamsMeasurement) -> BeamPhotos:
@@ -67,7 +81,9 @@ def read_photos(measurement: BeamsMeasurement) -> BeamPhotos:
         raise InputError(f"{measurement.folder}: [photos] is missing")
     target = photos.target or model.target[0].name
     if photos.table is not None:
-        return _of_table(measurement, photos.table, target, frames, distances)
+        found = _of_table(measurement, photos.table, target, frames, distances)
+        return replace(found, planes=_planes(model.target), to_sun=_suns(measurement, found))
+    planes = _planes(model.target)
     files, doubts = measurement.photo_files, tuple[Doubt, ...]()
     if photos.video is not None:
         video = list_frames(measurement.path(photos.video), every_nth=photos.every_nth)
@@ -76,7 +92,36 @@ def read_photos(measurement: BeamsMeasurement) -> BeamPhotos:
     files = tuple(file for file in files if file not in empty)
     if not files:
         raise InputError(f"{measurement.folder}: all photos are empty frames (images.empty); give photos of beams, too")
-    return BeamPhotos(files, (target,) * len(files), frames, distances, doubts=doubts)
+    nowhere = np.full((len(files), 3), np.nan)
+    return BeamPhotos(files, (target,) * len(files), frames, distances, doubts=doubts, planes=planes, to_sun=nowhere)
+
+
+def _planes(targets: Sequence[BeamTargetSection]) -> dict[str, PlaneTarget]:
+    found = {}
+    for one in targets:
+        if one.center_m is not None and one.facing_azimuth_deg is not None:
+            width, height = np.ptp(_corners(one), axis=0)
+            azimuth = np.radians(one.facing_azimuth_deg)
+            found[one.name] = PlaneTarget.facing(
+                one.name, np.array(one.center_m), float(azimuth), float(width), float(height)
+            )
+    return found
+
+
+def _suns(measurement: BeamsMeasurement, photos: BeamPhotos) -> FloatArray:
+    """Directions to the sun: from the table's angles, else from its times and the site."""
+    to_sun = np.full((len(photos.files), 3), np.nan)
+    angles = [photos.numbers[name] for name in ("sun_azimuth_deg", "sun_elevation_deg")]
+    known = np.isfinite(angles[0]) & np.isfinite(angles[1])
+    if known.any():
+        to_sun[known] = direction_from_angles(np.radians(angles[0][known]), np.radians(angles[1][known]))
+    times, site = photos.passed_on.get("time_utc"), measurement.model.site
+    if times is not None and site is not None:
+        rows = [row for row, text in enumerate(times) if text and not known[row]]
+        if rows:
+            place = Site(site.latitude_deg, site.longitude_deg, site.altitude_m)
+            to_sun[rows] = sun_directions(utc_times([times[row] for row in rows]), place)
+    return to_sun
 
 
 def _corners(target: BeamTargetSection) -> FloatArray:
@@ -157,5 +202,14 @@ def _of_paint(measurement: BeamsMeasurement, paint: PaintBeamsSection) -> BeamPh
             texts[name] = tuple(f"{value:.9g}" if np.isfinite(value) else "" for value in values)
     files = tuple(picture for _, picture in used)
     return BeamPhotos(
-        files, tuple(one.target for one, _ in used), frames, {}, numbers, texts, left_out, shared_files=(tower,)
+        files,
+        tuple(one.target for one, _ in used),
+        frames,
+        {},
+        numbers,
+        texts,
+        left_out,
+        shared_files=(tower,),
+        planes=targets.planes,
+        to_sun=sun,
     )

@@ -1,0 +1,398 @@
+"""What photos of a mirror's beam can tell of the mirror: pointing of each photo, canting of the facets, focus, scatter.
+
+The expected flux of each facet (`expected_flux`) is fitted to the measured one of several suns at once by least
+squares: aim point, brightness and level of each photo, and for all photos the canting of each facet, one curvature,
+and the scatter of the beam. The mean of the canting is the pointing, so the canting adds up to zero. What is left
+between measured and expected flux is no noise that differs from pixel to pixel but what the model lacks (surface, sun
+shape, background), alike over the width of the sun's picture: the covariance takes residuals of such blocks as they
+are.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from calibration.beam.mirror.expected_flux import FluxGrid, Scene, facet_fluxes
+from calibration.beam.mirror.facets import Mirror, Mount, canted, curved, mirror_rotation
+from heliogauge.errors import EstimationError, InputError
+from heliogauge.geometry.target_planes import PlaneTarget
+from heliogauge.short_repr import ShortRepr
+from heliogauge.sunlight.sun_shapes import BuieSun, SunShape
+from heliogauge.validate import FloatArray, IntArray, freeze
+
+__all__ = ["FluxFit", "FluxPhoto", "MirrorStand", "aureole_ratio", "compare_as_it_is", "correlation", "fit_flux"]
+
+_MOST_STEPS = 25
+#: Change of a canting that ends the fit: a hundredth of what photos tell [rad].
+_SETTLED_RAD = 1e-6
+#: Steps of the differences that stand for derivatives [rad, 1/m, rad].
+_STEP_RAD, _STEP_1PM, _STEP_SCATTER_RAD = 1e-4, 2e-4, 2e-4
+#: Least and largest scatter: below, the sun's disc hides it; beyond, it is no scatter [rad].
+#: Circumsolar ratios that are tried, up to hazy skies; level of the disc's flux below which its skirts begin.
+_AUREOLES, _SKIRT = (0.0, 0.01, 0.03, 0.06, 0.1, 0.2, 0.4), 0.02
+_LEAST_SCATTER_RAD, _MOST_SCATTER_RAD = 2e-4, 2e-2
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MirrorStand:
+    """Where a mirror stands, and how it turns.
+
+    position_m (3,): Its middle in the field [m].
+    mount: How it turns about its normal.
+    """
+
+    position_m: FloatArray
+    mount: Mount
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FluxPhoto(ShortRepr):
+    """The measured flux of one photo.
+
+    name: Of the photo.
+    target: The target.
+    to_sun (3,): Direction to the sun, in the field.
+    grid: Where the flux is known.
+    flux_dn (ny, nx): It; NaN where it is not known [DN].
+    aim_m (2,): Centre of the light on the target [m].
+    sun: Radiance over the angle from the sun's centre.
+    """
+
+    name: str
+    target: PlaneTarget
+    to_sun: FloatArray
+    grid: FluxGrid
+    flux_dn: FloatArray
+    aim_m: FloatArray
+    sun: SunShape
+
+    def scene(self, stand: MirrorStand, aim_m: FloatArray, scatter_rad: float) -> Scene:
+        """Return the mirror in the light of this photo, aimed at a point of the target [m]."""
+        toward = self.target.points(aim_m[None, :])[0] - stand.position_m
+        rotation = mirror_rotation(self.to_sun, toward, stand.mount)
+        return Scene(stand.position_m, rotation, self.to_sun, self.target, self.sun, scatter_rad)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FluxFit(ShortRepr):
+    """A mirror and the photos of its beam brought together.
+
+    canting_rad, sigma_canting_rad (k, 2): Turn of each facet's normal towards +x and +y that was added, and its sigma;
+        the mean over the facets is zero [rad].
+    curvature_1pm, sigma_curvature_1pm: Curvature that was added to all facets [1/m].
+    scatter_rad, sigma_scatter_rad: Scatter of the beam in one direction beyond surface and sun [rad].
+    aims_m, sigma_aims_m (n, 2): Where each photo's beam is aimed [m].
+    expected_dn: Expected flux of each photo on its grid, brightness and level fitted [DN].
+    levels_dn (n,): Of it the level, which the background is taken for [DN].
+    correlations (n,): Between measured and expected flux.
+    steps: Steps of the fit.
+    covariance_canting (2k, 2k): Covariance of the canting, x and y of each facet in turn [rad^2].
+    """
+
+    canting_rad: FloatArray
+    sigma_canting_rad: FloatArray
+    curvature_1pm: float
+    sigma_curvature_1pm: float
+    scatter_rad: float
+    sigma_scatter_rad: float
+    aims_m: FloatArray
+    sigma_aims_m: FloatArray
+    expected_dn: tuple[FloatArray, ...]
+    levels_dn: FloatArray
+    correlations: FloatArray
+    steps: int
+    covariance_canting: FloatArray
+
+    @property
+    def slope_error_bound_rad(self) -> float:
+        """Upper bound (95 %) of a slope error of the normal in one direction: all scatter is taken for it [rad]."""
+        return 0.5 * (self.scatter_rad + 1.645 * self.sigma_scatter_rad)
+
+
+def correlation(first: FloatArray, second: FloatArray) -> float:
+    """Return the correlation of two pictures over the pixels that both have."""
+    both = np.isfinite(first) & np.isfinite(second)
+    a, b = first[both] - first[both].mean(), second[both] - second[both].mean()
+    scale = float(np.sqrt((a @ a) * (b @ b)))
+    return float(a @ b) / scale if scale > 0 else float("nan")
+
+
+def compare_as_it_is(
+    photos: Sequence[FluxPhoto], mirror: Mirror, stand: MirrorStand, scatter_rad: float = 0.0
+) -> FluxFit:
+    """Compare photos with a mirror as it is: only aim and brightness of each photo are fitted.
+
+    scatter_rad: Scatter of the beam in one direction beyond the surface [rad].
+    InputError: No photo, or a mirror that does not stand before the target.
+    EstimationError: The mirror sends no light to the target.
+    """
+    return _Fit(photos, mirror, stand, scatter_rad, free=False).solve()
+
+
+def aureole_ratio(photo: FluxPhoto, mirror: Mirror, stand: MirrorStand, scatter_rad: float = 0.0) -> float:
+    """Return the circumsolar ratio with which the expected flux has the skirts of the measured one.
+
+    scatter_rad: Scatter of the beam in one direction beyond the surface [rad].
+    EstimationError: The mirror sends no light to the target.
+
+    Skirts are where the sun's disc alone gives less than 2 % of the peak; the share of the light there decides. Slope
+    errors and blur widen the core and hardly reach so far. The sun's aureole on that day, haze, dirt on the mirror and
+    the camera's own halo act alike: without a measured sun shape this is the shape that stands for them. The
+    background is taken as removed.
+    """
+    known = np.isfinite(photo.flux_dn)
+
+    def expected(ratio: float) -> FloatArray:
+        scene = replace(photo, sun=BuieSun(ratio)).scene(stand, photo.aim_m, scatter_rad)
+        flux = facet_fluxes(scene, mirror, photo.grid).sum(axis=0)
+        if not float(flux.sum()) > 0:
+            raise EstimationError(
+                f"{photo.name}: the mirror sends no light to where the beam is; check sun and position"
+            )
+        return np.asarray(flux, dtype=np.float64)
+
+    disc = expected(0.0)
+    skirts = known & (disc < _SKIRT * float(disc.max()))
+    wanted = float(photo.flux_dn[skirts].sum() / photo.flux_dn[known].sum())
+    shares = [float(one[skirts].sum() / one[known].sum()) for one in (disc, *map(expected, _AUREOLES[1:]))]
+    # Shares ascend with the ratio; beyond both ends the end stands.
+    return float(np.interp(wanted, shares, _AUREOLES))
+
+
+def fit_flux(photos: Sequence[FluxPhoto], mirror: Mirror, stand: MirrorStand, scatter_rad: float = 1e-3) -> FluxFit:
+    """Fit canting, focus and scatter of a mirror to photos of its beam.
+
+    scatter_rad: Scatter from which the search starts [rad].
+    InputError: No photo, or a mirror that does not stand before the target.
+    EstimationError: The photos do not determine the parameters, or the fit did not settle.
+    """
+    return _Fit(photos, mirror, stand, scatter_rad, free=True).solve()
+
+
+class _Linear(NamedTuple):
+    """Residuals and their derivatives by all parameters, over all photos, and the block of each pixel."""
+
+    residuals: FloatArray
+    rows: FloatArray
+    blocks: IntArray
+    expected: tuple[FloatArray, ...]
+    levels: FloatArray
+
+
+@dataclass(slots=True, eq=False)
+class _State:
+    """Parameters: canting (k, 2), curvature, scatter, aims (n, 2)."""
+
+    canting: FloatArray
+    curvature: float
+    scatter: float
+    aims: FloatArray
+
+
+class _Fit:
+    """Least squares; brightness and level of each photo are eliminated in closed form."""
+
+    def __init__(
+        self,
+        photos: Sequence[FluxPhoto],
+        mirror: Mirror,
+        stand: MirrorStand,
+        scatter_rad: float,
+        *,
+        free: bool,
+    ) -> None:
+        if not photos:
+            raise InputError("flux: no photo can be compared; each needs a beam, a sun and a target of known place")
+        self._photos, self._mirror, self._stand = photos, mirror, stand
+        self._count = len(mirror.facets)
+        self._free = free
+        self._state = _State(
+            np.zeros((self._count, 2)), 0.0, scatter_rad, np.array([photo.aim_m for photo in photos], dtype=np.float64)
+        )
+        # A basis of cantings that add up to zero.
+        ones = np.ones((self._count, 1)) / np.sqrt(self._count)
+        self._zero_mean = np.linalg.svd(np.eye(self._count) - ones @ ones.T)[0][:, : self._count - 1]
+        self._globals = 2 * (self._count - 1) + 2 if free else 0
+
+    def solve(self) -> FluxFit:
+        linear = self._linear(self._state)
+        cost, damping = float(linear.residuals @ linear.residuals), 1e-3
+        steps = 0
+        while steps < _MOST_STEPS:
+            steps += 1
+            normal = linear.rows.T @ linear.rows
+            gradient = linear.rows.T @ linear.residuals
+            self._refuse_undetermined(normal)
+            moved = False
+            step: FloatArray = np.zeros(gradient.size)
+            lower = cost
+            for _ in range(8):
+                damped = normal + damping * np.diag(np.diag(normal))
+                step = np.asarray(np.linalg.solve(damped, gradient))
+                trial = self._moved(step)
+                attempt = self._linear(trial, derivatives=False)
+                lower = float(attempt.residuals @ attempt.residuals)
+                if lower < cost:
+                    moved, damping = True, damping / 5
+                    self._state = trial
+                    break
+                damping *= 6
+            if not moved or self._is_settled(step, cost - lower, cost):
+                break
+            linear = self._linear(self._state)
+            cost = float(linear.residuals @ linear.residuals)
+        else:
+            raise EstimationError(
+                f"flux: the fit did not settle in {_MOST_STEPS} steps; is it the beam of this mirror, and the sun "
+                f"of this "
+                "time?"
+            )
+        return self._result(self._linear(self._state), steps)
+
+    def _is_settled(self, step: FloatArray, gain: float, cost: float) -> bool:
+        small = float(np.abs(step[: max(self._globals - 2, 0)]).max(initial=0.0)) < _SETTLED_RAD
+        return (small and gain < 1e-5 * cost) or gain < 1e-7 * cost
+
+    def _moved(self, step: FloatArray) -> _State:
+        state = self._state
+        aims = state.aims + step[self._globals :].reshape(-1, 2)
+        if not self._free:
+            return replace(state, aims=aims)
+        half = self._count - 1
+        canting = state.canting + self._zero_mean @ step[: 2 * half].reshape(half, 2)
+        scatter = float(np.clip(state.scatter + step[2 * half + 1], _LEAST_SCATTER_RAD, _MOST_SCATTER_RAD))
+        return _State(canting, state.curvature + float(step[2 * half]), scatter, aims)
+
+    def _refuse_undetermined(self, normal: FloatArray) -> None:
+        scale = np.sqrt(np.diag(normal))
+        if not (scale > 0).all():
+            raise EstimationError(
+                "flux: a facet sends no light to the targets, so its canting is not seen in the photos"
+            )
+        values = np.linalg.eigvalsh(normal / scale[:, None] / scale)
+        if values[0] < 1e-8:
+            raise EstimationError(
+                f"flux: {len(self._photos)} photos do not tell the canting of {self._count} facets apart; more "
+                f"suns, or fewer "
+                "facets"
+            )
+
+    # --- model ------------------------------------------------------------------------------------------------------
+
+    def _linear(self, state: _State, *, derivatives: bool = True) -> _Linear:
+        mirror = canted(curved(self._mirror, state.curvature), state.canting)
+        residuals, rows, blocks, expected, levels = [], [], [], [], []
+        first = 0
+        for number, photo in enumerate(self._photos):
+            scene = photo.scene(self._stand, state.aims[number], state.scatter)
+            fluxes = facet_fluxes(scene, mirror, photo.grid)
+            whole = fluxes.sum(axis=0)
+            known = np.isfinite(photo.flux_dn)
+            model = np.column_stack([whole[known], np.ones(int(known.sum()))])
+            measured = photo.flux_dn[known]
+            scale, *_ = np.linalg.lstsq(model, measured, rcond=None)
+            if not scale[0] > 0:
+                raise EstimationError(f"{photo.name}: the expected beam is not where the measured one is")
+            # Each photo counts alike, however long it was exposed.
+            weight = 1 / (scale[0] * float(np.sqrt(np.mean(whole[known] ** 2))) * np.sqrt(measured.size))
+            levels.append(float(scale[1]))
+            expected.append(freeze(scale[0] * whole + scale[1]))
+            residuals.append(weight * (measured - model @ scale))
+            if derivatives:
+                part = np.zeros((measured.size, self._globals + 2 * len(self._photos)))
+                columns = self._derivatives(state, mirror, photo, scene, fluxes)
+                chosen = [one[known] for one in columns]
+                part[:, : self._globals] = np.column_stack(chosen[:-2]) if self._globals else part[:, :0]
+                place = self._globals + 2 * number
+                part[:, place : place + 2] = np.column_stack(chosen[-2:])
+                # What brightness and level take of each derivative is not seen.
+                basis, _ = np.linalg.qr(model)
+                part -= basis @ (basis.T @ part)
+                rows.append(weight * scale[0] * part)
+                index = _blocks(photo, scene)[known]
+                blocks.append(index + first)
+                first += int(index.max()) + 1
+        empty = np.zeros((0, 0))
+        return _Linear(
+            np.concatenate(residuals),
+            np.concatenate(rows) if rows else empty,
+            np.concatenate(blocks) if blocks else np.zeros(0, dtype=np.intp),
+            tuple(expected),
+            np.array(levels),
+        )
+
+    def _derivatives(
+        self, state: _State, mirror: Mirror, photo: FluxPhoto, scene: Scene, fluxes: FloatArray
+    ) -> list[FloatArray]:
+        """Return the derivatives of the flux by all that is common, then by the aim."""
+        whole = fluxes.sum(axis=0)
+        found: list[FloatArray] = []
+        if self._free:
+            by_facet = np.zeros((self._count, 2, *whole.shape))
+            for axis in (0, 1):
+                turn = np.zeros((self._count, 2))
+                turn[:, axis] = _STEP_RAD
+                sides = [facet_fluxes(scene, canted(mirror, sign * turn), photo.grid) for sign in (1, -1)]
+                by_facet[:, axis] = (sides[0] - sides[1]) / (2 * _STEP_RAD)
+            parts = np.einsum("kj,kayx->jayx", self._zero_mean, by_facet)
+            found += list(parts.reshape(-1, *whole.shape))
+            bent = canted(curved(self._mirror, state.curvature + _STEP_1PM), state.canting)
+            found.append((facet_fluxes(scene, bent, photo.grid).sum(axis=0) - whole) / _STEP_1PM)
+            wider = replace(scene, scatter_rad=state.scatter + _STEP_SCATTER_RAD)
+            found.append((facet_fluxes(wider, mirror, photo.grid).sum(axis=0) - whole) / _STEP_SCATTER_RAD)
+        up, across = np.gradient(whole, photo.grid.y_m, photo.grid.x_m)
+        return [*found, -across, -up]
+
+    # --- answer -----------------------------------------------------------------------------------------------------
+
+    def _result(self, linear: _Linear, steps: int) -> FluxFit:
+        normal = linear.rows.T @ linear.rows
+        self._refuse_undetermined(normal)
+        inverse = np.linalg.inv(normal)
+        count = int(linear.blocks.max()) + 1
+        scores = np.zeros((count, normal.shape[0]))
+        np.add.at(scores, linear.blocks, linear.rows * linear.residuals[:, None])
+        lit = int(np.count_nonzero(np.abs(scores).sum(axis=1) > 1e-3 * np.abs(scores).sum(axis=1).max()))
+        if lit <= normal.shape[0]:
+            raise EstimationError(
+                f"flux: the photos show {lit} independent places of the beam, {normal.shape[0]} parameters are "
+                f"asked for; "
+                "more suns are needed"
+            )
+        covariance = inverse @ (scores.T @ scores) @ inverse * (lit / (lit - normal.shape[0]))
+        state, half, globals_ = self._state, self._count - 1, self._globals
+        nan = float("nan")
+        cantings = np.zeros((2 * self._count, 2 * self._count))
+        if self._free:
+            # Parameters run facet mode by facet mode, x and y in turn.
+            spread = np.kron(self._zero_mean, np.eye(2))
+            cantings = spread @ covariance[: 2 * half, : 2 * half] @ spread.T
+        sigma = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+        correlations = [
+            correlation(photo.flux_dn, one) for photo, one in zip(self._photos, linear.expected, strict=True)
+        ]
+        return FluxFit(
+            freeze(state.canting.copy()),
+            freeze(np.sqrt(np.maximum(np.diag(cantings), 0.0)).reshape(-1, 2)),
+            state.curvature,
+            float(sigma[2 * half]) if self._free else nan,
+            state.scatter,
+            float(sigma[2 * half + 1]) if self._free else nan,
+            freeze(state.aims.copy()),
+            freeze(sigma[globals_:].reshape(-1, 2)),
+            linear.expected,
+            freeze(linear.levels),
+            freeze(np.array(correlations)),
+            steps,
+            freeze(cantings),
+        )
+
+
+def _blocks(photo: FluxPhoto, scene: Scene) -> IntArray:
+    """Return the number of the block that each pixel belongs to: as wide as the sun's disc on the target."""
+    width = 2 * 4.65e-3 * float(np.linalg.norm(scene.spread, ord=2))
+    column = ((photo.grid.x_m - photo.grid.x_m[0]) / width).astype(np.intp)
+    row = ((photo.grid.y_m - photo.grid.y_m[0]) / width).astype(np.intp)
+    return np.asarray(row[:, None] * (int(column.max()) + 1) + column[None, :])
