@@ -1,7 +1,7 @@
 """Faults put into drawn flights over a trough: what the command line says of each, and whether that names the fault.
 
 Run ``OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python benchmarks/observer_faults.py FOLDER [SEED ..] [--preset NAME]
-[--photos N] [--only WORD]``; the seeds are 1 to 4 without any. FOLDER keeps the photos for the next run. A fault is
+[--photos N] [--only REGEX]``; the seeds are 1 to 4 without any. FOLDER keeps the photos for the next run. A fault is
 named when a warning that the flight without it does not have names it: the key, both targets, where photos are missing,
 the encoding. Where two encodings are mixed, what is said of how files are encoded counts as well, and all photos of the
 wrong kind must be named by it.
@@ -147,7 +147,7 @@ def main() -> None:
         before, _ = measure(good)
         print(f"seed {seed}, no fault:", *before, sep="\n    ", flush=True)
         for number, (name, fault) in enumerate(FAULTS.items()):
-            if args.only not in name:
+            if not re.search(args.only, name):
                 continue
             bad = args.folder / "bad"
             shutil.rmtree(bad, ignore_errors=True)

@@ -32,6 +32,7 @@ OVERLAY_PHOTO = "reflection_overlay.jpg"
 NETWORK_FOLDER = "network"
 #: Studies of finished measurements: modules side by side, panels aligned, several orientations.
 OVERVIEW_TABLE, OVERVIEW_MAPS, OVERVIEW_LOOPS = "overview.csv", "overview.nc", "loops.csv"
+OVERVIEW_TURNS = "panels_to_turn.csv"
 ALIGNMENT_OVERLAY, ALIGNMENT_MOVES = "overlay.svg", "mounts.svg"
 #: Pictures of single photos begin so.
 OVERLAY_STEM = "overlay_"

@@ -13,7 +13,7 @@ from heliogauge.slopes.statistics import statistics
 from heliogauge.validate import FloatArray
 from observer.absorber.position import AbsorberSolution
 from observer.light.panel_gains import PanelGains
-from observer.product.panel_alignment import panel_tilts
+from observer.product.panel_alignment import move_of_outer_mount, panel_tilts
 from observer.product.panel_shapes import panel_shapes
 from observer.product.slope_map import AngleMaps
 from observer.selection.edge_refusal import EdgeFate
@@ -147,7 +147,7 @@ def panel_columns(
     """
     tilts = panel_tilts(angles.theta_r_rad, slope_map, collector)
     to_tube = panel_tilts(angles.theta_ra_rad, angles.to_tube, collector)
-    shapes = panel_shapes(slope_map, collector)
+    shapes, moves = panel_shapes(slope_map, collector), move_of_outer_mount(to_tube, collector)
     return {
         "panel": np.arange(1, tilts.tilt_rad.size + 1),
         "centre_x_m": tilts.centre_x_m,
@@ -157,6 +157,8 @@ def panel_columns(
         "mean_theta_ra_rad": to_tube.tilt_rad,
         "sigma_mean_theta_ra_rad": to_tube.sigma_rad,
         **({} if gains is None else _gain_columns(gains)),
+        "mount_move_m": moves.move_m,
+        "sigma_mount_move_m": moves.sigma_m,
         "focal_length_m": shapes.focal_length_m,
         "sigma_focal_length_m": shapes.sigma_focal_length_m,
         "rest_slope_rad": shapes.rest_rad,

@@ -23,6 +23,8 @@ from observer.photo_edges.reflection_edges import design_misfit
 from observer.trough.absorber_path import AbsorberPath
 from observer.trough.collector import Collector
 
+#: Mounts whose places nobody states lie so far inside a panel's corners [m].
+MOUNT_INSET_M = 0.1
 #: Places across a panel between which an edge is looked for.
 _PLACES = 257
 
@@ -166,6 +168,14 @@ def mount_moves(tilts: PanelTilts, mounts_m: FloatArray, collector: Collector) -
     covariance[:, 0, 0] = tilts.sigma_rad[panel] ** 2
     moves = moves_of_mounts(levers, turns, covariance)
     return MountMoves(panel.astype(np.intp), moves.move_m, moves.sigma_m)
+
+
+def move_of_outer_mount(tilts: PanelTilts, collector: Collector) -> MountMoves:
+    """Prescribe the move of each panel's mount `MOUNT_INSET_M` inside its edge of larger x."""
+    columns = collector.panel_edges_x_m
+    inset = np.minimum(MOUNT_INSET_M, np.diff(columns) / 4)
+    outer = np.tile(columns[1:] - inset, collector.panel_edges_y_m.size - 1)
+    return mount_moves(tilts, np.stack([outer, tilts.centre_y_m], axis=1), collector)
 
 
 def _arc_m(x_m: FloatArray, focal_length_m: float) -> FloatArray:

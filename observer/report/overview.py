@@ -8,7 +8,7 @@ import numpy as np
 
 from heliogauge.reporting import page
 from heliogauge.reporting.html import FirstScreen, Html, beside, join
-from heliogauge.reporting.look import LINE_X, robust_limit
+from heliogauge.reporting.look import FAINT, LINE_X, robust_limit
 from heliogauge.reporting.notation import number_text
 from heliogauge.reporting.verdict import SMALLEST_HOLE_SHARE, verdict_of
 from heliogauge.results.folder import Summary, read_summary, read_table_csv
@@ -17,7 +17,7 @@ from heliogauge.view.charts import ChartSeries, ChartView, Mark
 from heliogauge.view.maps import MapLayer, MapView
 from heliogauge.view.stills import side_by_side
 from heliogauge.view.tables import TableColumn, TableView
-from observer.files import OVERVIEW_LOOPS, OVERVIEW_MAPS, OVERVIEW_TABLE, ModuleMap, read_maps
+from observer.files import OVERVIEW_LOOPS, OVERVIEW_MAPS, OVERVIEW_TABLE, OVERVIEW_TURNS, ModuleMap, read_maps
 from observer.report.figures_modules import maps_sheet, module_angle
 from observer.report.sections import numbers_table
 
@@ -28,15 +28,35 @@ _TITLES = {
 }
 #: Columns of the table of modules, and what they are called there.
 _COLUMNS = (
-    ("rms_theta_r_rad", "theta_r RMS", "rad"),
+    ("intercept_gain_panels_turned_ratio", "gain by turning panels", ""),
+    ("panels_to_turn_count", "panels to turn", ""),
+    ("intercept_ratio", "intercept factor", ""),
     ("rms_theta_ra_rad", "theta_ra RMS", "rad"),
+    ("rms_theta_r_rad", "theta_r RMS", "rad"),
     ("absorber_mean_x_m", "absorber X_a", "m"),
     ("absorber_mean_z_offset_m", "Z_a - focal length", "m"),
-    ("intercept_ratio", "intercept factor", ""),
-    ("intercept_gain_panels_turned_ratio", "gain by turning panels", ""),
     ("measured_share", "measured", ""),
     ("photos_count", "photos", ""),
 )
+#: What a number of the first screen means, where it first stands.
+_MEANINGS = {
+    "intercept_gain_panels_turned_ratio": "more light on the tube, as a share of what the mirror reflects",
+    "intercept_ratio": "share of the reflected light that meets the tube",
+    "rms_theta_ra_rad": "turn of the mirror's normal off the one that lights the absorber as it is",
+    "rms_theta_r_rad": "turn of the mirror's normal off its design",
+    "absorber_mean_x_m": "absorber beside the focal line, across",
+    "absorber_mean_z_offset_m": "absorber above the focal line",
+    "measured_share": "share of the mirror that was measured",
+}
+#: Colours of the field's map: gains of modules from these shares of the light on, the least one first.
+_GAINS = (
+    (1e-2, "gains 1 % and more", "#b3261e"),
+    (1e-3, "gains 0.1 to 1 %", "#e08a1e"),
+    (0.0, "gains less", "#e9cf63"),
+)
+_NOTHING = ("nothing sure to gain", "#3f7f4f")
+#: Panels that the first screen names.
+_MOST_PANELS = 3
 #: Maps that can be looked into in a page, about 0.1 MB each.
 _MOST_MAPS = 12
 #: Numbers of each module that a chart shows beside those of the others: name and factor to the printed unit.
@@ -56,6 +76,7 @@ class OverviewResults:
     table: dict[str, list[str]]
     maps: list[ModuleMap]
     folder: Path
+    turns: dict[str, list[str]] | None = None
 
     def value(self, key: str, row: int) -> float | None:
         """Return a number of a module; None where there is none."""
@@ -81,7 +102,14 @@ def open_overview(folder: str | Path = ".") -> OverviewResults:
     """
     folder = Path(folder)
     table_ = read_table_csv(folder / OVERVIEW_TABLE, ("result", "name"))
-    return OverviewResults(read_summary(folder), table_, read_maps(folder / OVERVIEW_MAPS), folder)
+    turns_ = folder / OVERVIEW_TURNS
+    return OverviewResults(
+        read_summary(folder),
+        table_,
+        read_maps(folder / OVERVIEW_MAPS),
+        folder,
+        read_table_csv(turns_, ("result", "panel")) if turns_.is_file() else None,
+    )
 
 
 def head(results: OverviewResults) -> FirstScreen:
@@ -97,8 +125,126 @@ def head(results: OverviewResults) -> FirstScreen:
     passed = [f"{len(measured)} modules measured"] if measured else []
     line = f"overview of {count} modules; heliogauge {summary.version}"
     return page.first_screen(
-        summary.name, line, verdict_of(summary, missing, passed), _rows(results), first_view(results)
+        summary.name,
+        line,
+        verdict_of(summary, missing, passed),
+        [*_work(results), *_rows(results)],
+        first_view(results),
     )
+
+
+def _work(results: OverviewResults) -> list[tuple[str, str, str]]:
+    """Say which panels gain by a turn, how far, and what all of them gain."""
+    if results.turns is None:
+        return []
+    shown = results.measured
+    key = "intercept_gain_panels_turned_ratio"
+    gains, sigmas = results.values(key, shown), results.values(f"sigma_{key}", shown)
+    known = np.isfinite(gains)
+    count = len(results.turns["panel"])
+    if not count or not known.any():
+        return [("Panels that surely gain by a turn", "none", "in none of the modules")]
+    # Of modules that were measured each for itself.
+    sigma = float(np.sqrt(np.nansum(sigmas[known] ** 2))) / int(known.sum())
+    turns, own = results.turns, len(set(results.turns["result"]))
+    best = ", ".join(
+        f"{turns['result'][k]} panel {turns['panel'][k]} by {_number(turns, 'turn_rad', k, 'rad')}"
+        for k in range(min(count, _MOST_PANELS))
+    )
+    more = f" and {count - _MOST_PANELS} more" if count > _MOST_PANELS else ""
+    return [
+        (
+            f"Gain by turning {count} panels of {own} modules",
+            number_text(float(gains[known].mean()), sigma, "", key),
+            f"mean of all modules; most by {best}{more}: see Work list",
+        )
+    ]
+
+
+def _number(columns: dict[str, list[str]], key: str, row: int, unit: str) -> str:
+    return number_text(float(columns[key][row]), float(columns[f"sigma_{key}"][row]), unit, key)
+
+
+def field(results: OverviewResults) -> ChartView | Html:
+    """Return the map of the field: modules where they are, coloured by what turning their panels gains.
+
+    Without places modules stand in the order of the table, loop by loop.
+    """
+    rows = list(range(len(results.table["result"])))
+    if not rows:
+        return Html("")
+    places = np.array([results.values(f"place_{axis}_m", rows) for axis in "xy"])
+    is_placed = bool(np.isfinite(places[:, results.measured]).all()) and bool(results.measured)
+    if not is_placed:
+        loop_of = results.table.get("loop", [""] * len(rows))
+        names = list(dict.fromkeys(loop_of))
+        places = np.array(
+            [
+                [float(loop_of[:row].count(loop_of[row])) + 1 for row in rows],
+                [float(names.index(loop_of[row])) + 1 for row in rows],
+            ]
+        )
+    key = "intercept_gain_panels_turned_ratio"
+    gains, turned = results.values(key, rows), results.values("panels_to_turn_count", rows)
+    kind = np.full(len(rows), -1)
+    for number, (least, *_) in reversed(list(enumerate(_GAINS))):
+        kind[(gains >= least) & (turned > 0)] = number
+    kind[np.isfinite(gains) & ~(turned > 0)] = len(_GAINS)
+    classes = [*((name, color) for _, name, color in _GAINS), _NOTHING, ("not measured", FAINT)]
+    kind[kind < 0] = len(classes) - 1
+    series = []
+    for number, (name, color) in enumerate(classes):
+        own = np.flatnonzero(kind == number)
+        labels = [_module_words(results, row) for row in own.tolist()]
+        names_ = [results.table["result"][row] for row in own.tolist()]
+        if own.size:
+            series.append(
+                ChartSeries(name, places[0, own], places[1, own], color, Mark.POINTS, None, labels, False, 13.0, names_)
+            )
+    note = "colours: what turning the panels of a module gains; its numbers at the pointer, its page in the table below"
+    axes = ("across [m]", "along [m]") if is_placed else ("module in its loop", "loop")
+    return ChartView("The field by what its panels gain", *axes, tuple(series), note, x_counts=not is_placed)
+
+
+def _module_words(results: OverviewResults, row: int) -> str:
+    key = "intercept_gain_panels_turned_ratio"
+    name, gain, count = (
+        results.table["result"][row],
+        results.value(key, row),
+        results.value("panels_to_turn_count", row),
+    )
+    if gain is None or count is None:
+        return f"{name}: not measured"
+    if not count:
+        return f"{name}: no panel surely gains by a turn"
+    said = number_text(gain, results.value(f"sigma_{key}", row), "", key)
+    return f"{name}: turning {int(count)} panels gains {said}"
+
+
+def work_list(results: OverviewResults) -> TableView | Html:
+    """Return the panels to turn, the largest gain first, with the moves of their mounts and a link to the module."""
+    turns = results.turns
+    if turns is None:
+        return Html("<p>No result says what turning its panels gains.</p>")
+    rows = range(len(turns["panel"]))
+    if not rows:
+        return Html("<p>No panel surely gains by a turn: both its angle and its gain beyond three sigma.</p>")
+    number = {key: [float(cell) for cell in turns[key]] for key in turns if key not in ("result", "loop")}
+    share = np.cumsum(number["gain_ratio"]) / np.sum(number["gain_ratio"])
+    places = [f"{x:.2f}, {y:.2f}" for x, y in zip(number["centre_x_m"], number["centre_y_m"], strict=True)]
+    columns = [
+        TableColumn("module", turns["result"], links=[_link(results, name) for name in turns["result"]]),
+        TableColumn("panel", turns["panel"], number["panel"]),
+        TableColumn("middle x, y [m]", places),
+    ]
+    for key, title, unit in (
+        ("turn_rad", "turn its normal to +x by", "rad"),
+        ("mount_move_m", "move its mount at larger x by", "m"),
+        ("gain_ratio", "gain of its module", ""),
+    ):
+        columns.append(TableColumn(title, [_number(turns, key, k, unit) for k in rows], number[key]))
+    columns.append(TableColumn("of all gains, down to here", [f"{100 * one:.0f} %" for one in share], share.tolist()))
+    return TableView("panels to turn", tuple(columns))
 
 
 def first_view(results: OverviewResults) -> MapView | ChartView:
@@ -157,9 +303,10 @@ def _rows(results: OverviewResults) -> list[tuple[str, str, str]]:
     for key, title, unit in _COLUMNS:
         found = results.values(key, results.measured)
         found = found[np.isfinite(found)]
-        if found.size and key != "photos_count":
+        if found.size and not key.endswith("_count"):
             texts = [number_text(float(one), None, unit, key) for one in (np.median(found), found.min(), found.max())]
-            rows.append((title, texts[0], f"median of the modules; {texts[1]} to {texts[2]}"))
+            meaning = f"; {_MEANINGS[key]}" if key in _MEANINGS else ""
+            rows.append((title, texts[0], f"median of the modules; {texts[1]} to {texts[2]}{meaning}"))
     return rows
 
 
@@ -169,8 +316,10 @@ def doubts(results: OverviewResults) -> Html:
 
 
 def modules(results: OverviewResults) -> TableView:
-    """Return the table of the modules, each with a link to its own report, and why some were not measured."""
-    names, rows = results.table["result"], range(len(results.table["result"]))
+    """Return the table of the modules, largest gain first, each with a link to its report; why some have none."""
+    gains = results.values("intercept_gain_panels_turned_ratio", list(range(len(results.table["result"]))))
+    rows = np.argsort(-np.nan_to_num(gains, nan=-np.inf), kind="stable").tolist()
+    names = [results.table["result"][row] for row in rows]
     columns = [TableColumn("module", names, links=[_link(results, name) for name in names])]
     for key, title, unit in _COLUMNS:
         found = [results.value(key, row) for row in rows]
@@ -179,7 +328,8 @@ def modules(results: OverviewResults) -> TableView:
             for row, value in zip(rows, found, strict=True)
         ]
         columns.append(TableColumn(title, texts, [np.nan if value is None else value for value in found]))
-    reasons = results.table.get("failed", [""] * len(names))
+    failed = results.table.get("failed", [""] * len(names))
+    reasons = [failed[row] for row in rows]
     if any(reasons):
         columns.append(TableColumn("not measured, because", reasons))
     return TableView("modules", tuple(columns), [f"module-{name}" for name in names])

@@ -34,14 +34,12 @@ from observer.files import (
     read_overlay,
     write_collector,
 )
-from observer.product.panel_alignment import PanelTilts, image_edges, mount_moves, panel_tilts
+from observer.product.panel_alignment import MOUNT_INSET_M, PanelTilts, image_edges, mount_moves, panel_tilts
 from observer.report.figures_alignment import moves_sheet, theory_sheet
 from observer.trough.absorber_path import AbsorberPath
 from observer.trough.collector import Collector
 
 KIND = "observer-alignment"
-#: Distance of assumed mounts from the edges of their panel [m].
-_INSET_M = 0.1
 #: Number of the first panel in all files and texts, as in the panels.csv of the measurement: with a prescription that
 #: counted from 0 the neighbour of the panel that the report shows was shimmed.
 _FIRST_PANEL = 1
@@ -224,7 +222,7 @@ def mount_places(collector: Collector, mounts: Path | None) -> FloatArray:
 
 def _corners(collector: Collector) -> FloatArray:
     x, y = collector.panel_edges_x_m, collector.panel_edges_y_m
-    inset_x, inset_y = np.minimum(_INSET_M, np.diff(x) / 4), np.minimum(_INSET_M, np.diff(y) / 4)
+    inset_x, inset_y = np.minimum(MOUNT_INSET_M, np.diff(x) / 4), np.minimum(MOUNT_INSET_M, np.diff(y) / 4)
     across = np.sort(np.concatenate([x[:-1] + inset_x, x[1:] - inset_x]))
     along = np.sort(np.concatenate([y[:-1] + inset_y, y[1:] - inset_y]))
     grid = np.meshgrid(across, along)
@@ -275,8 +273,8 @@ def _doubts(slope_map: SlopeMap, tilts: PanelTilts, assumed: bool) -> Iterator[D
 
 def assumed_mounts() -> Doubt:
     """Say that nobody stated where the mounts are."""
-    text = f"no table of mounts: they are assumed {1e3 * _INSET_M:.0f} mm inside each panel's corners"
-    return Doubt("mounts_assumed", text, {"inset_m": _INSET_M})
+    text = f"no table of mounts: they are assumed {1e3 * MOUNT_INSET_M:.0f} mm inside each panel's corners"
+    return Doubt("mounts_assumed", text, {"inset_m": MOUNT_INSET_M})
 
 
 def _overlay(result: Result) -> dict[str, list[Any]]:

@@ -10,10 +10,10 @@ import numpy as np
 from heliogauge.doubts import Doubt, Severity, gather_doubts
 from heliogauge.errors import InputError
 from heliogauge.results.arrays import read_arrays
-from heliogauge.results.folder import Summary, hash_files, read_summary, write_table_csv
+from heliogauge.results.folder import Summary, hash_files, read_summary, read_table_csv, write_table_csv
 from heliogauge.results.frame import InstrumentResult
 from heliogauge.validate import FloatArray
-from observer.files import ANGLES, OVERVIEW_LOOPS, OVERVIEW_MAPS, OVERVIEW_TABLE, ModuleMap, write_maps
+from observer.files import ANGLES, OVERVIEW_LOOPS, OVERVIEW_MAPS, OVERVIEW_TABLE, OVERVIEW_TURNS, ModuleMap, write_maps
 
 #: Kind of the summary, which names its report.
 KIND = "observer-overview"
@@ -28,6 +28,20 @@ _FACET_KEYS = (
     "intercept_ratio",
     "sigma_intercept_ratio",
     "measured_share",
+)
+#: Modules that a doubt names.
+_SHOWN = 5
+#: What the work list takes from the table of a module's panels.
+_PANEL_COLUMNS = (
+    "centre_x_m",
+    "centre_y_m",
+    "mean_theta_ra_rad",
+    "sigma_mean_theta_ra_rad",
+    "mount_move_m",
+    "sigma_mount_move_m",
+    "gain_ratio",
+    "sigma_gain_ratio",
+    "gain_is_sure",
 )
 #: Numbers of which a loop has the RMS over its modules.
 _POOLED = ("rms_theta_r_rad", "rms_theta_ra_rad")
@@ -66,8 +80,11 @@ class Result(InstrumentResult):
         )
 
     def write_files(self, folder: Path) -> None:
-        """Write overview.csv and overview.nc into an existing folder."""
+        """Write overview.csv, overview.nc and what follows from them into an existing folder."""
         write_table_csv(folder / OVERVIEW_TABLE, _table(self))
+        turns = _turns(self)
+        if turns is not None:
+            write_table_csv(folder / OVERVIEW_TURNS, turns)
         if self.loops:
             write_table_csv(folder / OVERVIEW_LOOPS, _loops(self))
         maps = [_read_map(one, label) for one, label in zip(self.folders, self.labels, strict=True)]
@@ -117,7 +134,6 @@ def run(
     not_measured = (
         Doubt("module_not_measured", f"{name}: not measured: {reason}") for name, reason in (failed or {}).items()
     )
-    doubtful = (_first_of(label, module) for label, module in zip(labels, modules, strict=True) if module.doubts)
     # All files are called summary.json: the folder distinguishes them.
     hashes = {
         str(folder / name): digest
@@ -132,7 +148,7 @@ def run(
         places_m or {},
         _folders_as_loops(folders, labels) if loops is None else loops,
         name="overview",
-        doubts=gather_doubts(not_measured, doubtful),
+        doubts=gather_doubts(not_measured, _doubtful(labels, modules)),
         input_sha256=hashes,
     )
 
@@ -145,12 +161,54 @@ def _folders_as_loops(folders: Sequence[Path], labels: Sequence[str]) -> dict[st
     return {label: str(folder) if same_name else folder.name for label, folder in zip(labels, above, strict=True)}
 
 
-def _first_of(label: str, module: Summary) -> Doubt:
-    """Return the first doubt of a module, with its name and how many there are."""
-    count = len(module.doubts)
-    text = f"{label}: {f'{count} warnings, the first: ' if count > 1 else ''}{module.doubts[0]}"
-    worst = max((one.severity for one in module.doubts), key=list(Severity).index)
-    return Doubt("module_doubtful", text, {"doubts_count": count}, worst)
+def _doubtful(labels: Sequence[str], modules: Sequence[Summary]) -> list[Doubt]:
+    """Return what is doubtful of modules, each cause once with those that have it; notes stay in their reports."""
+    causes: dict[str, dict[str, Doubt]] = {}
+    for label, module in zip(labels, modules, strict=True):
+        for one in module.doubts:
+            if one.severity is not Severity.NOTE:
+                causes.setdefault(one.code, {}).setdefault(label, one)
+    found = []
+    for own in causes.values():
+        first = next(iter(own))
+        worst = max((one.severity for one in own.values()), key=list(Severity).index)
+        some = ", ".join(list(own)[:_SHOWN]) + (" ..." if len(own) > _SHOWN else "")
+        where = first if len(own) == 1 else f"{len(own)} of {len(modules)} modules ({some}), in {first}"
+        found.append(Doubt("module_doubtful", f"{where}: {own[first]}", {"modules_count": len(own)}, worst))
+    return found
+
+
+def _turns(result: Result) -> dict[str, list[Any]] | None:
+    """Return the panels of all modules that surely gain by a turn, the largest gain first; None where nobody looked."""
+    rows: list[dict[str, Any]] = []
+    looked = False
+    for folder, label in zip(result.folders, result.labels, strict=True):
+        if not (folder / "panels.csv").is_file():
+            continue
+        own = read_table_csv(folder / "panels.csv", ("panel",))
+        if not set(_PANEL_COLUMNS) <= set(own):
+            continue
+        looked = True
+        for k in np.flatnonzero(np.array(own["gain_is_sure"]) == "1").tolist():
+            number = {key: float(own[key][k]) for key in _PANEL_COLUMNS}
+            rows.append(
+                {
+                    "result": label,
+                    "loop": result.loops.get(label, ""),
+                    "panel": int(own["panel"][k]),
+                    "centre_x_m": number["centre_x_m"],
+                    "centre_y_m": number["centre_y_m"],
+                    "turn_rad": -number["mean_theta_ra_rad"],
+                    "sigma_turn_rad": number["sigma_mean_theta_ra_rad"],
+                    "mount_move_m": number["mount_move_m"],
+                    "sigma_mount_move_m": number["sigma_mount_move_m"],
+                    "gain_ratio": number["gain_ratio"],
+                    "sigma_gain_ratio": number["sigma_gain_ratio"],
+                }
+            )
+    rows.sort(key=lambda row: -float(row["gain_ratio"]))
+    names = list(rows[0]) if rows else ["result", "loop", "panel", "turn_rad", "gain_ratio"]
+    return {name: [row[name] for row in rows] for name in names} if looked else None
 
 
 def _loops(result: Result) -> dict[str, list[Any]]:

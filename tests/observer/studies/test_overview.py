@@ -44,7 +44,7 @@ def test_a_row_for_each_module(tmp_path):
     assert [float(table["rms_theta_r_rad"][0]), table["rms_theta_r_rad"][1]] == [3e-3, ""]
     assert table["edges_used_count"] == ["", "12"]
     assert table["warnings"] == ["0", "1"]
-    assert result.doubts == (Doubt("module_doubtful", f"{second}: a doubt", {"doubts_count": 1}, Severity.SERIOUS),)
+    assert result.doubts == (Doubt("module_doubtful", f"{second}: a doubt", {"modules_count": 1}, Severity.SERIOUS),)
     assert "theta_r 3.00 mrad RMS, theta_ra 2.50 mrad RMS" in result.headline()
     assert len(result.input_sha256) == 2
 
@@ -124,3 +124,63 @@ def test_loops_have_numbers_of_their_own(tmp_path):
     assert ">0.94<" in page
     # Results of one folder are of no loop.
     assert run(folders[:2]).loops == {}
+
+
+PANELS = (
+    "panel,centre_x_m,centre_y_m,mean_theta_ra_rad,sigma_mean_theta_ra_rad,mount_move_m,sigma_mount_move_m,gain_ratio,"
+    "sigma_gain_ratio,gain_is_sure\n"
+)
+
+
+def module(folder, name, gains, count, doubts=()):
+    """Return a result whose panels gain by a turn of 2 mrad each."""
+    own = {"intercept_gain_panels_turned_ratio": sum(gains[:count]), "panels_to_turn_count": count}
+    made = result_of(
+        folder / name, doubts=doubts, sigma_intercept_gain_panels_turned_ratio=4e-4, intercept_ratio=0.97, **own
+    )
+    lines = [f"{k + 1},{k},0.5,-2e-3,1e-4,1e-3,5e-5,{gain},1e-4,{int(k < count)}" for k, gain in enumerate(gains)]
+    (made / "panels.csv").write_text(PANELS + "\n".join(lines) + "\n")
+    return made
+
+
+def test_the_work_list_has_the_panels_of_all_modules_by_their_gains(tmp_path):
+    from observer.report import overview as report
+
+    modules = [
+        module(tmp_path, "a", [0.002, 0.009, 0.0], 2),
+        module(tmp_path, "b", [0.0, 0.0], 0),
+        module(tmp_path, "c", [0.004], 1),
+    ]
+    run(modules, base=tmp_path, failed={"d": "no photos"}).write(tmp_path)
+    table = read_table_csv(tmp_path / "panels_to_turn.csv", ())
+    assert list(zip(table["result"], table["panel"], strict=True)) == [("a", "2"), ("c", "1"), ("a", "1")]
+    # The panel's normal is turned to -x: it has to go to +x.
+    assert {float(one) for one in table["turn_rad"]} == {2e-3}
+    results = report.open_overview(tmp_path)
+    first = report.head(results).text
+    assert "Gain by turning 3 panels of 2 modules" in first
+    # Mean of 0.011, 0 and 0.004; sigma 4e-4 over the root of three.
+    assert "0.00500 \u00b1 0.00023" in first
+    assert "most by a panel 2 by 2.00 \u00b1 0.10 mrad" in first
+    chart = report.field(results)
+    assert [(one.name, list(one.names)) for one in chart.series] == [
+        ("gains 1 % and more", ["a"]),
+        ("gains 0.1 to 1 %", ["c"]),
+        ("nothing sure to gain", ["b"]),
+        ("not measured", ["d"]),
+    ]
+    listed = report.work_list(results)._repr_html_()
+    assert [f"{one} %" for one in (60, 87, 100) if f"{one} %" in listed] == ["60 %", "87 %", "100 %"]
+    order = list(report.modules(results).columns[0].texts)
+    assert order == ["a", "c", "b", "d"]
+
+
+def test_one_cause_in_many_modules_is_one_warning(tmp_path):
+    doubt, note = Doubt("blurred", "blurred photos"), Doubt("fine", "a note", severity=Severity.NOTE)
+    modules = [module(tmp_path, f"m{k}", [0.0], 0, (doubt, note)) for k in range(12)]
+    other = module(tmp_path, "n", [0.0], 0, (Doubt("odd", "an odd one", severity=Severity.SERIOUS),))
+    result = run([*modules, other], base=tmp_path)
+    assert [(str(one), one.severity) for one in result.doubts] == [
+        ("12 of 13 modules (m0, m1, m2, m3, m4 ...), in m0: blurred photos", Severity.DOUBT),
+        ("n: an odd one", Severity.SERIOUS),
+    ]
