@@ -100,9 +100,9 @@ FAULTS: dict[str, Fault] = {
     "second half missing": missing("second half"),
     "all files linear": lambda *_: ("files are linear",),
     "all files sRGB": for_the_eye(lambda files: files, "files are srgb"),
-    "every second file sRGB": for_the_eye(lambda files: files[::2], "each photo is taken as it looks"),
-    "last quarter sRGB": for_the_eye(lambda files: files[-len(files) // 4 :], "each photo is taken as it looks"),
-    "two files sRGB": for_the_eye(lambda files: files[7:9], "each photo is taken as it looks"),
+    "every second file sRGB": for_the_eye(lambda files: files[::2], "each photo is taken as it looks|targets look"),
+    "last quarter sRGB": for_the_eye(lambda files: files[-len(files) // 4 :], "each photo is taken as it looks|targets look"),
+    "two files sRGB": for_the_eye(lambda files: files[7:9], "each photo is taken as it looks|targets look"),
 }
 
 
