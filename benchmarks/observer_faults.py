@@ -91,6 +91,7 @@ def for_the_eye(which: Callable[[list[Path]], list[Path]], words: str) -> Fault:
     return change
 
 
+MIXED = "each photo is taken as it looks|targets look"
 FAULTS: dict[str, Fault] = {
     "focal length +1 %": focal_length(0.01),
     "focal length -1 %": focal_length(-0.01),
@@ -100,9 +101,9 @@ FAULTS: dict[str, Fault] = {
     "second half missing": missing("second half"),
     "all files linear": lambda *_: ("files are linear",),
     "all files sRGB": for_the_eye(lambda files: files, "files are srgb"),
-    "every second file sRGB": for_the_eye(lambda files: files[::2], "each photo is taken as it looks|targets look"),
-    "last quarter sRGB": for_the_eye(lambda files: files[-len(files) // 4 :], "each photo is taken as it looks|targets look"),
-    "two files sRGB": for_the_eye(lambda files: files[7:9], "each photo is taken as it looks|targets look"),
+    "every second file sRGB": for_the_eye(lambda files: files[::2], MIXED),
+    "last quarter sRGB": for_the_eye(lambda files: files[-len(files) // 4 :], MIXED),
+    "two files sRGB": for_the_eye(lambda files: files[7:9], MIXED),
 }
 
 
