@@ -5,14 +5,15 @@ along lines parallel to the trough, and Gaussian errors on top of it.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from heliogauge.errors import InputError
 from heliogauge.sunlight.sun_shapes import SunShape
-from heliogauge.validate import FloatArray, float_array
+from heliogauge.validate import FloatArray, float_array, freeze
 
 #: Nodes of the table. Linear interpolation of the steepest usual sun (pillbox of 4.65 mrad in a table that reaches to
 #: 5 mrad) errs by less than 1e-7 of the power; of Buie's, whose table reaches to 44 mrad, by less than 1e-6.
@@ -21,6 +22,17 @@ _NODES = 8193
 _RINGS = 600
 #: Standard deviations of the Gaussian part that are kept: 2e-9 of the power lies beyond.
 _REACH = 6.0
+
+
+class _Table(NamedTuple):
+    """Values at equally spaced angles, and how much each differs from the one before, shapes (n,) and (n - 1,)."""
+
+    values: FloatArray
+    steps: FloatArray
+
+
+def _table(values: FloatArray) -> _Table:
+    return _Table(freeze(values), freeze(np.diff(values)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -35,10 +47,14 @@ class BeamProfile:
     angle_rad: FloatArray
     share_below: FloatArray
     words: str
+    _below: "_Table" = field(init=False, repr=False)
+    _density: "_Table" = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "angle_rad", float_array("angle_rad", self.angle_rad, (None,)))
         object.__setattr__(self, "share_below", float_array("share_below", self.share_below, self.angle_rad.shape))
+        object.__setattr__(self, "_below", _table(self.share_below))
+        object.__setattr__(self, "_density", _table(np.gradient(self.share_below, self.step_rad)))
 
     @property
     def step_rad(self) -> float:
@@ -48,7 +64,7 @@ class BeamProfile:
     @property
     def density(self) -> FloatArray:
         """Share of the power per angle at the table's angles, shape (n,) [1/rad]."""
-        return np.asarray(np.gradient(self.share_below, self.step_rad))
+        return self._density.values
 
     @property
     def sigma_rad(self) -> float:
@@ -63,7 +79,7 @@ class BeamProfile:
         angle_rad (...): Angles from the sun's centre [rad].
         Returns (...): Between 0 and 1.
         """
-        return self._looked_up(self.share_below, angle_rad)
+        return self._looked_up(self._below, angle_rad)
 
     def density_at(self, angle_rad: npt.ArrayLike) -> FloatArray:
         """Return the share of the light per angle.
@@ -71,17 +87,17 @@ class BeamProfile:
         Shapes: result (...).
         angle_rad (...): Angles from the sun's centre [rad].
         """
-        return self._looked_up(self.density, angle_rad)
+        return self._looked_up(self._density, angle_rad)
 
-    def _looked_up(self, table: FloatArray, angle_rad: npt.ArrayLike) -> FloatArray:
+    def _looked_up(self, table: "_Table", angle_rad: npt.ArrayLike) -> FloatArray:
         # Equal steps: four times as fast as np.interp for angles in no order.
         place = np.atleast_1d((np.asarray(angle_rad, dtype=np.float64) - self.angle_rad[0]) / self.step_rad)
         # A share of the last step is left, so that there is a table entry after each.
-        np.clip(place, 0.0, (table.size - 1) * (1 - 1e-12), out=place)
+        np.clip(place, 0.0, (table.values.size - 1) * (1 - 1e-12), out=place)
         before = place.astype(np.int32)
         place -= before
-        place *= np.diff(table).take(before)
-        place += table.take(before)
+        place *= table.steps.take(before)
+        place += table.values.take(before)
         return place.reshape(np.shape(angle_rad))
 
 

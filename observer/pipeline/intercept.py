@@ -1,6 +1,7 @@
 """What a measured trough collects: numbers, curves over tracking offset and incidence, and where to align to."""
 
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -43,15 +44,51 @@ _SPREAD_STEP = 8
 Numbers = dict[str, float | int | None]
 
 
+@dataclass(frozen=True, eq=False)
+class InterceptCurves:
+    """What the trough collects beside the optical axis and under incidence; thirty sigmas that few ask for.
+
+    trough: Mirror and absorber as they were measured.
+    optics: The same in the light, for each case.
+    sun: The sun, edge on.
+    scatter: Specularity and tracking error, as `observer.light.beam.beam_profile` takes them.
+    """
+
+    trough: MeasuredTrough
+    optics: dict[Case, TroughOptics]
+    sun: BeamProfile
+    scatter: dict[str, float]
+
+    @cached_property
+    def as_measured(self) -> Intercept:
+        """Intercept factors as measured, at `OFFSETS_RAD`."""
+        return intercept_at_offsets(self.trough, Case.AS_MEASURED, self.optics[Case.AS_MEASURED], OFFSETS_RAD)
+
+    @cached_property
+    def others(self) -> dict[Case, FloatArray]:
+        """The same for the other cases, ratios only."""
+        cases = [case for case in Case if case is not Case.AS_MEASURED]
+        return {case: np.array([self.optics[case].ratio(one) for one in OFFSETS_RAD]) for case in cases}
+
+    @cached_property
+    def incidence(self) -> Intercept:
+        """Intercept factors as measured, at `INCIDENCES_RAD`."""
+        parts = []
+        for incidence in INCIDENCES_RAD:
+            profile = beam_profile(self.sun, **self.scatter, incidence_rad=float(incidence))
+            optics = optics_of(self.trough, Case.AS_MEASURED, profile, float(incidence))
+            parts.append(intercept_at_offsets(self.trough, Case.AS_MEASURED, optics))
+        ratios, sigmas = zip(*((one.ratio, one.sigma_ratio) for one in parts), strict=True)
+        return Intercept(np.concatenate(ratios), np.concatenate(sigmas))
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class InterceptResult:
     """What the trough collects.
 
     cases: Intercept factor with and without each contribution, the sun on the optical axis.
     gains: What taking a contribution away gains, with its sigma.
-    curve: As measured, at `OFFSETS_RAD`.
-    other_curves: The same for the other cases, ratios only.
-    incidence: As measured, at `INCIDENCES_RAD`.
+    curves: Over tracking offset and incidence, computed when they are asked for.
     offset: The best tracking offset; None where there is none within the curve.
     shift: The best way of the absorber; None where it is longer than 50 mm.
     panels: What turning panels gains.
@@ -66,9 +103,7 @@ class InterceptResult:
 
     cases: dict[Case, Intercept]
     gains: dict[Case, tuple[float, float]]
-    curve: Intercept
-    other_curves: dict[Case, FloatArray]
-    incidence: Intercept
+    curves: "InterceptCurves"
     offset: Best | None
     shift: Best | None
     panels: PanelGains
@@ -133,13 +168,7 @@ def evaluate_intercept(
     return InterceptResult(
         cases={case: intercept_at_offsets(trough, case, optics[case]) for case in Case},
         gains={case: intercept_gain(trough, optics, case) for case in Case if case is not Case.AS_MEASURED},
-        curve=intercept_at_offsets(trough, Case.AS_MEASURED, own, OFFSETS_RAD),
-        other_curves={
-            case: np.array([optics[case].ratio(one) for one in OFFSETS_RAD])
-            for case in Case
-            if case is not Case.AS_MEASURED
-        },
-        incidence=_over_incidence(trough, sun, scatter),
+        curves=InterceptCurves(trough, optics, sun, scatter),
         offset=offset,
         shift=shift,
         panels=panel_gains(trough, own, panel, tilts.tilt_rad, tilts.sigma_rad),
@@ -167,15 +196,6 @@ def _best(
     except EstimationError as error:
         doubts.append(Doubt("best_absorber_place_not_determined", str(error)))
     return offset, shift
-
-
-def _over_incidence(trough: MeasuredTrough, sun: BeamProfile, scatter: dict[str, float]) -> Intercept:
-    parts = []
-    for incidence in INCIDENCES_RAD:
-        profile = beam_profile(sun, **scatter, incidence_rad=float(incidence))
-        optics = optics_of(trough, Case.AS_MEASURED, profile, float(incidence))
-        parts.append(intercept_at_offsets(trough, Case.AS_MEASURED, optics))
-    return Intercept(np.concatenate([one.ratio for one in parts]), np.concatenate([one.sigma_ratio for one in parts]))
 
 
 def _short_form(
@@ -253,18 +273,18 @@ def write_intercept(result: InterceptResult, folder: Path) -> None:
         folder / "intercept.csv",
         {
             "tracking_offset_rad": OFFSETS_RAD,
-            "intercept_ratio": result.curve.ratio,
-            "sigma_intercept_ratio": result.curve.sigma_ratio,
-            "intercept_absorber_aligned_ratio": result.other_curves[Case.ABSORBER_ALIGNED],
-            "intercept_mirror_perfect_ratio": result.other_curves[Case.MIRROR_PERFECT],
+            "intercept_ratio": result.curves.as_measured.ratio,
+            "sigma_intercept_ratio": result.curves.as_measured.sigma_ratio,
+            "intercept_absorber_aligned_ratio": result.curves.others[Case.ABSORBER_ALIGNED],
+            "intercept_mirror_perfect_ratio": result.curves.others[Case.MIRROR_PERFECT],
         },
     )
     write_table_csv(
         folder / "intercept_incidence.csv",
         {
             "incidence_rad": INCIDENCES_RAD,
-            "intercept_ratio": result.incidence.ratio,
-            "sigma_intercept_ratio": result.incidence.sigma_ratio,
+            "intercept_ratio": result.curves.incidence.ratio,
+            "sigma_intercept_ratio": result.curves.incidence.sigma_ratio,
         },
     )
     thinned: dict[str, Any] = {

@@ -96,10 +96,9 @@ def evaluate(inputs: Inputs, first: FirstLook, options: Options, progress: Progr
     with progress.stage("slopes"), blamed(cameras.network), showing(shown):
         mirror = solve_mirror(inputs, seen, cameras.photos, placed)
     with progress.stage("intercept factor"):
-        slopes_known = mirror.reflector.sum_covariance()
         tilts = panel_tilts(mirror.angles.theta_ra_rad, mirror.angles.to_tube, inputs.collector)
         intercept = evaluate_intercept(
-            inputs.light, mirror.slope_map, mirror.absorber, inputs.collector, tilts, slopes_known
+            inputs.light, mirror.slope_map, mirror.absorber, inputs.collector, tilts, mirror.reflector.sums
         )
     with progress.stage("picture"):
         refined = refine_poses(cameras.photos, mirror.reflector)

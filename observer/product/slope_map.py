@@ -15,7 +15,7 @@ from heliogauge.validate import BoolArray, FlagArray, FloatArray, IntArray
 from observer.product.common_share import common_share
 from observer.product.row_bridging import bridge_rows, lone_values
 from observer.selection.solve_and_refuse import Reflector
-from observer.slopes.slope_sums import noise_correlation, sum_covariance
+from observer.slopes.slope_sums import noise_correlation
 from observer.trough.absorber_path import AbsorberPath
 from observer.trough.collector import Collector
 from observer.trough.visibility import Visibility
@@ -109,9 +109,7 @@ def slope_map_of(reflector: Reflector, collector: Collector, visible: Visibility
         removed="nothing",
     )
     # Cameras and absorber, which all have in common, are listed apart.
-    lines = reflector.lines.alone(reflector.lines.misfit_rad, reflector.lines.sigma_rad)
-    own = sum_covariance(lines, grid, reflector.roughness, np.zeros((0, 0)), alike=reflector.alike)
-    return replace(slope_map, noise_correlation=noise_correlation(own, slope_map, panel))
+    return replace(slope_map, noise_correlation=noise_correlation(reflector.sums.without_common, slope_map, panel))
 
 
 def _height(reflector: Reflector, collector: Collector, valid: BoolArray) -> FloatArray:

@@ -1,6 +1,5 @@
 """From edges in all photos to the mirror's slope errors: which edges are the tube's, and what they say together."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
@@ -22,7 +21,7 @@ from observer.slopes.pose_modes import Photos, pose_derivatives, pose_scatter, r
 from observer.slopes.row_likeness import row_likeness
 from observer.slopes.row_spline import Roughness, RowGrid, TouchingLines, nodes_of
 from observer.slopes.shape_share import ShapeShare, find_shape_share
-from observer.slopes.slope_sums import sum_covariance
+from observer.slopes.slope_sums import SlopeSums
 from observer.trough.absorber_path import AbsorberPath
 from observer.trough.collector import Collector
 from observer.trough.expectation import Expectation
@@ -58,7 +57,7 @@ _MOST_LEVERAGE = 0.98
 _MOST_BEND_PER_M = 0.05
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Reflector:
     """The mirror's slope errors.
 
@@ -96,12 +95,10 @@ class Reflector:
     has_shadows: bool
     shape: ShapeShare
 
-    def sum_covariance(self) -> Callable[[FloatArray], FloatArray]:
-        """Return a function for the covariance of weighted sums of the slopes across, the absorber held.
-
-        Returns: From weights of the nodes in k sums, shape (k, r, nx), to their covariance, shape (k, k) [rad^2].
-        """
-        return sum_covariance(
+    @cached_property
+    def sums(self) -> SlopeSums:
+        """How well weighted sums of the slopes across are known, the absorber held."""
+        return SlopeSums(
             self.lines,
             self.grid,
             self.roughness,

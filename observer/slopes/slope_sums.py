@@ -1,14 +1,20 @@
 """How well weighted sums of slopes are known: with what neighbours and what all rows share."""
 
 from collections.abc import Callable
+from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from heliogauge.flags import SampleFlag
 from heliogauge.slopes.map import SlopeMap
 from heliogauge.validate import BoolArray, FloatArray, IntArray
+from observer.slopes.banded_cholesky import BandedFactor
 from observer.slopes.common_elimination import derivatives_of
-from observer.slopes.row_spline import Roughness, RowGrid, TouchingLines, assemble
+from observer.slopes.row_spline import Roughness, RowGrid, RowSystem, TouchingLines, assemble
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
 
 #: Sums that are solved for at once; ten take 16 MB for 400 rows of 250 nodes.
 _AT_ONCE = 10
@@ -16,16 +22,8 @@ _AT_ONCE = 10
 _PANELS = 10
 
 
-def sum_covariance(
-    lines: TouchingLines,
-    grid: RowGrid,
-    prior: Roughness,
-    covariance_common: FloatArray,
-    free: BoolArray | None = None,
-    *,
-    alike: FloatArray | None = None,
-) -> Callable[[FloatArray], FloatArray]:
-    """Return a function for the covariance of weighted sums of the slopes across; the rows are factorised once.
+class SlopeSums:
+    """How well weighted sums of the slopes across are known; the rows are factorised when they are first asked.
 
     lines: The observations that the slopes came from.
     prior: How slopes may vary.
@@ -33,8 +31,6 @@ def sum_covariance(
     free (c,): Those of them that are not held; by default all.
     alike (r, r): Correlation between the slope errors of the rows' mirror (`observer.slopes.row_likeness`); by
         default none, which lets what lies between edges average out over rows.
-    Returns: From weights of all nodes' slopes in k sums, shape (k, r, nx), to the covariance of the sums, shape (k,
-        k).
 
     With the normal matrix A of the slopes, their coupling C to the common unknowns and the covariance S of these, the
     covariance of all slopes is ``A^-1 + A^-1 C S C^T A^-1``; a sum needs one solution with A, not its inverse.
@@ -44,32 +40,79 @@ def sum_covariance(
     share the former: to the covariance ``A^-1`` of a row ``(R - 1) A^-1 Q A^-1`` is added between rows. Exact where
     the prior is the mirror's and the correlation is the same at all places of a row.
     """
-    rows = assemble(lines, grid)
-    system = rows.under(prior)
-    others = None if alike is None else alike - np.eye(grid.n_rows)
-    by_slopes, by_common = rows.derivatives(), derivatives_of(lines, len(covariance_common))
 
-    def covariance(weights: FloatArray) -> FloatArray:
-        count = len(weights)
-        own, shared = np.empty((count, count)), np.empty((count, len(covariance_common)))
-        solved = np.empty((count, grid.n_rows, 2 * grid.x_m.size))
-        for first in range(0, count, _AT_ONCE):
-            some = slice(first, min(first + _AT_ONCE, count))
-            nodes = np.stack([weights[some], np.zeros_like(weights[some])], axis=-1)
-            solved[some] = system.factor.solve(nodes.reshape(-1, grid.n_rows, 2 * grid.x_m.size))
-            own[:, some] = np.tensordot(weights, solved[some, :, 0::2], axes=((1, 2), (1, 2)))
-            shared[some] = (by_common.T @ (by_slopes @ solved[some].reshape(some.stop - first, -1).T)).T
-        if others is not None:
-            for first in range(0, count, _AT_ONCE):
-                some = slice(first, first + _AT_ONCE)
-                # One after the other: a sum's slopes stay in the processor's cache.
-                pulled = np.stack([_pulled(others @ one, system.bands) for one in solved[some]])
-                own[:, some] += solved.reshape(count, -1) @ pulled.reshape(len(pulled), -1).T
-        if free is not None:
-            shared *= free
-        return np.asarray(0.5 * (own + own.T) + shared @ covariance_common @ shared.T)
+    def __init__(
+        self,
+        lines: TouchingLines,
+        grid: RowGrid,
+        prior: Roughness,
+        covariance_common: FloatArray,
+        free: BoolArray | None = None,
+        *,
+        alike: FloatArray | None = None,
+    ) -> None:
+        self._lines, self._grid, self._prior = lines, grid, prior
+        self._covariance, self._free = covariance_common, free
+        self._others = None if alike is None else alike - np.eye(grid.n_rows)
 
-    return covariance
+    def __call__(self, weights: FloatArray) -> FloatArray:
+        """Return the covariance of sums.
+
+        weights (k, r, nx): Weights of all nodes' slopes in k sums.
+        Returns (k, k): Covariance [rad^2].
+        """
+        solved, own = self._solved(weights)
+        by_slopes, by_common = self._derivatives
+        shared = np.empty((len(weights), len(self._covariance)))
+        for first in range(0, len(weights), _AT_ONCE):
+            some = slice(first, first + _AT_ONCE)
+            shared[some] = (by_common.T @ (by_slopes @ solved[some].reshape(len(solved[some]), -1).T)).T
+        if self._free is not None:
+            shared *= self._free
+        return np.asarray(own + shared @ self._covariance @ shared.T)
+
+    def without_common(self, weights: FloatArray) -> FloatArray:
+        """Return the same with the common unknowns held, shape (k, k) [rad^2]."""
+        return self._solved(weights)[1]
+
+    @cached_property
+    def _system(self) -> RowSystem:
+        return assemble(self._lines, self._grid).under(self._prior)
+
+    @cached_property
+    def _derivatives(self) -> "tuple[csr_array, csr_array]":
+        rows = assemble(self._lines, self._grid)
+        return rows.derivatives(), derivatives_of(self._lines, len(self._covariance))
+
+    def _solved(self, weights: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the solutions of sums, shape (k, r, 2 nx), and their covariance with the common unknowns held.
+
+        Rows in which a sum has no weights are left out: a panel is a fifth of the mirror.
+        """
+        count, root = len(weights), self._system.factor.root
+        solved = np.zeros((count, self._grid.n_rows, 2 * self._grid.x_m.size))
+        spans = [_span(one) for one in weights.any(axis=2)]
+        for first, last in sorted(set(spans) - {(0, 0)}):
+            numbers = [k for k, span in enumerate(spans) if span == (first, last)]
+            for start in range(0, len(numbers), _AT_ONCE):
+                some = numbers[start : start + _AT_ONCE]
+                nodes = np.zeros((len(some), last - first, 2 * self._grid.x_m.size))
+                nodes[..., 0::2] = weights[some, first:last]
+                solved[some, first:last] = BandedFactor(root[first:last]).solve(nodes)
+        own = weights.reshape(count, -1) @ solved[..., 0::2].reshape(count, -1).T
+        if self._others is not None:
+            flat = solved.reshape(count, -1)
+            # One after the other: a sum's slopes stay in the processor's cache.
+            for number, (first, last) in enumerate(spans):
+                pulled = self._others[:, first:last] @ _pulled(solved[number, first:last], self._system.bands)
+                own[:, number] += flat @ pulled.reshape(-1)
+        return solved, np.asarray(0.5 * (own + own.T))
+
+
+def _span(has_weight: BoolArray) -> tuple[int, int]:
+    """Return the first row that has a weight and the one after the last."""
+    rows = np.flatnonzero(has_weight)
+    return (int(rows[0]), int(rows[-1]) + 1) if rows.size else (0, 0)
 
 
 def _pulled(slopes: FloatArray, bands: FloatArray) -> FloatArray:
@@ -86,7 +129,7 @@ def _pulled(slopes: FloatArray, bands: FloatArray) -> FloatArray:
 def noise_correlation(covariance: Callable[[FloatArray], FloatArray], slope_map: SlopeMap, panel: IntArray) -> float:
     """Return by how much sums over panels vary more than if the nodes of the map were independent.
 
-    covariance: Of weighted sums of the slopes without their common share, from `sum_covariance`.
+    covariance: Of weighted sums of the slopes without their common share (`SlopeSums.without_common`).
     panel (r, nx): Panel of each node, -1 for none.
     Returns: What `SlopeMap.noise_correlation` is: the median over means and bends of some panels, at least 1.
     """
@@ -109,7 +152,7 @@ def with_bridged(
 ) -> Callable[[FloatArray], FloatArray]:
     """Let values that were bridged along the trough err as the nearest of their column that were not.
 
-    covariance: Of weighted sums of the slopes, from `sum_covariance`.
+    covariance: Of weighted sums of the slopes (`SlopeSums`).
     slope_map: The mirror; its flags name the nodes that were bridged.
     Returns: The same for sums over this map.
 
@@ -123,12 +166,11 @@ def with_bridged(
     for column in np.flatnonzero(bridged.any(axis=0) & own.any(axis=0)):
         have, lack = np.flatnonzero(own[:, column]), np.flatnonzero(bridged[:, column])
         rows[lack, column] = have[np.abs(lack[:, None] - have).argmin(axis=1)]
-    columns = np.broadcast_to(np.arange(own.shape[1]), own.shape)
+
+    place = (rows * own.shape[1] + np.arange(own.shape[1])).reshape(-1)
 
     def of_map(weights: FloatArray) -> FloatArray:
-        moved = np.zeros_like(weights)
-        for given, to in zip(weights, moved, strict=True):
-            np.add.at(to, (rows, columns), given)
-        return covariance(moved)
+        moved = [np.bincount(place, one.reshape(-1), place.size) for one in weights]
+        return covariance(np.reshape(moved, weights.shape))
 
     return of_map

@@ -54,7 +54,7 @@ def joint_covariance(found: Reflector, chosen: np.ndarray) -> np.ndarray:
         np.stack([np.interp(np.arange(chosen.shape[0]), rows, line) for line in mode.T], axis=1) for mode in apart
     ]
     shown = np.array([place[chosen] for place in places]).reshape(-1, row.size)
-    return found.sum_covariance()(single) + shown.T @ shown
+    return found.sums(single) + shown.T @ shown
 
 
 @pytest.mark.slow

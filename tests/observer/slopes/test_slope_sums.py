@@ -9,7 +9,7 @@ from heliogauge.flags import SampleFlag
 from heliogauge.slopes.map import SlopeMap, no_common_modes
 from observer.slopes.joint_solution import solve_jointly
 from observer.slopes.row_spline import Roughness, TouchingLines, assemble, prior_bands
-from observer.slopes.slope_sums import noise_correlation, sum_covariance, with_bridged
+from observer.slopes.slope_sums import SlopeSums, noise_correlation, with_bridged
 from tests.observer.slopes.test_joint_solution import dense, random_lines, small_grid
 
 
@@ -23,7 +23,7 @@ def test_sums_have_the_covariance_of_dense_algebra(order: int, across: float) ->
     flat = np.zeros((12, 123))
     flat[:, :120:2] = weights.reshape(12, 60)
     _, inverse = dense(grid, lines, prior, covariance)
-    sums = sum_covariance(lines, grid, prior, found.covariance_common)(weights)
+    sums = SlopeSums(lines, grid, prior, found.covariance_common)(weights)
     np.testing.assert_allclose(sums, flat @ inverse @ flat.T, rtol=1e-8, atol=1e-9 * np.abs(sums).max())
 
 
@@ -55,10 +55,10 @@ def test_slopes_that_rows_share_err_together() -> None:
     weights = np.stack([np.ones((3, 20)), rng.normal(0, 1, (3, 20))])
     flat = np.zeros((2, 3 * size))
     flat[:, 0::2] = weights.reshape(2, -1)
-    sums = sum_covariance(lines, grid, prior, np.zeros((0, 0)), alike=alike)(weights)
+    sums = SlopeSums(lines, grid, prior, np.zeros((0, 0)), alike=alike)(weights)
     expected = flat @ whole @ flat.T
     np.testing.assert_allclose(sums, expected, rtol=1e-6, atol=1e-7 * np.abs(expected).max())
-    apart = sum_covariance(lines, grid, prior, np.zeros((0, 0)))(weights)
+    apart = SlopeSums(lines, grid, prior, np.zeros((0, 0)))(weights)
     assert sums[0, 0] > 1.5 * apart[0, 0]  # three rows, nearly one: 2.7 times
 
 
