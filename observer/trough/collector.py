@@ -136,14 +136,19 @@ class Collector(ShortRepr):
 
         Returns: Row-major number (y first, then x); -1 in gaps and outside the panels.
         """
-        column = np.searchsorted(self.panel_edges_x_m, x_m, side="right") - 1
-        row = np.searchsorted(self.panel_edges_y_m, y_m, side="right") - 1
-        inside = (column >= 0) & (column < len(self.panel_edges_x_m) - 1)
-        inside &= (row >= 0) & (row < len(self.panel_edges_y_m) - 1)
-        half = self.panel_gap_m / 2
-        for edges, place in ((self.panel_edges_x_m[1:-1], x_m), (self.panel_edges_y_m[1:-1], y_m)):
-            if half > 0 and len(edges):
-                inside &= np.abs(np.asarray(place)[..., None] - edges).min(axis=-1) >= half
+        inside = np.ones(np.broadcast_shapes(np.shape(x_m), np.shape(y_m)), dtype=bool)
+        half, parts = self.panel_gap_m / 2, []
+        for edges, place in ((self.panel_edges_x_m, x_m), (self.panel_edges_y_m, y_m)):
+            panel = np.searchsorted(edges, place, side="right") - 1
+            inside &= (panel >= 0) & (panel < len(edges) - 1)
+            # The gap is half in each of the panels beside an inner edge; the outer edges have none.
+            lower, upper = edges[:-1].copy(), edges[1:].copy()
+            lower[1:] += half
+            upper[:-1] -= half
+            own = np.clip(panel, 0, len(edges) - 2)
+            inside &= (place >= lower[own]) & (place <= upper[own])
+            parts.append(panel)
+        column, row = parts
         return np.where(inside, row * (len(self.panel_edges_x_m) - 1) + column, -1)
 
     def describe(self) -> str:

@@ -50,7 +50,7 @@ class Visibility:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Nodes:
-    """Geometry across the trough of some rows of nodes, arrays of shape (r, nx)."""
+    """Geometry across the trough of nodes, arrays of one shape, that of some rows of the mirror or (m,)."""
 
     x_m: FloatArray
     y_m: FloatArray
@@ -60,6 +60,10 @@ class _Nodes:
     reach_m: FloatArray
     centre_rad: FloatArray
     half_rad: FloatArray
+
+    def chosen(self, which: BoolArray) -> "_Nodes":
+        """Return some of them."""
+        return _Nodes(*(getattr(self, name)[which] for name in self.__slots__))
 
 
 def visibility(
@@ -86,12 +90,14 @@ def visibility(
         to_x, to_z = eye[0] - nodes.x_m, eye[2] - nodes.z_m
         beside = np.arctan2(to_x, to_z) - nodes.centre_rad
         meets = np.abs(np.abs(beside) - nodes.half_rad) < slack
-        distance = np.hypot(to_x, to_z)
-        passing = nodes.y_m - (eye[1] - nodes.y_m) * nodes.reach_m / distance
-        tube = meets & _is_tube(passing, collector)
         covered |= meets
-        shows |= tube
-        open_to |= tube & ~_is_behind(nodes, to_x, to_z, distance, collector)
+        # A photo shows the tube in a tenth of the mirror.
+        own, to_x, to_z = nodes.chosen(meets), to_x[meets], to_z[meets]
+        distance = np.hypot(to_x, to_z)
+        passing = own.y_m - (eye[1] - own.y_m) * own.reach_m / distance
+        tube = _is_tube(passing, collector)
+        shows[meets] |= tube
+        open_to[meets] |= tube & ~_is_behind(own, to_x, to_z, distance, collector)
     flags = np.zeros(covered.shape, dtype=np.uint32)
     flags[~open_to & shows] = np.uint32(SampleFlag.BEHIND_TUBE)
     flags[covered & ~shows] = np.uint32(SampleFlag.BEYOND_TUBE)

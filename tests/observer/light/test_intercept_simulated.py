@@ -24,9 +24,7 @@ def normalised_errors(seed: int) -> list[float]:
     rng = np.random.default_rng(seed)
     scene = short_scene(TypicalMirror.drawn(short_trough(), rng, 3e-3, 1e-4), photos=32)
     one = simulate(scene, believed_with_errors(scene, rng, position_m=1e-3), NOISE, EVALUATION, rng)
-    measured = measured_trough(
-        one.slope_map, one.absorber, short_trough(), slope_covariance=one.reflector.sums
-    )
+    measured = measured_trough(one.slope_map, one.absorber, short_trough(), slope_covariance=one.reflector.sums)
     # Truth at the measured nodes: what the rest of the mirror may do has its own test.
     measured = replace(measured, missing=replace(measured.missing, weight=np.zeros_like(measured.missing.weight)))
     slopes = np.where(one.slope_map.valid, one.slope_map.design_slope_x + one.true_error_x, np.nan)

@@ -20,6 +20,8 @@ def test_sums_have_the_covariance_of_dense_algebra(order: int, across: float) ->
     lines = random_lines(rng, grid, 200, 3)
     found = solve_jointly(lines, grid, prior, covariance)
     weights = rng.normal(0, 1, (12, 3, 20))
+    # Rows without weights are not solved: the first, the last, all but one, all.
+    weights[1, 0] = weights[2, 2] = weights[3, :2] = weights[4] = 0.0
     flat = np.zeros((12, 123))
     flat[:, :120:2] = weights.reshape(12, 60)
     _, inverse = dense(grid, lines, prior, covariance)
@@ -52,9 +54,9 @@ def test_slopes_that_rows_share_err_together() -> None:
     lacks = np.linalg.solve(normal, derivatives.T @ derivatives) - np.eye(3 * size)
     from_noise = np.linalg.solve(normal, derivatives.T)
     whole = lacks @ of_rows @ lacks.T + from_noise @ from_noise.T
-    weights = np.stack([np.ones((3, 20)), rng.normal(0, 1, (3, 20))])
-    flat = np.zeros((2, 3 * size))
-    flat[:, 0::2] = weights.reshape(2, -1)
+    weights = np.stack([np.ones((3, 20)), rng.normal(0, 1, (3, 20)), np.eye(3)[[1]].T * np.ones(20)])
+    flat = np.zeros((3, 3 * size))
+    flat[:, 0::2] = weights.reshape(3, -1)
     sums = SlopeSums(lines, grid, prior, np.zeros((0, 0)), alike=alike)(weights)
     expected = flat @ whole @ flat.T
     np.testing.assert_allclose(sums, expected, rtol=1e-6, atol=1e-7 * np.abs(expected).max())
