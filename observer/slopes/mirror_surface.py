@@ -95,7 +95,7 @@ def at_points(values: FloatArray, row: IntArray, x_m: FloatArray, grid: RowGrid)
     before, share = nodes_of(grid, x_m)
     share = share.reshape(-1, *[1] * (values.ndim - 2))
     # Numbers in one line of memory are found in a third of the time of rows and columns.
-    flat, place = values.reshape(-1, *values.shape[2:]), row * values.shape[1] + before
+    flat, place = values.reshape(-1, *values.shape[2:]), row * grid.x_m.size + before
     return np.asarray(flat.take(place, axis=0) * (1 - share) + flat.take(place + 1, axis=0) * share)
 
 
@@ -117,6 +117,6 @@ def beside_chord(values: FloatArray, row: IntArray, x_m: FloatArray, grid: RowGr
     ends = np.flatnonzero(known[:-1] & grid.joined & ~known[1:]) + 1
     bend[:, starts], bend[:, ends] = bend[:, starts + 1], bend[:, ends - 1]
     before, share = nodes_of(grid, x_m)
-    place = row * bend.shape[1] + before
+    place = row * grid.x_m.size + before
     first, second = bend.take(place), bend.take(place + 1)
     return np.asarray(-share * (1 - share) / 6 * ((2 - share) * first + (1 + share) * second))

@@ -91,7 +91,7 @@ class SlopeSums:
         """
         count, root = len(weights), self._system.factor.root
         solved = np.zeros((count, self._grid.n_rows, 2 * self._grid.x_m.size))
-        spans = [_span(one) for one in weights.any(axis=2)]
+        spans = [_span(one) for one in np.asarray(weights.any(axis=2))]
         for first, last in sorted(set(spans) - {(0, 0)}):
             numbers = [k for k, span in enumerate(spans) if span == (first, last)]
             for start in range(0, len(numbers), _AT_ONCE):
