@@ -17,6 +17,7 @@ PLACES = {
     "deflectometry": "deflectometry",
     "observer": "observer",
     "calibration/beam": "beam",
+    "calibration/survey": "survey",
     "calibration/heliostat": "heliostat",
     "data_synth": "Synthetic measurements",
 }

@@ -54,6 +54,7 @@ METHOD = {
         "studies",
     ),
     "calibration.beam": ("images", "target", "light", "mirror"),
+    "calibration.survey": (),
     "calibration.heliostat": ("kinematic_model", "observations", "fitting", "diagnosis", "exports", "performance"),
     "data_synth": ("optics", "fringes", "dots", "targets", "troughs", "heliostats", "acceptance", "lasers", "sky"),
     "heliogauge": (
@@ -79,6 +80,7 @@ INSTRUMENTS = (
     "deflectometry",
     "observer",
     "calibration.beam",
+    "calibration.survey",
     "calibration.heliostat",
     "calibration.screen",
 )

@@ -9,7 +9,7 @@ from types import ModuleType
 #: Packages in the order of the reference.
 PACKAGES = (
     "heliogauge", "photogrammetry", "deflectometry", "observer", "calibration.camera", "calibration.screen",
-    "calibration.beam", "calibration.heliostat", "data_synth",
+    "calibration.beam", "calibration.heliostat", "calibration.survey", "data_synth",
 )  # fmt: skip
 
 

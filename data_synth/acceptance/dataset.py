@@ -130,6 +130,15 @@ def _content(plant: TestPlant) -> Mapping[str, Any]:
         },
         "control": {"file": "control.csv"},
         "power": {"file": "power.csv"},
+        "year": {
+            "center_m": [0.0, 0.0, 46.0],
+            "facing_azimuth_deg": 0.0,
+            "tilt_deg": -12.0,
+            "width_m": 2.2,
+            "height_m": 2.2,
+            "slope_mrad": 1.3,
+            "canting_mrad": 0.6,
+        },
     }
 
 

@@ -2,6 +2,8 @@
 
 import math
 
+from heliogauge.results.folder import unit_of
+
 
 def number_text(value: float, sigma: float | None, unit: str, name: str = "") -> str:
     """Print a number with its standard deviation, both to the digits that the latter allows.
@@ -27,3 +29,17 @@ def number_text(value: float, sigma: float | None, unit: str, name: str = "") ->
         return f"{value:.4g} {unit}".strip()
     digits = max(0, 1 - math.floor(math.log10(sigma)))
     return f"{value:z.{digits}f} \u00b1 {sigma:.{digits}f} {unit}".strip()
+
+
+def quantity_text(key: str, value: float, sigma: float | None) -> str:
+    """Print a number whose key ends with its unit (`heliogauge.results.folder.UNITS`); shares in per cent with sigma.
+
+    >>> quantity_text("intercept_share", 0.96854, 0.00048)
+    '96.854 ± 0.048 %'
+    >>> quantity_text("beam_rms_rad", 8.1e-4, 2e-5)
+    '0.810 ± 0.020 mrad'
+    """
+    name, unit = unit_of(key)
+    if name.endswith("_share"):
+        return number_text(100 * value, None if sigma is None else 100 * sigma, "%")
+    return number_text(value, sigma, unit, name)

@@ -90,6 +90,7 @@ UNITS: dict[str, str] = {
     "_px": "px",
     "_dn": "DN",
     "_s": "s",
+    "_kwh": "kWh",
     "_wh": "Wh",
     "_w": "W",
     "_mib": "MiB",

@@ -205,13 +205,13 @@ def repeated(series: BeamSeries, sides: npt.NDArray[np.str_]) -> Repeated:
         scatter.append(Estimate(root.value, root.sigma, float(spare)))
     p_same = float("nan")
     if names.size > 1:
-        from scipy.stats import chi2, f
+        from scipy.special import chdtrc, fdtrc
 
         mean = series.beam_rad.mean(axis=0)
         between = (counts[:, None] * (means - mean) ** 2).sum(axis=0) / (names.size - 1)
-        each = f.sf(between / np.maximum(within, 1e-300), names.size - 1, spare)
+        each = fdtrc(names.size - 1, spare, between / np.maximum(within, 1e-300))
         # Fisher: both directions in one probability.
-        p_same = float(chi2.sf(-2 * np.log(np.maximum(each, 1e-300)).sum(), 4))
+        p_same = float(chdtrc(4, -2 * np.log(np.maximum(each, 1e-300)).sum()))
     return Repeated(
         (scatter[0], scatter[1]),
         freeze(means),

@@ -26,6 +26,7 @@ _SUMMARIES: "dict[TestName, str]" = {
     "control": "Log of the controller: states that are due after commands and faults.",
     "power": "Energy that the heliostat used.",
     "given": "Numbers measured elsewhere.",
+    "year": "What errors cost over a year: energy lost by each cause, and by one mrad more.",
 }
 
 

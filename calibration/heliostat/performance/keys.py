@@ -24,7 +24,18 @@ from heliogauge.measurement.models import (
 )
 
 TestName = Literal[
-    "day", "drift", "backlash", "repeat", "wind", "sun_camera", "reflectance", "quality", "control", "power", "given"
+    "day",
+    "drift",
+    "backlash",
+    "repeat",
+    "wind",
+    "sun_camera",
+    "reflectance",
+    "quality",
+    "control",
+    "power",
+    "given",
+    "year",
 ]
 TESTS: tuple[TestName, ...] = (
     "day",
@@ -38,6 +49,7 @@ TESTS: tuple[TestName, ...] = (
     "control",
     "power",
     "given",
+    "year",
 )
 Files = Text | Annotated[tuple[Text, ...], Field(min_length=1)]
 
@@ -91,11 +103,11 @@ class TestTargetSection(Section):
 
 
 class BeamSection(Section):
-    """Beams of a test: tables, or results of ``heliogauge beam measure``."""
+    """Beams of a test: tables, folders with photos, or results of ``heliogauge beam measure``."""
 
     file: Files = Field(
-        description="Table with time_utc, x_m and y_m (or _mrad, _deg from the aim), or a folder of results of "
-        "`heliogauge beam measure`; a list joins several."
+        description="Table with time_utc, x_m and y_m (or _mrad, _deg from the aim), a folder with photos of beams, or "
+        "results of `heliogauge beam measure`; a list joins several."
     )
     conditions: str = Field("", description="Conditions of this test.")
 
@@ -228,6 +240,52 @@ class GivenSection(Section):
     )
 
 
+class YearSection(Section):
+    """What errors cost over a year: the aperture that the light is to enter, and the weather."""
+
+    center_m: Vector3 = Field(description="Middle of the aperture: east, north, up [m].")
+    facing_azimuth_deg: Number = Field(description="Azimuth that it faces; 0: north [deg].")
+    tilt_deg: Annotated[float, Field(strict=True, ge=-90, le=90)] = Field(
+        0.0, description="Elevation of its normal; below zero it looks down to the field [deg]."
+    )
+    width_m: Positive | None = Field(None, description="Its width [m].")
+    height_m: Positive | None = Field(None, description="Its height [m].")
+    diameter_m: Positive | None = Field(None, description="Instead of both: diameter of a round one [m].")
+    dni: Text | None = Field(
+        None, description="Table with time_utc and dni_w_m2 over a year; default: every day clear."
+    )
+    circumsolar_share: Annotated[float, Field(strict=True, ge=0, le=0.7)] = Field(
+        0.03, description="Share of the sun's light from outside its disc (Buie's sun shape)."
+    )
+    reflectance_share: Annotated[float, Field(strict=True, gt=0, le=1)] = Field(
+        0.93, description="Reflectance, for the energy in kWh, where [reflectance] has not measured it."
+    )
+    offset_mrad: Sigma | None = Field(None, description="Systematic offset of the beam; default: that of [day] [mrad].")
+    scatter_mrad: Sigma | None = Field(
+        None, description="Scatter of the beam, both directions together; default: that of [day] [mrad]."
+    )
+    slope_mrad: Sigma | None = Field(
+        None, description="SD of the normals; default: that of [quality], best focus [mrad]."
+    )
+    canting_mrad: Sigma | None = Field(
+        None, description="RMS canting of the facets' normals; default: that of [quality] [mrad]."
+    )
+
+    @property
+    def size_m(self) -> tuple[float, float]:
+        """Width and height, of a round one its diameter [m]."""
+        across = self.diameter_m or 0.0
+        return (self.width_m or across, self.height_m or across)
+
+    @model_validator(mode="after")
+    def _one_form(self) -> Self:
+        if (self.diameter_m is None) == (self.width_m is None or self.height_m is None):
+            raise ValueError("either width_m and height_m, or diameter_m is needed")
+        if self.diameter_m is not None and (self.width_m is not None or self.height_m is not None):
+            raise ValueError("width_m and height_m are of no use beside diameter_m")
+        return self
+
+
 class HeliostatTestsModel(MeasurementModel):
     """The whole measurement.toml of ``kind = "heliostat-tests"``; ``name`` is the heliostat's."""
 
@@ -247,6 +305,7 @@ class HeliostatTestsModel(MeasurementModel):
     control: ControlSection | None = Field(None, description="Log of the controller.")
     power: PowerSection | None = Field(None, description="Energy that the heliostat used.")
     given: GivenSection | None = Field(None, description="Numbers measured elsewhere.")
+    year: YearSection | None = Field(None, description="What errors cost over a year.")
 
     @model_validator(mode="after")
     def _needs(self) -> Self:
@@ -260,6 +319,8 @@ class HeliostatTestsModel(MeasurementModel):
             raise ValueError(f"the section target is needed for {', '.join(beams)}")
         if beams and self.site is None:
             raise ValueError(f"the section site is needed for {', '.join(beams)}: the sun's place is known by it")
+        if self.year is not None and self.site is None:
+            raise ValueError("the section site is needed for year")
         return self
 
 
@@ -326,6 +387,7 @@ def _named(model: HeliostatTestsModel) -> Iterator[str]:
         model.control and model.control.file,
         model.power and model.power.file,
         model.given and model.given.file,
+        model.year and model.year.dni,
     ):
         if name:
             yield name

@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 
 from calibration.heliostat.performance.entries import Entry
 from heliogauge.errors import InputError
-from heliogauge.reporting.notation import number_text
+from heliogauge.reporting.notation import quantity_text
 from heliogauge.results.folder import Summary, read_table_csv, unit_of, write_table_csv
 from heliogauge.results.frame import InstrumentResult
 
@@ -64,10 +64,7 @@ def value_text(entry: Entry) -> str:
     """Return the value of an entry with its sigma as people read it."""
     if entry.value is None:
         return "not measured"
-    name, unit = unit_of(entry.key)
-    if name.endswith("_share"):
-        return number_text(100 * entry.value, None if entry.sigma is None else 100 * entry.sigma, "%")
-    return number_text(entry.value, entry.sigma, unit, name)
+    return quantity_text(entry.key, entry.value, entry.sigma)
 
 
 def write_entries(path: Path, heliostat: str, entries: Sequence[Entry]) -> None:

@@ -1,7 +1,6 @@
 """Tests with beams on a target: tracking over days, drift, repeated approaches, wind."""
 
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
@@ -104,7 +103,7 @@ def open_beams(tests: HeliostatTests, section: BeamSection, name: str) -> Beams:
     name: Of the section, for messages.
     InputError: Tables that cannot be meant, or no uncertainty of the places.
     """
-    paths = [_beam_table(tests.path(one)) for one in files_of(section.file)]
+    paths = [tests.path(one) for one in files_of(section.file)]
     table = read_beams(paths, tests.model.name)
     line, site, target = line_of_sight(tests), site_of(tests), tests.model.target
     scale = line.angle_scale()
@@ -162,10 +161,6 @@ def open_beams(tests: HeliostatTests, section: BeamSection, name: str) -> Beams:
     approach = tuple(side for side, one in zip(table.approach, used, strict=True) if one)
     doubts = gather_doubts(table.doubts, few)
     return Beams(series, times, places, suns, normals, table.wind_m_s[used], approach, line, site, doubts, rows)
-
-
-def _beam_table(path: Path) -> Path:
-    return path / "beams.csv" if path.is_dir() else path
 
 
 def day_test(tests: HeliostatTests, section: BeamSection) -> Outcome:

@@ -3,12 +3,14 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 
 from heliogauge.doubts import Doubt
 from heliogauge.errors import InputError
 from heliogauge.geometry.sun import Site, angles_from_direction, sun_directions, utc_times
+from heliogauge.measurement.load import load
 from heliogauge.results.folder import read_table_csv
 from heliogauge.validate import FloatArray, IntArray, TimeArray
 
@@ -20,6 +22,8 @@ MOST_SUN_RAD = np.radians(0.5)
 ANGLES = {"_rad": 1.0, "_mrad": 1e-3, "_deg": np.pi / 180, "_urad": 1e-6}
 LENGTHS = {"_m": 1.0, "_mm": 1e-3}
 _USED = ""
+#: Table of measured beams in a folder of results of `heliogauge beam measure`.
+BEAMS_FILE = "beams.csv"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -152,9 +156,27 @@ def read_beams(paths: Sequence[Path], heliostat: str) -> BeamTable:
     )
 
 
+def _table_of(path: Path) -> dict[str, list[str]]:
+    """Return a table of beams: a CSV file, that of measured beams, or that of photos which are measured now."""
+    if not path.is_dir():
+        return read_table_csv(path)
+    if (path / BEAMS_FILE).is_file():
+        return read_table_csv(path / BEAMS_FILE)
+    from calibration.beam import run
+    from calibration.beam.pipeline import write_beams
+
+    with TemporaryDirectory() as place:
+        measured = run(load(path))
+        file = Path(place) / BEAMS_FILE
+        write_beams(file, measured.beams, measured.columns())
+        return read_table_csv(file)
+
+
 def _read_one(path: Path, heliostat: str) -> BeamTable:
-    table = read_table_csv(path)
+    table = _table_of(path)
     same_heliostat(path, table, heliostat)
+    if path.is_dir() and "time_utc" not in table:
+        raise InputError(f"{path}: beams without times: give the column time_utc in the table of its photos")
     times = read_times(path, table)
     order, doubt = order_of_times(path, times)
     doubts = [] if doubt is None else [doubt]
@@ -194,6 +216,9 @@ def _read_one(path: Path, heliostat: str) -> BeamTable:
     for row, flag in enumerate(table.get("flag", [])):
         if flag not in ("", "0", "used"):
             reasons[row] = reasons[row] or f"flagged: {flag}"
+    for row, rejected in enumerate(table.get("rejected", [])):
+        if rejected not in ("", "0"):
+            reasons[row] = table["reason"][row] if table.get("reason") else "rejected"
     return BeamTable(
         times[order],
         values[order],

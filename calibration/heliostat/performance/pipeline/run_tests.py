@@ -17,6 +17,7 @@ from calibration.heliostat.performance.pipeline.other_tests import (
 )
 from calibration.heliostat.performance.pipeline.outcome import Outcome
 from calibration.heliostat.performance.pipeline.quality import quality_test
+from calibration.heliostat.performance.pipeline.year_test import year_test
 from heliogauge.doubts import gather_doubts
 from heliogauge.errors import EstimationError, InputError
 from heliogauge.results.folder import hash_files
@@ -35,6 +36,8 @@ _TEST_OF: dict[TestName, Callable[[HeliostatTests, Any], Outcome]] = {
     "power": power_test,
     "given": given_test,
 }
+#: What [year] takes its errors from.
+_FOR_YEAR: tuple[TestName, ...] = ("day", "quality", "reflectance")
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,21 +60,29 @@ def run(tests: HeliostatTests, options: Options | None = None, progress: Progres
     there = [name for name in TESTS if getattr(tests.model, name) is not None]
     if options.only is not None and options.only not in there:
         raise InputError(f"measurement.toml has no section [{options.only}]; there are: {', '.join(there)}")
-    outcomes = []
-    for name in there if options.only is None else [options.only]:
+    wanted = there if options.only is None else [options.only]
+    outcomes: dict[TestName, Outcome] = {}
+    # The year comes last, and needs others even where it is wanted alone.
+    needed = [name for name in there if name in wanted or ("year" in wanted and name in _FOR_YEAR)]
+    for name in needed:
         with progress.stage(name.replace("_", " ")):
             try:
-                outcomes.append(_TEST_OF[name](tests, getattr(tests.model, name)))
+                if name == "year" and tests.model.year is not None:
+                    known = [entry for one in outcomes.values() for entry in one.entries]
+                    outcomes[name] = year_test(tests, tests.model.year, known)
+                else:
+                    outcomes[name] = _TEST_OF[name](tests, getattr(tests.model, name))
             except EstimationError as error:
                 raise EstimationError(f"[{name}] {error}") from None
+    chosen = [outcome for name, outcome in outcomes.items() if name in wanted]
     with progress.stage("hash inputs"):
         hashes = hash_files(tests.input_files, tests.folder)
     result = Result(
-        entries=tuple(entry for one in outcomes for entry in one.entries),
-        tables={name: table for one in outcomes for name, table in one.tables.items()},
+        entries=tuple(entry for one in chosen for entry in one.entries),
+        tables={name: table for one in chosen for name, table in one.tables.items()},
         about=about(tests),
         name=tests.model.name,
-        doubts=gather_doubts(*(one.doubts for one in outcomes)),
+        doubts=gather_doubts(*(one.doubts for one in chosen)),
     )
     return replace(result, durations_s=dict(progress.durations_s), input_sha256=hashes)
 

@@ -8,10 +8,9 @@ from calibration.heliostat.performance.files.result import value_text
 from calibration.heliostat.performance.files.sheets import Sheet, SheetLine, decision_rule
 from calibration.heliostat.performance.report.test_sections import TEST_WORDS, series_chart
 from heliogauge import __version__
-from heliogauge.reporting.notation import number_text
+from heliogauge.reporting.notation import quantity_text
 from heliogauge.reporting.page_frame import POLICY_HEAD
 from heliogauge.reporting.style import STYLE
-from heliogauge.results.folder import unit_of
 
 _MOST_DOUBTS = 5
 _HEAD = (
@@ -88,7 +87,7 @@ main.sheet { max-width: 900px; }
   .sheet .doubts li { margin: 0; }
   .sheet .cost img { max-height: 42mm; width: auto; max-width: 100%; }
   .facts { grid-template-columns: repeat(3, 1fr); }
-  .sheet .cost { grid-template-columns: 3fr 2fr; }
+  .sheet .cost { grid-template-columns: 4fr 5fr; }
   .signatures { margin-top: 9mm; }
 }
 """
@@ -198,12 +197,9 @@ def _row(line: SheetLine) -> str:
 
 def limit_text(entry: Entry, limit: Limit) -> str:
     """Return a limit as people read it, in the unit of the entry's value."""
-    name, unit = unit_of(entry.key)
 
     def said(value: float) -> str:
-        if name.endswith("_share"):
-            return f"{100 * value:.4g} %"
-        return number_text(value, None, unit, name)
+        return quantity_text(entry.key, value, None)
 
     if limit.least is not None and limit.most is not None:
         return f"{said(limit.least)} to {said(limit.most)}"

@@ -12,6 +12,7 @@ from calibration.heliostat.performance.pipeline.make_sheet import SheetOptions
 from calibration.heliostat.performance.pipeline.make_sheet import run as make_sheets
 from calibration.heliostat.performance.pipeline.run_tests import Options, run
 from data_synth.acceptance.dataset import write_tests_folder
+from data_synth.acceptance.plant import TestPlant
 from heliogauge.errors import InputError
 from heliogauge.results.frame import into_folder
 from heliogauge.running.progress import SilentProgress
@@ -21,6 +22,9 @@ from heliogauge.running.progress import SilentProgress
 def drawn(tmp_path_factory):
     folder = tmp_path_factory.mktemp("tests") / "AB12"
     write_tests_folder(folder, seed=3)
+    # The year takes four seconds: a test of its own.
+    file = folder / "measurement.toml"
+    file.write_text(file.read_text().partition("[year]")[0])
     return folder
 
 
@@ -66,6 +70,22 @@ def test_sheet_has_every_entry_and_what_was_not_measured(drawn, results, tmp_pat
     assert lines["control_faults_answered_share"].decision.conformity == "conditional fail"
 
 
+@pytest.mark.slow
+def test_year_says_what_a_mrad_costs(tmp_path):
+    write_tests_folder(tmp_path / "AB12", seed=1)
+    result = run(load_tests(tmp_path / "AB12"), Options("year"))
+    known = {one.key: one for one in result.entries}
+    assert {one.test for one in result.entries} == {"year"}
+    assert 0.9 < known["intercept_share"].value < 1
+    costs = [known[f"{cause}_next_mrad_lost_share"] for cause in ("offset", "scatter", "slope", "canting")]
+    # One mrad more of the normal costs more than one of the beam.
+    assert costs[2].value > 2 * costs[1].value > 0
+    assert all(one.value > 3 * one.sigma for one in costs)
+    lost = known["slope_lost_share"]
+    assert lost.value > 5 * lost.sigma
+
+
+@pytest.mark.slow
 def test_pdf_is_one_page(drawn, results, tmp_path):
     pytest.importorskip("weasyprint", exc_type=ImportError)
     from calibration.heliostat.performance.report.sheet_page import sheet_page
@@ -175,3 +195,35 @@ def test_two_commands(drawn, tmp_path):
     second = runner.invoke(app, ["sheet", str(tmp_path / "R"), "-o", str(tmp_path / "S"), "--no-pdf"])
     assert second.exit_code == 0, second.output
     assert (tmp_path / "S" / "AB12.html").is_file()
+
+
+def test_photos_of_beams_become_the_day(tmp_path):
+    """Photos beside the tables: measured, and the day's offset is that of the drawn beams."""
+    from heliogauge.images.photos import write_image
+
+    folder = tmp_path / "AB12"
+    photos = folder / "photos"
+    photos.mkdir(parents=True)
+    rng = np.random.default_rng(4)
+    times = np.datetime64("2026-06-21T10:00", "s") + np.arange(8) * np.timedelta64(600, "s")
+    x, y = np.meshgrid((np.arange(120) + 0.5) / 120 * 6 - 3, 3 - (np.arange(120) + 0.5) / 120 * 6)
+    places = np.array([0.30, -0.20]) + rng.normal(0, 0.05, (8, 2))
+    for number, (right, up) in enumerate(places):
+        light = 20 + 180 * np.exp(-0.5 * ((x - right) ** 2 + (y - up) ** 2) / 0.5**2) + rng.normal(0, 1.5, x.shape)
+        write_image(photos / f"beam_{number}.png", np.clip(light, 0, 255).astype(np.uint8))
+    rows = [f"beam_{number}.png,{time}Z" for number, time in enumerate(times)]
+    (photos / "photos.csv").write_text("\n".join(["image,time_utc", *rows]) + "\n")
+    (photos / "measurement.toml").write_text(
+        'kind = "beam"\nname = "AB12"\n[photos]\ntable = "photos.csv"\n[[target]]\nname = "white"\nwidth_m = 6.0\n'
+        'height_m = 6.0\n[[images]]\ntarget = "white"\nwhole = "edge"\n'
+    )
+    (folder / "measurement.toml").write_text(
+        'kind = "heliostat-tests"\nname = "AB12"\n[site]\nlatitude_deg = 37.09\nlongitude_deg = -2.36\n[heliostat]\n'
+        "position_m = [0.0, 120.0, 4.0]\n[target]\ncenter_m = [0.0, 0.0, 40.0]\nfacing_azimuth_deg = 0.0\n"
+        'sigma_aim_m = 0.001\n[day]\nfile = "photos"\n'
+    )
+    found = {one.key: one for one in run(load_tests(folder)).entries}
+    scale = TestPlant(heliostat_m=(0.0, 120.0, 4.0)).angles(np.array([[0.01, 0.0]]))[0] / 0.01
+    right = found["beam_mean_right_rad"]
+    assert right.value == pytest.approx(places[:, 0].mean() * scale, abs=4 * right.sigma)
+    assert right.sigma < 0.2e-3

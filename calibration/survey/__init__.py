@@ -1,0 +1,18 @@
+"""Results of many days, heliostats and facets in one store: what changes, what a repair did, which are the worst.
+
+A store is a folder of Parquet files, queried where they are; there is no server.
+"""
+
+from typing import TYPE_CHECKING
+
+from heliogauge.faces import lazy_face
+
+if TYPE_CHECKING:
+    from calibration.survey.judgement import Changes as Changes
+    from calibration.survey.judgement import Trend as Trend
+    from calibration.survey.pipeline.add import AddOptions as AddOptions
+    from calibration.survey.pipeline.add import add as add
+    from calibration.survey.pipeline.judge_store import SurveyOptions as SurveyOptions
+    from calibration.survey.pipeline.judge_store import run as run
+
+__getattr__, __dir__, __all__ = lazy_face(__name__)

@@ -1,0 +1,78 @@
+"""``heliogauge survey``: results of many days and heliostats in one store, its report, what was done to whom."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from heliogauge.running.commands import AsJson, Force, NoReport, OutFolder, Quiet, Verbose, deliver, make_app
+
+app = make_app("Results of many days, heliostats and facets -> one store, trends, the worst.")
+
+StoreFolder = Annotated[Path, typer.Argument(metavar="STORE", help="Folder of the store.", show_default=False)]
+
+
+@app.command("add")
+def add_command(
+    results: Annotated[
+        list[Path],
+        typer.Argument(metavar="RESULT...", help="Folders of results, or folders of such folders.", show_default=False),
+    ],
+    to: Annotated[
+        Path, typer.Option("--to", metavar="STORE", help="The store; made where absent.", show_default=False)
+    ],
+    date: Annotated[
+        str | None, typer.Option(metavar="YYYY-MM-DD", help="Day of the measurement, where results do not say it.")
+    ] = None,
+    subject: Annotated[
+        str | None, typer.Option(metavar="NAME", help="What was measured, where it is not the results' name.")
+    ] = None,
+    quiet: Quiet = False,
+) -> None:
+    """Put results into a store, each once."""
+    from calibration.survey.pipeline.add import AddOptions, add
+
+    added = add(results, to, AddOptions(date, subject))
+    for folder in added.known[:20]:
+        typer.echo(f"note: {folder} is in the store already", err=True)
+    if not quiet:
+        typer.echo(f"{added.results} results, {added.rows} rows added to {to}")
+
+
+@app.command("event")
+def event_command(
+    store: StoreFolder,
+    subject: Annotated[str, typer.Option(metavar="NAME", help="To whom; * stands for any text.", show_default=False)],
+    date: Annotated[str, typer.Option(metavar="YYYY-MM-DD", help="When.", show_default=False)],
+    what: Annotated[str, typer.Option(metavar="WORDS", help="Such as cleaned, drive replaced.", show_default=False)],
+) -> None:
+    """Note that something was done: reports compare before and after."""
+    from calibration.survey.files.parquet_store import add_event
+
+    add_event(store, subject, date, what)
+
+
+@app.command("report")
+def report_command(
+    store: StoreFolder,
+    out: OutFolder,
+    quantity: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME", help="Only this quantity; may be given several times.", show_default=False),
+    ] = None,
+    since: Annotated[str | None, typer.Option(metavar="YYYY-MM-DD", help="Only results from this day on.")] = None,
+    until: Annotated[str | None, typer.Option(metavar="YYYY-MM-DD", help="Only results before this day.")] = None,
+    force: Force = False,
+    no_report: NoReport = False,
+    as_json: AsJson = False,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+) -> None:
+    """Report trends, before and after what was done, the worst: CSV tables, summary.json, report.html."""
+    from calibration.survey.pipeline.judge_store import SurveyOptions, run
+    from heliogauge.running.terminal import terminal_progress
+
+    progress = terminal_progress(quiet=quiet, verbose=verbose)
+    options = SurveyOptions(None if not quantity else tuple(quantity), since, until)
+    job = lambda: run(store, options, progress)  # noqa: E731
+    deliver(out, job, progress, force=force, quiet=quiet, report=not no_report, as_json=as_json)

@@ -1,0 +1,1 @@
+"""The store on disk, and what of a result goes into it."""

@@ -1,0 +1,1 @@
+"""From results to the store, and from the store to its report."""

@@ -1,0 +1,135 @@
+"""Results go into a store once, and come back as trends, changes and the worst."""
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from heliogauge.errors import InputError
+from heliogauge.results.folder import Summary, read_table_csv, write_summary, write_table_csv
+
+pytest.importorskip("duckdb")
+
+from calibration.survey.cli import app
+from calibration.survey.files.parquet_store import add_event, query
+from calibration.survey.pipeline.add import AddOptions, add
+from calibration.survey.pipeline.judge_store import SurveyOptions, run
+
+
+def write_result(folder, name, date, numbers, facets=None):
+    folder.mkdir(parents=True)
+    write_summary(folder / "summary.json", Summary("deflectometry", name, numbers, {"date": date}, facets=facets or {}))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def drawn(tmp_path_factory):
+    """Twenty mirrors over a year: SD, reflectance that falls until it is cleaned, facets."""
+    place = tmp_path_factory.mktemp("results")
+    rng = np.random.default_rng(0)
+    for number in range(20):
+        for month in range(1, 13):
+            dirt = 0.004 * ((month - 1) % 6)
+            numbers = {
+                "sd_rad": 1e-3 * (1 + 0.05 * number) + rng.normal(0, 2e-5),
+                "sigma_sd_rad": 2e-5,
+                "reflectance_share": 0.95 - dirt + rng.normal(0, 0.001),
+                "sigma_reflectance_share": 0.001,
+                "photos_count": 12,
+            }
+            facets = {"upper": {"canting_x_rad": rng.normal(3e-4, 1e-5), "sigma_canting_x_rad": 1e-5}}
+            write_result(
+                place / f"H{number:02d}_{month:02d}", f"H{number:02d}", f"2026-{month:02d}-15", numbers, facets
+            )
+    return place
+
+
+@pytest.fixture(scope="module")
+def store(drawn, tmp_path_factory):
+    store = tmp_path_factory.mktemp("store") / "plant"
+    assert add([drawn], store).results == 240
+    add_event(store, "H*", "2026-07-01", "cleaned")
+    return store
+
+
+def test_each_result_once(drawn, store):
+    again = add([drawn], store)
+    assert again.results == 0
+    assert len(again.known) == 240
+
+
+def test_trends_worst_and_cleaning(store, tmp_path):
+    result = run(store)
+    result.write(tmp_path)
+    worst = read_table_csv(tmp_path / "worst.csv")
+    ranks = [s for q, s in zip(worst["quantity"], worst["subject"], strict=True) if q == "sd_rad"]
+    assert ranks[:2] == ["H19", "H18"]
+    events = read_table_csv(tmp_path / "events.csv")
+    rows = [row for row, one in enumerate(events["quantity"]) if one == "reflectance_share"]
+    assert len(rows) == 20
+    # Dirt of the months before and after cleaning is alike, 0.010 in the mean: no change of the means.
+    change, sigma = (np.array([float(events[key][row]) for row in rows]) for key in ("change", "sigma_change"))
+    assert np.abs(change.mean()) < 3 * sigma.mean() / np.sqrt(20)
+    parts = {(q, p) for q, p in zip(events["quantity"], events["part"], strict=True)}
+    assert ("canting_x_rad", "upper") in parts
+    assert result.counts == {"subjects": 20, "results": 240, "rows": 240 * 4}
+
+
+def test_days_and_quantities_are_chosen(store):
+    half = run(store, SurveyOptions(quantities=("reflectance_share",), since="2026-01-01", until="2026-07-01"))
+    slope = np.array(half.trends["slope_per_year"])
+    # 0.004 each month.
+    assert slope.mean() == pytest.approx(-0.048, abs=0.003)
+    assert set(half.trends["quantity"]) == {"reflectance_share"}
+    with pytest.raises(InputError, match="did you mean reflectance_share"):
+        run(store, SurveyOptions(quantities=("reflectance_shar",)))
+    with pytest.raises(InputError, match="such as 2026-06-21"):
+        run(store, SurveyOptions(since="yesterday"))
+
+
+def test_values_are_stored_as_they_were(drawn, store):
+    with query(store) as connection:
+        ((value, sigma),) = connection.execute(
+            "SELECT value, sigma FROM rows WHERE subject = 'H03' AND quantity = 'sd_rad' AND time = TIMESTAMP "
+            "'2026-04-15'"
+        ).fetchall()
+    from heliogauge.results.folder import read_summary
+
+    numbers = read_summary(drawn / "H03_04").numbers
+    assert (value, sigma) == (numbers["sd_rad"], numbers["sigma_sd_rad"])
+
+
+def test_rows_of_beams_by_time(tmp_path):
+    folder = write_result(tmp_path / "beams", "H01", "2026-05-01", {"beams_count": 2})
+    columns = {"time_utc": ["2026-05-01T10:00:00Z", ""], "x_m": [0.5, 0.6], "sigma_x_m": [0.02, 0.02]}
+    write_table_csv(folder / "beams.csv", columns)
+    add([folder], tmp_path / "store")
+    with query(tmp_path / "store") as connection:
+        rows = connection.execute("SELECT quantity, value, sigma FROM rows WHERE quantity = 'beams_x_m'").fetchall()
+    assert rows == [("beams_x_m", 0.5, 0.02)]
+
+
+def test_what_cannot_be_meant(tmp_path):
+    folder = tmp_path / "result"
+    folder.mkdir()
+    write_summary(folder / "summary.json", Summary("deflectometry", "H01", {"sd_rad": 1e-3}))
+    with pytest.raises(InputError, match="says no date"):
+        add([folder], tmp_path / "store")
+    assert add([folder], tmp_path / "store", AddOptions(date="2026-01-01")).rows == 1
+    with pytest.raises(InputError, match="no store"):
+        run(tmp_path / "elsewhere")
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other" / "file").write_text("x")
+    with pytest.raises(InputError, match="holds files but is no store"):
+        add([folder], tmp_path / "other", AddOptions(date="2026-01-01"))
+    with pytest.raises(InputError, match="no results"):
+        add([tmp_path / "other"], tmp_path / "store")
+
+
+def test_commands(drawn, tmp_path):
+    runner, store = CliRunner(), tmp_path / "store"
+    done = runner.invoke(app, ["add", str(drawn / "H01_01"), "--to", str(store)])
+    assert done.exit_code == 0, done.output
+    assert "1 results" in done.output
+    done = runner.invoke(app, ["report", str(store), "-o", str(tmp_path / "out"), "--no-report"])
+    assert done.exit_code == 0, done.output
+    assert (tmp_path / "out" / "trends.csv").is_file()
