@@ -8,8 +8,6 @@ from typing import TYPE_CHECKING
 from heliogauge.faces import lazy_face
 
 if TYPE_CHECKING:
-    from calibration.survey.judgement import Changes as Changes
-    from calibration.survey.judgement import Trend as Trend
     from calibration.survey.pipeline.add import AddOptions as AddOptions
     from calibration.survey.pipeline.add import add as add
     from calibration.survey.pipeline.judge_store import SurveyOptions as SurveyOptions

@@ -14,8 +14,12 @@ from heliogauge.results.folder import SUMMARY_FILE
 class AddOptions:
     """What is said of the results.
 
-    date: Day of the measurement, where the results do not say it.
-    subject: What was measured, where it is not the results' name.
+    Parameters
+    ----------
+    date : str or None
+        Day of the measurement, where the results do not say it.
+    subject : str or None
+        What was measured, where it is not the results' name.
     """
 
     date: str | None = None
@@ -38,8 +42,29 @@ class Added:
 def add(folders: Sequence[Path], store: Path, options: AddOptions | None = None) -> Added:
     """Put results into a store; it is made where there is none.
 
-    folders: Folders of results, or folders of such folders.
-    InputError: No results, results without a date, or a folder that is no store.
+    Parameters
+    ----------
+    folders : sequence of Path
+        Folders of results, or folders of such folders.
+    store : Path
+        Folder of the store.
+    options : AddOptions, optional
+        What is said of the results.
+
+    Returns
+    -------
+    Added
+        How many results and rows were added, and which were there already.
+
+    Raises
+    ------
+    InputError
+        No results, results without a date, or a folder that is no store.
+
+    Notes
+    -----
+    Of each result its numbers with their sigmas go in, those of facets and modules under their names, and rows of beams
+    that have a time. A result is known by the hash of its summary, so that none is counted twice.
     """
     options = options or AddOptions()
     chosen = [one for folder in folders for one in _results_in(folder)]

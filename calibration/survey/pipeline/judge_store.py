@@ -16,6 +16,7 @@ from heliogauge.reporting.notation import quantity_text
 from heliogauge.results.folder import Summary, write_table_csv
 from heliogauge.results.frame import InstrumentResult
 from heliogauge.running.progress import Progress, SilentProgress
+from heliogauge.short_repr import ShortRepr
 from heliogauge.validate import FloatArray
 
 #: Quantities shown unless some are chosen: those that people look at first, of the most subjects, no more than this.
@@ -30,11 +31,17 @@ _YEAR_S = 31_557_600.0
 
 
 @dataclass(frozen=True, slots=True)
-class SurveyOptions:
+class SurveyOptions(ShortRepr):
     """Choices of the report.
 
-    quantities: Which; None: those of the most subjects.
-    since, until: Days between which results count; None: all.
+    Parameters
+    ----------
+    quantities : tuple of str or None
+        Which; None: those that people look at first, of the most subjects.
+    since : str or None
+        Day from which on results count; None: all.
+    until : str or None
+        Day before which they count; None: all.
     """
 
     quantities: tuple[str, ...] | None = None
@@ -109,7 +116,29 @@ sum(w * y * y) AS wyy
 def run(store: Path, options: SurveyOptions | None = None, progress: Progress | None = None) -> SurveyResult:
     """Query a store.
 
-    InputError: No store, an empty one, a quantity that is not in it, or a day that is none.
+    Parameters
+    ----------
+    store : Path
+        Folder of the store.
+    options : SurveyOptions, optional
+        Which quantities and days.
+    progress : Progress, optional
+        Listener for the stages.
+
+    Returns
+    -------
+    SurveyResult
+        Trends, the worst, and what events did.
+
+    Raises
+    ------
+    InputError
+        No store, an empty one, a quantity that is not in it, or a day that is none.
+
+    Notes
+    -----
+    Straight lines and means are weighted by 1 / sigma^2; where results scatter more than their sigmas say, the sigmas
+    are enlarged by Birge's ratio. Results without a sigma have no weight.
     """
     options, progress = options or SurveyOptions(), progress or SilentProgress()
     with query(store) as connection, progress.stage("query"):

@@ -5,13 +5,11 @@ from pathlib import Path
 
 import numpy as np
 
+from calibration.survey.report.charts import history_charts, plain, said
 from heliogauge.reporting import page
 from heliogauge.reporting.html import Html, Shown, join
-from heliogauge.reporting.look import LINE_X
-from heliogauge.reporting.notation import quantity_text
 from heliogauge.reporting.verdict import verdict_of
-from heliogauge.results.folder import Summary, read_summary, read_table_csv, unit_of
-from heliogauge.view.charts import ChartSeries, ChartView, Mark
+from heliogauge.results.folder import Summary, read_summary, read_table_csv
 from heliogauge.view.tables import TableColumn, TableView
 
 _MOST_ROWS = 500
@@ -54,43 +52,12 @@ def first_screen(report: SurveyReport) -> Html:
                     worst["subject"][row],
                 )
             )
-    charts = history_charts(report)
+    charts = history_charts(report.tables["history"])
     line = f"many results of one plant; heliogauge {report.summary.version}"
     passed = [f"{plain(name)} queried" for name in list(seen)[:3]]
     return page.first_screen(
         report.summary.name, line, verdict_of(report.summary, (), passed), rows, charts[0] if charts else None
     )
-
-
-def plain(quantity: str) -> str:
-    """Return the name of a quantity in words."""
-    return unit_of(quantity)[0].replace("_", " ")
-
-
-def said(quantity: str, value: str, sigma: str) -> str:
-    """Return a value with its sigma as people read it."""
-    if not value:
-        return ""
-    return quantity_text(quantity, float(value), float(sigma) if sigma else None)
-
-
-def history_charts(report: SurveyReport) -> list[ChartView]:
-    """Return the results of the worst subject of each quantity over time."""
-    table = report.tables["history"]
-    charts = []
-    for quantity in dict.fromkeys(table["quantity"]):
-        rows = [row for row, one in enumerate(table["quantity"]) if one == quantity]
-        times = np.array([table["time"][row].rstrip("Z") for row in rows], dtype="datetime64[s]").astype(np.float64)
-        name, unit = unit_of(quantity)
-        scale, shown = (1e3, "mrad") if unit == "rad" else (100.0, "%") if name.endswith("_share") else (1.0, unit)
-        values = np.array([scale * float(table["value"][row]) for row in rows], dtype=np.float64)
-        sigma = np.array([scale * float(table["sigma"][row]) for row in rows], dtype=np.float64)
-        series = (ChartSeries(table["subject"][rows[0]], times, values, LINE_X, Mark.POINTS, sigma=sigma, size_px=4),)
-        label = f"{plain(quantity)} [{shown}]" if shown else plain(quantity)
-        charts.append(
-            ChartView(f"Worst {plain(quantity)}: {table['subject'][rows[0]]}", "UTC", label, series, x_time=True)
-        )
-    return charts
 
 
 def worst_tables(report: SurveyReport) -> Shown:
@@ -167,7 +134,7 @@ def event_table(report: SurveyReport) -> Shown:
 
 def further_charts(report: SurveyReport) -> Shown:
     """Return the histories that the first screen does not show."""
-    charts = history_charts(report)[1:]
+    charts = history_charts(report.tables["history"])[1:]
     return join(*charts) if charts else Html("<p>No further histories.</p>")
 
 

@@ -17,7 +17,7 @@ from calibration.heliostat.performance.pipeline.other_tests import (
 )
 from calibration.heliostat.performance.pipeline.outcome import Outcome
 from calibration.heliostat.performance.pipeline.quality import quality_test
-from calibration.heliostat.performance.pipeline.year_test import year_test
+from calibration.heliostat.performance.pipeline.year_costs import year_test
 from heliogauge.doubts import gather_doubts
 from heliogauge.errors import EstimationError, InputError
 from heliogauge.results.folder import hash_files

@@ -6,7 +6,7 @@ from itertools import groupby
 from calibration.heliostat.performance.entries import Conformity, Entry, Limit
 from calibration.heliostat.performance.files.result import value_text
 from calibration.heliostat.performance.files.sheets import Sheet, SheetLine, decision_rule
-from calibration.heliostat.performance.report.test_sections import TEST_WORDS, series_chart
+from calibration.heliostat.performance.report.sections import TEST_WORDS, series_chart
 from heliogauge import __version__
 from heliogauge.reporting.notation import quantity_text
 from heliogauge.reporting.page_frame import POLICY_HEAD
