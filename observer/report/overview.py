@@ -55,8 +55,8 @@ _GAINS = (
     (0.0, "gains less", "#e9cf63"),
 )
 _NOTHING = ("nothing sure to gain", "#3f7f4f")
-#: Panels that the first screen names.
-_MOST_PANELS = 3
+#: Panels that the first screen names; modules from which on it shows the field.
+_MOST_PANELS, _FIELD = 3, 4
 #: Maps that can be looked into in a page, about 0.1 MB each.
 _MOST_MAPS = 12
 #: Numbers of each module that a chart shows beside those of the others: name and factor to the printed unit.
@@ -133,6 +133,11 @@ def head(results: OverviewResults) -> FirstScreen:
     )
 
 
+def _is_field(results: OverviewResults) -> bool:
+    """Return whether modules are so many that one looks at the field first."""
+    return results.turns is not None and len(results.measured) >= _FIELD
+
+
 def _work(results: OverviewResults) -> list[tuple[str, str, str]]:
     """Say which panels gain by a turn, how far, and what all of them gain."""
     if results.turns is None:
@@ -165,19 +170,27 @@ def _number(columns: dict[str, list[str]], key: str, row: int, unit: str) -> str
     return number_text(float(columns[key][row]), float(columns[f"sigma_{key}"][row]), unit, key)
 
 
-def field(results: OverviewResults) -> ChartView | Html:
-    """Return the map of the field: modules where they are, coloured by what turning their panels gains.
+def field(results: OverviewResults) -> ChartView | MapView | Html:
+    """Return the map of the field where the first screen shows another picture, else the maps of the worst modules."""
+    if results.turns is None:
+        return Html("")
+    return module_view(results, "theta_r") or Html("") if _is_field(results) else _field_chart(results)
+
+
+def _field_chart(results: OverviewResults) -> ChartView:
+    """Return modules where they are, coloured by what turning their panels gains.
 
     Without places modules stand in the order of the table, loop by loop.
     """
     rows = list(range(len(results.table["result"])))
-    if not rows:
-        return Html("")
     places = np.array([results.values(f"place_{axis}_m", rows) for axis in "xy"])
     is_placed = bool(np.isfinite(places[:, results.measured]).all()) and bool(results.measured)
+    note = "Colours: what turning a module's panels gains. Its numbers are at the pointer, its page in the table below."
     if not is_placed:
         loop_of = results.table.get("loop", [""] * len(rows))
         names = list(dict.fromkeys(loop_of))
+        if len(names) > 1:
+            note += f" Loops from below: {', '.join(names[:12])}{' ...' if len(names) > 12 else ''}."
         places = np.array(
             [
                 [float(loop_of[:row].count(loop_of[row])) + 1 for row in rows],
@@ -201,7 +214,6 @@ def field(results: OverviewResults) -> ChartView | Html:
             series.append(
                 ChartSeries(name, places[0, own], places[1, own], color, Mark.POINTS, None, labels, False, 13.0, names_)
             )
-    note = "colours: what turning the panels of a module gains; its numbers at the pointer, its page in the table below"
     axes = ("across [m]", "along [m]") if is_placed else ("module in its loop", "loop")
     return ChartView("The field by what its panels gain", *axes, tuple(series), note, x_counts=not is_placed)
 
@@ -248,7 +260,9 @@ def work_list(results: OverviewResults) -> TableView | Html:
 
 
 def first_view(results: OverviewResults) -> MapView | ChartView:
-    """Return the maps of the modules with the largest errors; numbers where there are no maps on one grid."""
+    """Return the map of the field; of few modules their maps, and numbers where there are no maps on one grid."""
+    if _is_field(results):
+        return _field_chart(results)
     view = module_view(results, "theta_r")
     if view is not None:
         return view

@@ -172,9 +172,11 @@ def _doubtful(labels: Sequence[str], modules: Sequence[Summary]) -> list[Doubt]:
     for own in causes.values():
         first = next(iter(own))
         worst = max((one.severity for one in own.values()), key=list(Severity).index)
-        some = ", ".join(list(own)[:_SHOWN]) + (" ..." if len(own) > _SHOWN else "")
-        where = first if len(own) == 1 else f"{len(own)} of {len(modules)} modules ({some}), in {first}"
-        found.append(Doubt("module_doubtful", f"{where}: {own[first]}", {"modules_count": len(own)}, worst))
+        some = ", ".join(list(own)[1 : _SHOWN + 1]) + (" ..." if len(own) > _SHOWN + 1 else "")
+        said = f"{first}: {own[first]}"
+        if len(own) > 1:
+            said = f"in {len(own)} of {len(modules)} modules {own[first]} (numbers of {first}; the others: {some})"
+        found.append(Doubt("module_doubtful", said, {"modules_count": len(own)}, worst))
     return found
 
 

@@ -181,6 +181,6 @@ def test_one_cause_in_many_modules_is_one_warning(tmp_path):
     other = module(tmp_path, "n", [0.0], 0, (Doubt("odd", "an odd one", severity=Severity.SERIOUS),))
     result = run([*modules, other], base=tmp_path)
     assert [(str(one), one.severity) for one in result.doubts] == [
-        ("12 of 13 modules (m0, m1, m2, m3, m4 ...), in m0: blurred photos", Severity.DOUBT),
+        ("in 12 of 13 modules blurred photos (numbers of m0; the others: m1, m2, m3, m4, m5 ...)", Severity.DOUBT),
         ("n: an odd one", Severity.SERIOUS),
     ]
