@@ -108,6 +108,10 @@ class ObserverPlanModel(MeasurementModel):
     evaluation: ObserverEvaluationSection = Field(
         ObserverEvaluationSection(), description="How the map is made, as for a measurement."
     )
+    alternatives: Annotated[bool, Field(strict=True)] = Field(
+        False,
+        description="Whether other flights are compared: more, fewer and side photos, two passes.",
+    )
 
     @model_validator(mode="after")
     def _planned_camera(self) -> Self:

@@ -1,6 +1,7 @@
 """From measurement.toml to what a pass over a trough will give: sigmas, what is missing, where to fly."""
 
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
@@ -21,6 +22,7 @@ from heliogauge.slopes.map import SlopeMap
 from heliogauge.validate import FloatArray
 from observer.files import COLLECTOR, read_absorber, write_collector
 from observer.pipeline.inputs import AXES, build_collector, read_targets
+from observer.planning.alternatives import ROW_STEP_M, Alternative, other_flights
 from observer.planning.keys import ObserverPlanMeasurement, ObserverPlanModel
 from observer.planning.monte_carlo import MonteCarlo, monte_carlo
 from observer.planning.photo_network import Believed, PlannedNetwork, drawn_network
@@ -61,6 +63,7 @@ class PlanResult(InstrumentResult):
     missing: Share of the mirror that will not be measured, by reason.
     figures: Figures of merit of the first pass.
     spread: Scatter of many simulated measurements; None where not asked.
+    alternatives: What other flights would give, the planned one first; empty where not asked.
     """
 
     kind: ClassVar[str] = "observer-plan"
@@ -71,6 +74,7 @@ class PlanResult(InstrumentResult):
     missing: dict[SampleFlag, float]
     figures: FlightFigures
     spread: MonteCarlo | None
+    alternatives: tuple[Alternative, ...] = ()
 
     def summarise(self) -> Summary:
         """Collect the headline numbers of a plan."""
@@ -133,6 +137,8 @@ class PlanResult(InstrumentResult):
             for name, pose, matrix in zip(photos, self.network.poses, self.bundle.covariance.poses, strict=True)
         }
         write_cameras_json(folder / "cameras.json", {"camera": self.bundle.cameras[0]}, poses)
+        if self.alternatives:
+            write_table_csv(folder / "alternatives.csv", _alternative_columns(self.alternatives))
         if self.spread is not None:
             write_table_csv(folder / "monte_carlo.csv", _spread_columns(self, self.spread))
             write_table_csv(
@@ -192,11 +198,47 @@ def run(measurement: ObserverPlanMeasurement, progress: Progress | None = None) 
         missing,
         figures,
         spread,
+        _alternatives(measurement, collector, passes, progress),
         name=model.name,
         doubts=doubts,
         durations_s=dict(progress.durations_s),
         input_sha256=hashes,
     )
+
+
+def _alternatives(
+    measurement: ObserverPlanMeasurement, collector: Collector, passes: tuple[Pass, ...], progress: Progress
+) -> tuple[Alternative, ...]:
+    """Evaluate other flights over the same mirror, where that is asked; those that determine nothing are left out."""
+    model = measurement.model
+    if not model.alternatives:
+        return ()
+    noise, evaluation = EdgeNoise(model.noise.reflection_px, model.noise.absorber_px), planned_evaluation(model)
+    flights, found = other_flights(passes, collector.length_m), []
+    with progress.stage("other flights", len(flights)) as stage:
+        for name, flown in flights.items():
+            rng = np.random.default_rng([model.mirror.seed, 2])
+            poses = tuple(pose for one in flown for pose in one.poses())
+            with suppress(EstimationError):
+                network, _ = planned_network(model, measurement.folder, poses)
+                step = max(ROW_STEP_M, 1e-3 * model.evaluation.row_step_mm)
+                scene = planned_scene(measurement, collector, network, step, rng)
+                one = simulate(scene, Believed.of(drawn_network(network, rng)), noise, evaluation, rng)
+                found.append(Alternative.of(name, len(network.poses), one))
+            stage.advance()
+    return tuple(found)
+
+
+def _alternative_columns(alternatives: tuple[Alternative, ...]) -> dict[str, Any]:
+    return {
+        "flight": [one.name for one in alternatives],
+        "photos": [one.photos for one in alternatives],
+        "sigma_theta_r_median_rad": [one.sigma_theta_r_rad for one in alternatives],
+        "sigma_random_slope_x_median_rad": [one.sigma_random_rad for one in alternatives],
+        "measured_share": [one.measured_share for one in alternatives],
+        "sigma_absorber_x_rms_m": [one.sigma_absorber_x_m for one in alternatives],
+        "sigma_absorber_z_rms_m": [one.sigma_absorber_z_m for one in alternatives],
+    }
 
 
 def planned_passes(model: ObserverPlanModel) -> tuple[Pass, ...]:

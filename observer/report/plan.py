@@ -121,6 +121,40 @@ def missing(results: PlanResults) -> Html:
     return beside(reasons, causes)
 
 
+def alternatives(results: PlanResults) -> Html:
+    """Return what other flights would give; nothing where nobody asked."""
+    columns = results.table("alternatives.csv")
+    if columns is None:
+        return Html("")
+    rows = [
+        (
+            columns["flight"][k],
+            columns["photos"][k],
+            *(
+                f"{factor * float(columns[key][k]):.3g}"
+                for key, factor in (
+                    ("sigma_theta_r_median_rad", _MRAD),
+                    ("sigma_random_slope_x_median_rad", _MRAD),
+                    ("measured_share", 100.0),
+                    ("sigma_absorber_x_rms_m", _MM),
+                    ("sigma_absorber_z_rms_m", _MM),
+                )
+            ),
+        )
+        for k in range(len(columns["flight"]))
+    ]
+    heads = (
+        "flight",
+        "photos",
+        "sigma of theta_r [mrad]",
+        "of it from point to point [mrad]",
+        "measured [%]",
+        "absorber X_a [mm]",
+        "Z_a [mm]",
+    )
+    return join(Html("<h2>What other flights would give</h2>"), table(heads, rows, numbers=range(1, len(heads))))
+
+
 def flight(results: PlanResults) -> Html:
     """Return where photos are taken, across and along the trough, and in space."""
     shown = {name: cells for name, cells in results.stations.items() if not name.startswith("direction_")}

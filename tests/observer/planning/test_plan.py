@@ -171,3 +171,25 @@ def test_advice_says_nothing_of_a_pass_that_shows_all() -> None:
     assert "y = -1.58 and 1.58 m" in found[1].text
     with pytest.raises(InputError, match="1 photos"):
         Pass(12.0, 3.0, 1)
+
+
+@pytest.mark.slow
+def test_other_flights_are_compared(tmp_path: Path) -> None:
+    folder = planned(tmp_path / "plan")
+    toml = folder / "measurement.toml"
+    toml.write_text(toml.read_text().replace('name = "short trough"', 'name = "short trough"\nalternatives = true'))
+    result = run(load_observer_plan(folder))
+    (tmp_path / "out").mkdir()
+    result.write(tmp_path / "out")
+    columns = read_table_csv(tmp_path / "out" / "alternatives.csv")
+    assert columns["photos"] == ["24", "12", "48", "24", "34"]
+    number = {key: np.array(cells, float) for key, cells in columns.items() if key not in ("flight", "photos")}
+    usual, half, twice, apart, aside = range(5)
+    share, own = number["measured_share"], number["sigma_random_slope_x_median_rad"]
+    assert share[half] < share[usual] <= share[twice] + 0.01
+    assert own[twice] < own[usual] < own[half]
+    # Photos of one place say little of how high the tube is; from the side they see it against the targets.
+    assert number["sigma_absorber_z_rms_m"][aside] < number["sigma_absorber_z_rms_m"][usual]
+    assert columns["flight"][apart] == "the same photos in two passes 1.6 m apart"
+    page = report.alternatives(report.open_plan(tmp_path / "out")).text
+    assert "twice as many photos" in page
