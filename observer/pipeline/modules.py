@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from heliogauge.errors import EstimationError, InputError, MetrologyError
+from heliogauge.geometry.rigid import RigidTransform, rotation_from_vector
 from heliogauge.results.folder import hash_files
 from heliogauge.running.progress import Progress, SilentProgress, Stage
 from observer.keys import ModuleSection, ObserverMeasurement
@@ -52,16 +53,15 @@ def run(
     modules, failed = _modules(measurement)
     looks: list[FirstLook] = []
     if modules:
-        looks = _look_at_each(measurement, [one.inputs for one in modules], options, progress)
-    for number, module in enumerate(modules):
+        looks = _look_at_each(measurement, modules, options, progress)
+    for module in modules:
         name = module.section.name
         try:
-            _solve(module, looks[number], folder / name, options, _Named(progress, name), hashes)
+            # Nothing of a module is needed any more when it is solved.
+            _solve(module, looks.pop(0), folder / name, options, _Named(progress, name), hashes)
         except MetrologyError as error:
             failed[name] = str(error)
             shutil.rmtree(folder / name, ignore_errors=True)
-        # Edges of a module are no longer needed when it is solved.
-        looks[number] = replace(looks[number], edges={}, bearings={})
     done = [section for section in measurement.model.module if section.name not in failed]
     if not done:
         reasons = "\n".join(f"  {name}: {reason}" for name, reason in failed.items())
@@ -79,14 +79,27 @@ def run(
 
 
 def _look_at_each(
-    measurement: ObserverMeasurement, inputs: list[Inputs], options: Options, progress: Progress
+    measurement: ObserverMeasurement, modules: list[_Module], options: Options, progress: Progress
 ) -> list[FirstLook]:
     """Return what the photos show of each module, by marked targets or by corners of its panels."""
-    files, finders = measurement.photo_files, [one.finder for one in inputs]
-    searches = [one.corners for one in inputs if one.corners is not None]
+    files, finders = measurement.photo_files, [one.inputs.finder for one in modules]
+    searches = [one.inputs.corners for one in modules if one.inputs.corners is not None]
     if searches:
         return find_corners_of_each(files, finders, searches, jobs=options.jobs, progress=progress)
-    return look_first_at_each(files, finders, jobs=options.jobs, progress=progress)
+    targets = frozenset[str]().union(*(one.targets for one in modules))
+    beside = [
+        replace(one.inputs.finder, others=targets - one.targets, list_from_frame=_list_from_frame(one.section))
+        for one in modules
+    ]
+    return look_first_at_each(files, beside, jobs=options.jobs, progress=progress)
+
+
+def _list_from_frame(section: ModuleSection) -> RigidTransform | None:
+    """Return where a module stands in the common list; None where it has a list of its own."""
+    if section.targets_file is not None:
+        return None
+    turn = rotation_from_vector(np.array([0.0, np.radians(section.turn_deg), 0.0]))
+    return RigidTransform(turn, np.array(section.place_m, dtype=np.float64))
 
 
 def _solve(

@@ -47,6 +47,9 @@ _MOST_IN_RUN = 125
 _TOGETHER, _TOGETHER_BYTES = 16, 64_000_000
 #: A photo in which fewer of the targets followed can be centred is searched as a whole.
 _LEAST_SHARE = 0.6
+#: Targets foreseen further than this beside a photo, in its longer sides, are not looked for there: 5 degrees of
+#: the next trough's turn move its rims by 0.2 m, a fiftieth of what a photo shows.
+_BESIDE_SHARE = 0.1
 #: With a camera that moves so far between provisional and adjusted pose another part of the mirror may show the tube:
 #: the photo is looked at again [m].
 _FAR_M = 0.25
@@ -80,6 +83,9 @@ class Finder:
     encodings: How the photos are encoded; None: estimated from them.
     kinds: What the listed targets look like.
     wants_loose: Whether dots that the list does not have are to be measured, too.
+    others: Names of the targets of other troughs in the same photos.
+    list_from_frame: From the trough's frame to that of the list that all troughs of a flight share; None where it has
+        a list of its own.
     """
 
     section: TargetsSection
@@ -90,6 +96,8 @@ class Finder:
     encodings: Encodings | None = None
     kinds: TargetKinds = field(default_factory=TargetKinds)
     wants_loose: bool = True
+    others: frozenset[str] = frozenset()
+    list_from_frame: RigidTransform | None = None
 
     def read(self, file: Path) -> Image:
         """Return a photo whose numbers are proportional to light."""
@@ -110,6 +118,15 @@ class Finder:
         """Whether targets can be followed: round ones that codes or the list name, with a camera that is known."""
         loose = (self.search.with_uncoded and self.wants_loose) or self.section.square_dictionary is not None
         return self.search.dictionary is not None and not loose and bool(self.camera_of)
+
+    def is_beside(self, camera: Camera, cam_from_list: RigidTransform) -> bool:
+        """Return whether a photo with a pose in the common list shows none of the targets."""
+        if self.list_from_frame is None:
+            return False
+        pixels = camera.project((cam_from_list @ self.list_from_frame).apply(self.known.points_m))
+        size = np.array([camera.width_px, camera.height_px])
+        margin = _BESIDE_SHARE * float(size.max())
+        return not bool(((pixels > -margin) & (pixels < size + margin)).all(axis=1).any())
 
     def placed(self, image: Image, found: OnePhoto, camera: Camera | None) -> PlacedPhoto:
         """Return a photo that was searched under the names of the list, and its pose.
@@ -195,13 +212,16 @@ class _Run:
     poses: dict[str, RigidTransform] = field(default_factory=dict)
     edges: dict[str, ReflectionEdges] = field(default_factory=dict)
     bearings: dict[str, Bearings] = field(default_factory=dict)
-    #: Photos that were searched as a whole, for this trough or for another one in the same photos.
-    searched: dict[str, OnePhoto] = field(default_factory=dict)
+    #: What whole photos show, searched for this trough or for another one in the same photos.
+    searched: "_Searched" = field(default_factory=lambda: _Searched({}, {}))
     #: Photos with a pose by the places of their dots, because too few codes are read.
     by_list: list[str] = field(default_factory=list)
 
-    def take(self, number: int, name: str, image: Image) -> None:
-        """Find what a photo shows, or leave that to `finish`."""
+    def take(self, number: int, name: str, image: Image, cam_from_list: RigidTransform | None = None) -> None:
+        """Find what a photo shows, or leave that to `finish`.
+
+        cam_from_list: Its pose in the common list by another trough; None where none is known.
+        """
         photo = _Photo(number, name, image, self.finder.camera_of.get(name))
         if self.track is not None and photo.camera is not None:
             self.track = follow(image, self.track, self.finder.known, photo.camera)
@@ -209,7 +229,8 @@ class _Run:
                 self.waiting.append((photo, self.track))
                 return
         self.finish()
-        self._look([_Placed(photo, self._searched(photo))])
+        if cam_from_list is None or photo.camera is None or not self.finder.is_beside(photo.camera, cam_from_list):
+            self._look([_Placed(photo, self._searched(photo))])
 
     def finish(self) -> None:
         """Centre the targets of the photos that wait, and find what these show."""
@@ -253,26 +274,51 @@ class _Run:
         self.bearings.update(zip(names, tube_bearings(shots, expected), strict=True))
 
     def _searched(self, photo: _Photo) -> RigidTransform | None:
-        name, camera = photo.name, photo.camera
-        found = self.searched.get(name)
-        if found is None:
-            found = self.searched[name] = measure_photo(photo.image, name, self.finder.section, self.finder.search)
-        placed = self.finder.placed(photo.image, found, camera)
-        if placed.pose is None and camera is not None and self.finder.is_decoded(name):
+        name, camera, finder = photo.name, photo.camera, self.finder
+        found = self.searched.at(photo, finder)
+        placed = finder.placed(photo.image, found, camera)
+        if placed.pose is None and camera is not None and finder.is_decoded(name):
             # Light of dark codes is a few numbers only: no photo is lost that can be placed as it is stored.
-            stored = numbers_for_the_eye(photo.image)
-            found = measure_photo(stored, name, self.finder.section, self.finder.search)
-            again = self.finder.placed(stored, found, camera)
+            stored, found = self.searched.as_stored(photo, finder)
+            again = finder.placed(stored, found, camera)
             placed = placed if again.pose is None else again
         found, pose = placed.photo, placed.pose
+        if pose is None and finder.others and set(finder.known.names).isdisjoint(found.detections.names):
+            # One of a hundred troughs is in few photos of a flight.
+            return None
         self.targets[name] = found
         if placed.by_list:
             self.by_list.append(name)
         if pose is None or camera is None:
             return None
-        if self.finder.follows and agrees_with_list(found.detections, self.finder.known, camera, pose):
-            self.track = start_following(photo.image, found.detections, found.ellipses_px2, pose)
+        own = np.array([k for k, one in enumerate(found.detections.names) if one not in finder.others], dtype=np.intp)
+        detections = found.detections.chosen(own)
+        if finder.follows and agrees_with_list(detections, finder.known, camera, pose):
+            self.track = start_following(photo.image, detections, found.ellipses_px2[own], pose)
         return pose
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Searched:
+    """Photos that were searched as a whole, by their names: as light, and decoded ones as they are stored."""
+
+    light: dict[str, OnePhoto]
+    stored: dict[str, OnePhoto]
+
+    def at(self, photo: _Photo, finder: Finder) -> OnePhoto:
+        """Return what a photo shows."""
+        return _once(self.light, photo.name, photo.image, finder)
+
+    def as_stored(self, photo: _Photo, finder: Finder) -> tuple[Image, OnePhoto]:
+        """Return the numbers of a photo as its file has them, and what they show."""
+        image = numbers_for_the_eye(photo.image)
+        return image, _once(self.stored, photo.name, image, finder)
+
+
+def _once(known: dict[str, OnePhoto], name: str, image: Image, finder: Finder) -> OnePhoto:
+    if name not in known:
+        known[name] = measure_photo(image, name, finder.section, finder.search)
+    return known[name]
 
 
 def build_finder(
@@ -383,7 +429,8 @@ def look_first_at_each(
     with progress.stage("measure photos", len(files)) as stage:
 
         def one_run(k: int) -> list[_Run]:
-            own = [_Run(finder, part, searched=dict(searched)) for finder, part in zip(finders, slices, strict=True)]
+            both = _Searched(dict(searched), {})
+            own = [_Run(finder, part, searched=both) for finder, part in zip(finders, slices, strict=True)]
             images: list[tuple[int, Image]] = []
             small: dict[str, bytes] = {}
             for number in parts[k]:
@@ -393,10 +440,7 @@ def look_first_at_each(
                     small[files[number].name] = make_thumbnail(images[-1][1])
                 is_full = len(images) >= min(_TOGETHER, _TOGETHER_BYTES / images[-1][1].nbytes)
                 if is_full or number == parts[k][-1]:
-                    for run in own:
-                        for taken, image in images:
-                            run.take(taken, files[taken].name, image)
-                        run.finish()
+                    _look_for_each(own, [(taken, files[taken].name, image) for taken, image in images])
                     stage.advance(len(images))
                     images.clear()
             for run in own:
@@ -406,11 +450,26 @@ def look_first_at_each(
 
         found = side_by_side(one_run, range(len(parts)), jobs)
     if leader.search.dictionary is not None:
-        read = {name for runs in found for one in runs[0].targets.values() for name in one.detections.names}
+        whole = [one for runs in found for one in (*runs[0].searched.light.values(), *runs[0].targets.values())]
+        read = {name for one in whole for name in one.detections.names}
         refuse_mirrored_codes(read, [name for one in finders for name in one.known.names], leader.search.dictionary)
     return [
         _put_together(names, runs, own, encodings) for runs, own in zip(zip(*found, strict=True), slices, strict=True)
     ]
+
+
+def _look_for_each(runs: Sequence[_Run], photos: Sequence[tuple[int, str, Image]]) -> None:
+    """Look for each trough in some photos; where one is found, others that must be beside the photo are not sought."""
+    cam_from_list: dict[str, RigidTransform] = {}
+    for run in sorted(runs, key=lambda one: one.track is None):
+        for number, name, image in photos:
+            run.take(number, name, image, cam_from_list.get(name))
+        run.finish()
+        frame = run.finder.list_from_frame
+        if frame is not None:
+            cam_from_list.update(
+                {name: run.poses[name] @ frame.inverse() for _, name, _ in photos if name in run.poses}
+            )
 
 
 def _runs_of(count: int) -> list[range]:
@@ -506,7 +565,7 @@ def look_again(
             late.append(number)
     place = {name: k for k, name in enumerate(first.photos)}
     order = [place[file.name] for file in files]
-    slices = replace(first.slices, brightness_dn=first.slices.brightness_dn[:, order])
+    slices = first.slices.of_photos(order)
 
     def one(number: int) -> tuple[ReflectionEdges, Bearings]:
         shot = Shot(finder.read(files[number]), number, views[number])

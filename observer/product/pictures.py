@@ -1,7 +1,7 @@
 """Pictures that a report needs the pixels for: slices of the mirror through all photos, and one photo with outlines."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import cv2
 import numpy as np
@@ -36,13 +36,28 @@ class Slices:
 
     y_m (s,): Rows [m].
     x_m (n,): Columns [m].
-    brightness_dn (s, k, n): Brightness by slice, photo and column, NaN where the photo does not show the point;
-        filled by `take` [DN].
+    n_photos: Number of photos.
+    shown: Brightness by slice and column, shape (s, n), NaN where the photo does not show the point, of each photo
+        that was taken, by its number: of a flight over a hundred troughs one is in few photos [DN].
     """
 
     y_m: FloatArray
     x_m: FloatArray
-    brightness_dn: Float32Array
+    n_photos: int
+    shown: dict[int, Float32Array] = field(default_factory=dict)
+
+    @property
+    def brightness_dn(self) -> Float32Array:
+        """Brightness by slice, photo and column, shape (s, k, n) [DN]."""
+        whole = np.full((self.y_m.size, self.n_photos, self.x_m.size), np.nan, dtype=np.float32)
+        for number, values in self.shown.items():
+            whole[:, number] = values
+        return whole
+
+    def of_photos(self, numbers: Sequence[int]) -> "Slices":
+        """Return what some photos show, numbered anew."""
+        shown = {k: self.shown[number] for k, number in enumerate(numbers) if number in self.shown}
+        return Slices(self.y_m, self.x_m, len(numbers), shown)
 
     def take(self, shots: Sequence[Shot], collector: Collector) -> None:
         """Fill in what some photos show; photos may be taken side by side."""
@@ -59,7 +74,7 @@ class Slices:
             values = cv2.remap(one.image, places, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)  # type: ignore[call-overload]
             last = np.array(one.image.shape[::-1]) - 1
             inside = ((places >= 0) & (places <= last)).all(axis=-1)
-            self.brightness_dn[:, one.number] = np.where(inside, values, np.nan)
+            self.shown[one.number] = np.where(inside, values, np.float32(np.nan)).astype(np.float32)
 
 
 def empty_slices(collector: Collector, rows_m: FloatArray, n_photos: int) -> Slices:
@@ -77,7 +92,7 @@ def empty_slices(collector: Collector, rows_m: FloatArray, n_photos: int) -> Sli
     chosen = np.unique([free[np.argmin(np.abs(free - y))] for y in wanted])
     half = collector.aperture_width_m / 2
     x = np.linspace(-half, half, _COLUMNS)
-    return Slices(chosen, x, np.full((chosen.size, n_photos, _COLUMNS), np.nan, dtype=np.float32))
+    return Slices(chosen, x, n_photos)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -1,17 +1,24 @@
 """One flight over several modules: who belongs where, who fails alone, what is written."""
 
+from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
+from heliogauge.camera.model import Camera
 from heliogauge.doubts import Doubt
 from heliogauge.errors import EstimationError, InputError
+from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.results.folder import Summary, read_summary
 from heliogauge.results.tables import read_table_csv, write_table_csv
+from heliogauge.running.progress import SilentProgress
 from observer.keys import load_observer
 from observer.pipeline import measure as pipeline
 from observer.pipeline import modules as pipeline_modules
+from observer.pipeline import photos as photos_module
+from observer.pipeline.photo_poses import PlacedPhoto
 from observer.pipeline.photos import FirstLook
 from observer.pipeline.result import Result
 from photogrammetry.detection import Detections
@@ -170,3 +177,56 @@ def test_flights_that_cannot_be_are_refused(tmp_path: Path, change: tuple[str, s
 def test_a_flight_is_no_single_measurement(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="a flight over 2 collectors; `heliogauge observer measure"):
         pipeline.run(load_observer(flight(tmp_path)))
+
+
+def test_a_photo_is_searched_once_for_all_modules_and_not_where_none_can_be(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Photos of row A, which codes place, of nothing that is listed, and of an end of row B that has three codes."""
+    folder = flight(tmp_path, TOML.replace("[targets]", 'encoding = "linear"\n[targets]'))
+    for k in range(3):
+        cv2.imwrite(str(folder / f"photo_{k}.png"), np.full((640, 480), 100 + k, dtype=np.uint8))
+    measurement = load_observer(folder)
+    found, _ = pipeline_modules._modules(measurement)
+    down = RigidTransform(np.diag([1.0, -1.0, -1.0]), np.array([0.0, 0.0, 12.0]))
+    searched: list[str] = []
+
+    def search(image: np.ndarray, name: str, *_: object) -> OnePhoto:
+        searched.append(name)
+        if name != "photo_0.png":
+            return shown(name, ("77", "78") if name == "photo_1.png" else ("7", "8", "9"))
+        finder = found[0].inputs.finder
+        one = shown(name, finder.known.names)
+        pixels = finder.camera_of[name].project(down.apply(finder.known.points_m))
+        return replace(one, detections=replace(one.detections, pixels_px=pixels))
+
+    monkeypatch.setattr(photos_module, "measure_photo", search)
+    looked: list[str] = []
+    placed = photos_module.Finder.placed
+
+    def place(self: photos_module.Finder, image: np.ndarray, one: OnePhoto, camera: Camera | None) -> PlacedPhoto:
+        looked.append(one.detections.photo)
+        return placed(self, image, one, camera)
+
+    monkeypatch.setattr(photos_module.Finder, "placed", place)
+    looks = pipeline_modules._look_at_each(measurement, found, pipeline.Options(jobs=1), SilentProgress())
+    # Three codes of B: their dots are searched again, without codes.
+    assert sorted(searched) == ["photo_0.png", "photo_1.png", "photo_2.png", "photo_2.png"]
+    # B is 7 m beside what a photo shows whose pose is known by A.
+    assert sorted(looked) == ["photo_0.png", "photo_1.png", "photo_1.png", "photo_2.png", "photo_2.png"]
+    assert [sorted(one.poses) for one in looks] == [["photo_0.png"], []]
+    assert [[own.detections.photo for own in one.targets] for one in looks] == [["photo_0.png"], ["photo_2.png"]]
+    assert [sorted(one.slices.shown) for one in looks] == [[0], []]
+
+
+def test_a_module_is_beside_a_photo_by_its_place_in_the_list(tmp_path: Path) -> None:
+    measurement = load_observer(flight(tmp_path))
+    modules, _ = pipeline_modules._modules(measurement)
+    row_b = replace(modules[1].inputs.finder, list_from_frame=pipeline_modules._list_from_frame(modules[1].section))
+    camera = row_b.camera_of["photo_0.png"]
+    # Its rims at 4.4 and 9.6 m look 0.38 m nearer to the camera above A for each metre down; 64 px are left beside.
+    for x_m, beside in ((0.0, True), (0.9, True), (1.1, False), (12.9, False), (13.1, True)):
+        pose = RigidTransform(np.diag([1.0, -1.0, -1.0]), np.array([-x_m, 0.0, 12.0]))
+        assert row_b.is_beside(camera, pose) is beside
+    alone = replace(row_b, list_from_frame=None)
+    assert not alone.is_beside(camera, RigidTransform(np.diag([1.0, -1.0, -1.0]), np.array([0.0, 0.0, 12.0])))
