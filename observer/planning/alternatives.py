@@ -5,11 +5,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from heliogauge.errors import EstimationError
 from observer.planning.planned_flight import Pass
 from observer.planning.simulated_flight import Simulated
 
-#: Rows of a comparison are this far apart [m]: sigmas are means over many of them.
-ROW_STEP_M = 0.2
+#: Rows of a comparison are this far apart [m]: sigmas are medians over many of them.
+ROW_STEP_M = 0.1
 #: Two passes stand so many quarters of the trough's length beside the one that they replace.
 _ASIDE = 1.0
 #: Photos from the side: as many, and the last ones so far aside as seen from the vertex [rad].
@@ -38,9 +39,14 @@ class Alternative:
 
     @classmethod
     def of(cls, name: str, photos: int, simulated: Simulated) -> "Alternative":
-        """Return the numbers of a simulated measurement."""
+        """Return the numbers of a simulated measurement.
+
+        EstimationError: It measures nothing of the mirror.
+        """
         slope_map, path = simulated.slope_map, simulated.absorber
         valid = slope_map.valid
+        if not valid.any():
+            raise EstimationError(f"plan: {name}: nothing of the mirror would be measured")
         sigma_theta_r = slope_map.sigma_slope()[0][valid] / (1 + slope_map.slope_x[valid] ** 2)
         across, up = path.sigma_at(path.y_m)
         return cls(

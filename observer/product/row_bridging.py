@@ -21,8 +21,9 @@ _ROUGHNESS_REACH_M = 0.2
 _LEAST_ROUGHNESS = 1e-8
 #: What a row errs alone is at least this share of its variance.
 _LEAST_APART = 0.01
-#: What rows further off say of a value: to either side so many of them, and so many predictions at least.
-_ROWS_BESIDE, _FEWEST_BESIDE = 8, 3
+#: What rows further off say of a value: to either side as far as this, and so many predictions at least. Slopes of
+#: panels run straight over eight rows of 20 mm; over a metre they do not, and maps of 0.2 m a row lost all values.
+_REACH_BESIDE_M, _FEWEST_BESIDE = 0.16, 3
 #: With so many lone values a row is not believed anywhere on that panel.
 _MISLED_NODES = 3
 #: Values nearer than this to what the rows beside them say are left alone, however sure all are [rad].
@@ -70,12 +71,15 @@ def bridge_rows(value: FloatArray, variance: FloatArray, good: BoolArray, panel:
     return Bridged(smooth[:rows], (spread + base)[:rows], good & ~kept)
 
 
-def lone_values(value: FloatArray, variance: FloatArray, usable: BoolArray, panel: IntArray) -> BoolArray:
+def lone_values(
+    value: FloatArray, variance: FloatArray, usable: BoolArray, panel: IntArray, step_m: float
+) -> BoolArray:
     """Tell which values stand alone against those of the rows around them, sure or not.
 
     value, variance (r, nx): Slope error of each node and its variance [rad, rad^2].
     usable (r, nx): Which to look at, and to compare with.
     panel (r, nx): Panel of each node, -1 for none.
+    step_m: Distance of the rows [m].
     Returns (r, nx): Values that most of the predictions by their neighbours contradict.
 
     One false edge of the reflection makes its row sure of a wrong value where the right ones of all other rows are
@@ -92,7 +96,7 @@ def lone_values(value: FloatArray, variance: FloatArray, usable: BoolArray, pane
         found[here] = np.where(same, of[there], np.nan)
         return found
 
-    steps = range(1, min(_ROWS_BESIDE, max(rows - 1, 1)) + 1)
+    steps = range(1, max(min(int(_REACH_BESIDE_M / step_m + 1e-6), rows - 1), 1) + 1)
     near = {way * k: shifted(way * k, known) for k in steps for way in (-1, 1)}
     pairs = [0.5 * (near[k] + near[-k]) for k in steps]
     pairs += [2 * near[way * k] - near[2 * way * k] for k in steps if 2 * k in near for way in (-1, 1)]

@@ -136,9 +136,9 @@ def _judged(reflector: Reflector, panel: IntArray, visible: Visibility) -> _Node
     limit = max(_LARGEST_SIGMA_RAD**2, _LARGEST_TIMES_USUAL**2 * usual)
     if reflector.has_shadows:
         limit = _LARGEST_IN_SHADOW_RAD**2
-    lone = lone_values(error, variance, near & (variance < limit), panel)
-    firm = near & ~lone & (variance < max(_FIRM_SIGMA_RAD**2, _FIRM_TIMES_USUAL**2 * usual))
     step = float(reflector.y_m[1] - reflector.y_m[0]) if reflector.y_m.size > 1 else 1.0
+    lone = lone_values(error, variance, near & (variance < limit), panel, step)
+    firm = near & ~lone & (variance < max(_FIRM_SIGMA_RAD**2, _FIRM_TIMES_USUAL**2 * usual))
     beside = bridge_rows(error, variance, firm, panel, step)
     contradicted = lone | beside.contradicted
     own = near & (variance < limit) & ~contradicted

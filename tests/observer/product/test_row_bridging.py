@@ -88,7 +88,7 @@ def test_a_sure_row_that_all_others_contradict_stands_alone() -> None:
     measured[[0, 30, 59, 60], 5:9] += 4e-3
     usable = np.ones(truth.shape, dtype=bool)
     usable[31:33] = usable[100:] = False
-    found = lone_values(measured, sigma**2, usable, panel)
+    found = lone_values(measured, sigma**2, usable, panel, STEP)
     # What misleads a row somewhere misleads it on the whole panel.
     assert found[[0, 30, 59, 60]].all()
     assert found.sum() < 4 * columns + 0.001 * truth.size
@@ -101,8 +101,17 @@ def test_steep_and_bent_columns_stand_not_alone() -> None:
     value = np.broadcast_to(10e-3 * y + 15e-3 * y**2, (100, 3))
     sigma = np.full(value.shape, 1e-6)
     whole = np.ones(value.shape, dtype=bool)
-    assert not lone_values(value, sigma**2, whole, whole.astype(np.intp)).any()
+    assert not lone_values(value, sigma**2, whole, whole.astype(np.intp), STEP).any()
     few = whole.copy()
     few[2:] = False
-    assert not lone_values(value, sigma**2, few, whole.astype(np.intp)).any()
-    assert not lone_values(value[:1], sigma[:1] ** 2, whole[:1], whole[:1].astype(np.intp)).any()
+    assert not lone_values(value, sigma**2, few, whole.astype(np.intp), STEP).any()
+    assert not lone_values(value[:1], sigma[:1] ** 2, whole[:1], whole[:1].astype(np.intp), STEP).any()
+
+
+def test_rows_far_apart_are_not_foretold_along_straight_lines() -> None:
+    # Slopes of a panel with waves of 3 m, in rows of 0.2 m as a Monte Carlo has them.
+    y = 0.2 * np.arange(40)[:, None]
+    value = np.broadcast_to(3e-3 * np.sin(2 * np.pi * y / 3.0), (40, 3))
+    sigma, whole = np.full(value.shape, 1e-5), np.ones(value.shape, dtype=bool)
+    assert lone_values(value, sigma**2, whole, np.zeros(value.shape, dtype=np.intp), STEP).any()
+    assert not lone_values(value, sigma**2, whole, np.zeros(value.shape, dtype=np.intp), 0.2).any()
