@@ -19,6 +19,8 @@ class Trend:
     slope_per_year (n,), sigma_slope (n,): Change in a year; NaN with fewer than three results or one date.
     mean (n,), sigma_mean (n,): Weighted mean of all results.
     birge (n,): Root of chi-square over degrees of freedom of the line; NaN where there are none.
+    degrees (n,), degrees_mean (n,): Degrees of freedom of the sigmas of slope and mean: of the scatter where that
+        enlarged them, infinite else.
     count (n,): Results.
     """
 
@@ -27,6 +29,8 @@ class Trend:
     mean: FloatArray
     sigma_mean: FloatArray
     birge: FloatArray
+    degrees: FloatArray
+    degrees_mean: FloatArray
     count: IntArray
 
 
@@ -57,6 +61,8 @@ def trends(sums: dict[str, FloatArray]) -> Trend:
         freeze(mean_y),
         freeze(sigma_mean),
         freeze(birge),
+        freeze(np.where(birge > 1, np.maximum(count - 2.0, 1.0), np.inf)),
+        freeze(np.where(excess > 1, np.maximum(count - 1.0, 1.0), np.inf)),
         count,
     )
 
@@ -66,7 +72,7 @@ class Changes:
     """What an event did: means after minus means before.
 
     before, after (n,), sigma_before, sigma_after (n,): Weighted means.
-    change (n,), sigma (n,): Their difference.
+    change (n,), sigma (n,), degrees (n,): Their difference; the fewer degrees of freedom of both means.
     """
 
     before: FloatArray
@@ -75,6 +81,7 @@ class Changes:
     sigma_after: FloatArray
     change: FloatArray
     sigma: FloatArray
+    degrees: FloatArray
 
 
 def changes(before: dict[str, FloatArray], after: dict[str, FloatArray]) -> Changes:
@@ -90,15 +97,19 @@ def changes(before: dict[str, FloatArray], after: dict[str, FloatArray]) -> Chan
         other.sigma_mean,
         freeze(other.mean - one.mean),
         freeze(np.hypot(one.sigma_mean, other.sigma_mean)),
+        freeze(np.minimum(one.degrees_mean, other.degrees_mean)),
     )
 
 
-def chance(change: FloatArray, sigma: FloatArray) -> FloatArray:
-    """Return the probability of a change at least this large where there is none (normal, two-sided).
+def chance(change: FloatArray, sigma: FloatArray, degrees: FloatArray) -> FloatArray:
+    """Return the probability of a change at least this large where there is none (two-sided; Student's t).
 
-    Shapes: change (n,), sigma (n,), result (n,).
+    Shapes: change (n,), sigma (n,), degrees (n,), result (n,).
+    degrees (n,): Degrees of freedom of the sigmas; infinite: normal.
     """
-    from scipy.special import erfc
+    from scipy.special import erfc, stdtr
 
     with np.errstate(all="ignore"):
-        return np.asarray(erfc(np.abs(change / sigma) / np.sqrt(2)))
+        size = np.abs(change / sigma)
+        few = np.isfinite(degrees)
+        return np.asarray(np.where(few, 2 * stdtr(np.where(few, degrees, 1.0), -size), erfc(size / np.sqrt(2))))

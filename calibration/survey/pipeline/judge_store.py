@@ -77,6 +77,8 @@ class SurveyResult(InstrumentResult):
         numbers["events_count"] = len(set(zip(self.events["date"], self.events["what"], strict=True)))
         texts = {
             "sigma": "1 standard deviation; enlarged where results scatter more than their sigmas say (Birge's ratio)",
+            "rows": "beams of one day are joined to their mean; its sigma has their scatter, neighbours' "
+            "correlation counted",
             "trend": "straight line through the results of a subject, weighted by 1 / sigma^2; 3 results at least",
             "event": "weighted mean after minus before, up to the subject's next event",
             "chance": "probability of a change at least as large where there is none",
@@ -107,6 +109,28 @@ def _shared(count: int) -> float:
     return CHANCE / max(count, 1)
 
 
+#: What has weight: results with a sigma, and of rows (beams) one mean for each day. Beams of one day share its weather
+#: and remember each other: the sigma of their mean is that of the scatter with the correlation of neighbours counted.
+_RESULTS = """
+CREATE TABLE results AS
+SELECT subject, part, quantity, time, value, sigma FROM chosen SEMI JOIN wanted USING (quantity)
+WHERE NOT suffix(kind, '-row') AND sigma > 0 AND NOT isnan(sigma)
+UNION ALL
+SELECT subject, part, quantity, day + INTERVAL 12 HOUR AS time, mean AS value,
+sqrt(greatest(inner_variance, coalesce(spread, 0) / number * (1 + alike) / (1 - alike))) AS sigma
+FROM (
+    SELECT subject, part, quantity, day, sum(w * value) / sum(w) AS mean, 1 / sum(w) AS inner_variance,
+    var_samp(value) AS spread, count(*) AS number,
+    greatest(0, least(0.95, coalesce(nullif(corr(value, earlier), 'nan'), 0))) AS alike
+    FROM (
+        SELECT subject, part, quantity, value, 1 / (sigma * sigma) AS w, CAST(time AS DATE) AS day, lag(value) OVER (
+            PARTITION BY subject, part, quantity, CAST(time AS DATE) ORDER BY time
+        ) AS earlier
+        FROM chosen SEMI JOIN wanted USING (quantity)
+        WHERE suffix(kind, '-row') AND sigma > 0 AND NOT isnan(sigma)
+    ) GROUP BY subject, part, quantity, day
+)
+"""
 _SUMS = """
 count(*) AS count, sum(w) AS w, sum(w * t) AS wt, sum(w * y) AS wy, sum(w * t * t) AS wtt, sum(w * t * y) AS wty,
 sum(w * y * y) AS wyy
@@ -166,16 +190,15 @@ def run(store: Path, options: SurveyOptions | None = None, progress: Progress | 
         quantities = _quantities(options, overview)
         connection.execute("CREATE TABLE wanted (quantity VARCHAR)")
         connection.executemany("INSERT INTO wanted VALUES (?)", [[one] for one in quantities])
+        connection.execute(_RESULTS)
         connection.execute(
-            "CREATE TABLE centers AS SELECT quantity, median(value) AS y0, min(time) AS t0 FROM chosen SEMI "
-            "JOIN wanted USING "
-            "(quantity) GROUP BY quantity"
+            "CREATE TABLE centers AS SELECT quantity, median(value) AS y0, min(time) AS t0 FROM results GROUP "
+            "BY quantity"
         )
         connection.execute(
             "CREATE VIEW weighted AS SELECT subject, part, quantity, time, y0, 1 / (sigma * sigma) AS w, value "
             "- y0 AS y, "
-            f"epoch(time - t0) / {_YEAR_S} AS t FROM chosen JOIN centers USING (quantity) WHERE sigma > 0 AND NOT "
-            "isnan(sigma)"
+            f"epoch(time - t0) / {_YEAR_S} AS t FROM results JOIN centers USING (quantity)"
         )
         lines = connection.execute(
             f"SELECT subject, part, quantity, any_value(y0) AS y0, max(time) AS last, {_SUMS} FROM weighted "
@@ -228,7 +251,7 @@ def _trend_table(lines: Mapping[str, Any]) -> dict[str, Sequence[Any]]:
     sums = {name: np.asarray(lines[name], dtype=np.float64) for name in ("count", "w", "wt", "wy", "wtt", "wty", "wyy")}
     found = trends(sums)
     origin = np.asarray(lines["y0"], dtype=np.float64)
-    likely = np.nan_to_num(chance(found.slope_per_year, found.sigma_slope), nan=1.0)
+    likely = np.nan_to_num(chance(found.slope_per_year, found.sigma_slope, found.degrees), nan=1.0)
     return {
         "quantity": [str(one) for one in lines["quantity"]],
         "subject": [str(one) for one in lines["subject"]],
@@ -326,7 +349,7 @@ def _events(connection: Any) -> dict[str, Sequence[Any]]:
         "sigma_after": found.sigma_after.tolist(),
         "change": found.change.tolist(),
         "sigma_change": found.sigma.tolist(),
-        "chance_of_none": np.nan_to_num(chance(found.change, found.sigma), nan=1.0).tolist(),
+        "chance_of_none": np.nan_to_num(chance(found.change, found.sigma, found.degrees), nan=1.0).tolist(),
     }
 
 

@@ -57,9 +57,9 @@ def test_two_results_or_one_date_have_no_trend():
 def test_chance_of_a_change_is_even_where_there_is_none():
     before, after = (sums_of(*drawn(seed, slope=0.0)) for seed in (4, 5))
     found = changes(before, after)
-    likely = chance(found.change, found.sigma)
+    likely = chance(found.change, found.sigma, found.degrees)
     # Kolmogorov: deviation of 400 even values beyond 1.95 / sqrt(400) has a chance of 1e-3; sigmas may be too large.
     assert np.mean(likely < 0.05) < 0.05 + 3 * np.sqrt(0.05 * 0.95 / 400)
     moved = changes(before, sums_of(drawn(5, slope=0.0)[0], drawn(5, slope=0.0)[1] + 0.5, drawn(5)[2]))
     assert np.median(moved.change) > 0.4
-    assert np.mean(chance(moved.change, moved.sigma) < 1e-3) > 0.95
+    assert np.mean(chance(moved.change, moved.sigma, moved.degrees) < 1e-3) > 0.95

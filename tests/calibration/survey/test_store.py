@@ -133,3 +133,29 @@ def test_commands(drawn, tmp_path):
     done = runner.invoke(app, ["report", str(store), "-o", str(tmp_path / "out"), "--no-report"])
     assert done.exit_code == 0, done.output
     assert (tmp_path / "out" / "trends.csv").is_file()
+
+
+def test_beams_of_one_day_are_one_result(tmp_path):
+    """A motion that remembers, without any change: changes between days scatter as their sigmas say."""
+    rng = np.random.default_rng(3)
+    for number in range(60):
+        folder = write_result(tmp_path / "all" / f"H{number:02d}", f"H{number:02d}", "2026-06-01", {"beams_count": 1})
+        times, values = [], []
+        for day in range(1, 7):
+            motion = rng.normal(0, 0.1)
+            for minute in range(0, 300, 5):
+                motion = 0.8 * motion + 0.06 * rng.normal()
+                times.append(f"2026-06-{day:02d}T{8 + minute // 60:02d}:{minute % 60:02d}:00Z")
+                values.append(motion)
+        table = {"time_utc": times, "x_m": values, "sigma_x_m": [0.01] * len(values)}
+        write_table_csv(folder / "beams.csv", table)
+    add([tmp_path / "all"], tmp_path / "store")
+    add_event(tmp_path / "store", "*", "2026-06-04", "cleaned")
+    found = run(tmp_path / "store", SurveyOptions(quantities=("beams_x_m",)))
+    assert set(found.trends["results_count"]) == {6}
+    likely = np.array(found.events["chance_of_none"])
+    assert likely.size == 60
+    # Each beam on its own would be called certain in most heliostats.
+    assert np.mean(likely < 0.05) < 0.05 + 3 * np.sqrt(0.05 * 0.95 / 60)
+    scores = np.array(found.events["change"]) / np.array(found.events["sigma_change"])
+    assert 0.4 < np.mean(scores**2) < 2.0

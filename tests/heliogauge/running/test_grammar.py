@@ -75,6 +75,23 @@ COMMANDS = FOR_ALL + [
     "heliostat export controllers",
     "heliostat export artist",
     "heliostat export table",
+    "heliostat test all",
+    "heliostat test day",
+    "heliostat test drift",
+    "heliostat test backlash",
+    "heliostat test repeat",
+    "heliostat test wind",
+    "heliostat test sun-camera",
+    "heliostat test reflectance",
+    "heliostat test quality",
+    "heliostat test control",
+    "heliostat test power",
+    "heliostat test given",
+    "heliostat test year",
+    "heliostat sheet",
+    "survey add",
+    "survey event",
+    "survey report",
 ]
 
 
@@ -171,7 +188,7 @@ def test_presets_that_are_choices_are_all_that_there_are() -> None:
     assert get_args(synth.TargetPreset) == tuple(targets._PRESETS)
     assert get_args(synth.BoardPreset) == boards._BOARDS
     assert get_args(synth.TroughPreset) == tuple(TROUGH_PRESETS)
-    assert get_args(synth.HeliostatPreset) == tuple(HELIOSTAT_PRESETS)
+    assert get_args(synth.HeliostatPreset) == (*HELIOSTAT_PRESETS, "tests")
 
 
 def completed(*words: str, program: str = "heliogauge") -> list[str]:

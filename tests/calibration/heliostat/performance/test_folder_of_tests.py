@@ -227,3 +227,25 @@ def test_photos_of_beams_become_the_day(tmp_path):
     right = found["beam_mean_right_rad"]
     assert right.value == pytest.approx(places[:, 0].mean() * scale, abs=4 * right.sigma)
     assert right.sigma < 0.2e-3
+
+
+def test_gear_slack_of_unam_by_the_command(tmp_path):
+    """Stage-STE V-01 and V-02 (table 3): 14.0 +- 0.5 mrad; the frame there is x west, y south, azimuth from south."""
+    folder = tmp_path / "unam"
+    folder.mkdir()
+    rows = [
+        "pair,end,x_m,y_m,sun_azimuth_deg,sun_elevation_deg",
+        f"1,1,-1.332,21.867,{180 - 77.420},{90 - 46.962}",
+        f"1,2,0.915,20.900,{180 - 77.267},{90 - 46.766}",
+    ]
+    (folder / "spots.csv").write_text("\n".join(rows) + "\n")
+    (folder / "measurement.toml").write_text(
+        'kind = "heliostat-tests"\nname = "unam"\n[site]\nlatitude_deg = 29.03\nlongitude_deg = -110.96\n[heliostat]\n'
+        "position_m = [-5.17, 122.0, -0.33]\n[target]\ncenter_m = [0.0, 0.0, 0.0]\nfacing_azimuth_deg = 0.0\n"
+        'sigma_place_m = 0.0175\n[backlash]\nspots = "spots.csv"\n'
+    )
+    found = {one.key: one for one in run(load_tests(folder)).entries}
+    play = found["azimuth_by_beams_axis_rad"]
+    assert 1e3 * play.value == pytest.approx(14.0, abs=0.5)
+    # Two places of 17.5 mm at 124 m, seen by a normal that rises 32 degrees.
+    assert 1e3 * play.sigma == pytest.approx(0.5 * 17.5 / 124.2 * np.sqrt(2) / np.cos(np.radians(32)), rel=0.02)

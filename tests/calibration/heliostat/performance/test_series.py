@@ -146,3 +146,19 @@ def test_repeatability_and_sides():
 def test_times_ascend():
     with pytest.raises(InputError, match="ascending"):
         BeamSeries(np.array([0.0, 0.0]), np.zeros((2, 2)), np.ones((2, 2)), np.zeros(2))
+
+
+def test_tracking_accuracy_of_unam():
+    """V-05 and V-06: oscillation 0.215 m and 0.067 m at 126 m are 1.706 and 0.53 mrad; drift 0.61 m and 0.50 m."""
+    times = np.arange(300) * 12.0
+    x = 2 * times / times[-1] - 1
+    fine = np.linspace(-1, 1, 4001)
+    for size, drift, expected in ((0.215, 0.61, 1.706), (0.067, 0.50, 0.53)):
+        shape = np.polynomial.polynomial.polyval(fine, [0.0, 0.4, 0.1, -1.0])
+        cubic = drift / np.ptp(shape) * np.polynomial.polynomial.polyval(x, [0.0, 0.4, 0.1, -1.0])
+        values = cubic + np.random.default_rng(7).normal(0, size, times.size)
+        found = wander(times, values / 126.0, np.full(times.size, 0.0175 / 126.0))
+        assert 1e3 * size / 126.0 == pytest.approx(expected, abs=2e-3)
+        assert abs(1e-3 * expected - found.oscillation.value) < 3 * found.oscillation.sigma
+        assert abs(drift / 126.0 - found.drift.value) < 3 * found.drift.sigma
+        assert found.oscillation.sigma < 0.1 * found.oscillation.value
