@@ -349,6 +349,35 @@ def observer(
         print(folder)
 
 
+def beam(
+    folder: NewFolder,
+    facets: Annotated[tuple[int, int], typer.Option(metavar="N M", help="Facets along width and height.")] = (2, 2),
+    suns: Annotated[int, typer.Option(min=1, help="Times of the day, from 9 to 16 h.")] = 3,
+    repeats: Annotated[int, typer.Option(min=1, help="Photos at each.")] = 1,
+    canting_mrad: Annotated[float, typer.Option(min=0.0, help="Canting errors, 1 sigma of each component.")] = 0.8,
+    slope_mrad: Annotated[float, typer.Option(min=0.0, help="Slope errors finer than facets, 1 sigma.")] = 0.8,
+    fault: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Spoil the photos: haze, shadow, moved-shadow, panels, clouds, blooming, overexposed, underexposed, "
+            "second-beam, cut, night, local-time, other-target. May be given several times."
+        ),
+    ] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of errors and noise; the same seed gives the same files.")] = 0,
+    force: Replace = False,
+    quiet: Quiet = False,
+) -> None:
+    """Photograph the beam of a heliostat with known canting errors on a target at several suns."""
+    from data_synth.heliostats.bench import BenchOptions, write_beam_dataset
+
+    options = BenchOptions(
+        facets, suns, repeats, 1e-3 * canting_mrad, 1e-3 * slope_mrad, tuple(fault or ()), seed, force
+    )
+    write_beam_dataset(folder, options)
+    if not quiet:
+        print(folder)
+
+
 def heliostat(
     folder: NewFolder,
     preset: Annotated[

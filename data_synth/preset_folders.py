@@ -4,7 +4,14 @@ from pathlib import Path
 
 from data_synth.acceptance import write_tests_folder
 from data_synth.fringes import DatasetOptions, preset_scene, write_dataset
-from data_synth.heliostats import HeliostatChoice, HeliostatOptions, heliostat_scene, write_heliostat_dataset
+from data_synth.heliostats import (
+    BenchOptions,
+    HeliostatChoice,
+    HeliostatOptions,
+    heliostat_scene,
+    write_beam_dataset,
+    write_heliostat_dataset,
+)
 from data_synth.lasers import write_laser_scan
 from data_synth.sky import gazing_preset, write_gazing
 from data_synth.targets import (
@@ -17,7 +24,7 @@ from data_synth.targets import (
 )
 from data_synth.targets.dataset import photogrammetry_content
 from data_synth.troughs import TroughChoice, TroughOptions, trough_scene, write_trough_dataset
-from heliogauge.running.progress import Progress
+from heliogauge.running.progress import Progress, SilentProgress
 
 
 def deflectometry(
@@ -55,6 +62,16 @@ def observer(
 ) -> None:
     """Photograph a parabolic trough as a drone does."""
     write_trough_dataset(folder, trough_scene(preset, TroughChoice(seed)), TroughOptions(seed, force=force), progress)
+
+
+def beam(
+    folder: Path, *, preset: str = "small", seed: int = 0, force: bool = False, progress: Progress | None = None
+) -> None:
+    """Photograph the beam of a heliostat at several suns; a preset is small, facets (25 of them), or a fault."""
+    facets = (5, 5) if preset == "facets" else (2, 2)
+    faults = () if preset in ("small", "facets") else (preset,)
+    with (progress or SilentProgress()).stage("photograph beams"):
+        write_beam_dataset(folder, BenchOptions(facets, faults=faults, seed=seed, force=force))
 
 
 def heliostat(

@@ -22,4 +22,6 @@ INSTRUMENT = Instrument(
         "beam": "calibration.beam.report:report.ipynb",
         "beam-mirror": "calibration.beam.report:report_mirror.ipynb",
     },
+    synth="data_synth.preset_folders:beam",
+    synth_command="data_synth.cli:beam",
 )

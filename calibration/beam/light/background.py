@@ -92,6 +92,23 @@ def empty_target(frames_dn: Sequence[npt.NDArray[np.generic]]) -> TargetSurface:
     return TargetSurface(freeze(mean), len(frames))
 
 
+def seams_of(empty_dn: FloatArray) -> FloatArray:
+    """Return how much less a target reflects along its seams and marks than around them.
+
+    empty_dn (h, w): The target without a beam [DN].
+    Returns (h, w): Below 1 on dark lines that are narrower than 3 % of the target, 1 elsewhere. The edge of a shadow is
+        no line and stays 1: a shadow dims daylight, not the beam.
+    """
+    side = 2 * max(1, round(0.015 * max(empty_dn.shape))) + 1
+    values = np.asarray(empty_dn, dtype=np.float32)
+    filled = np.asarray(cv2.morphologyEx(values, cv2.MORPH_CLOSE, np.ones((side, side), np.uint8)), dtype=np.float64)
+    ratio = np.where(filled > 0, empty_dn / np.maximum(filled, 1e-9), 1.0)
+    # Noise alone makes dips, too: what most pixels have is none.
+    usual = float(np.median(ratio))
+    scatter = robust_scale(ratio[ratio < 1] - usual) if np.count_nonzero(ratio < 1) > 10 else 0.0
+    return np.asarray(np.where(ratio < usual - 4 * scatter, np.clip(ratio / usual, 0.05, 1.0), 1.0))
+
+
 def area_resized(values: npt.NDArray[np.floating], shape: tuple[int, int]) -> FloatArray:
     """Resample by averaging over areas (down) or linearly (up); the outlines of the two pictures coincide.
 

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from calibration.beam.light.background import TargetSurface, area_resized, taken_by_background
+from calibration.beam.light.background import TargetSurface, area_resized, seams_of, taken_by_background
 from calibration.beam.light.beam_centroids import (
     CENTROID_METHODS,
     Centroid,
@@ -48,6 +48,8 @@ _SATURATION = 0.998
 _MIDDLE_SHARE = 0.008
 #: Rounds in which a beam's skirts and the background are told apart, and the change that ends them, of the peak.
 _SKIRT_ROUNDS, _SKIRT_SETTLED = 6, 0.002
+#: Of what reflects less than this share of the target around it, the beam's light is not known.
+_LEAST_REFLECTANCE = 0.3
 _LIMITS = ("least_peak_to_scatter", "least_contrast", "most_edge_share", "most_saturated_share", "sunlit_share")
 
 
@@ -149,12 +151,18 @@ def no_beam(flags: BeamFlag) -> Beam:
 
 
 def measure_beam(
-    image: TargetImage, *, empty: TargetSurface | None = None, settings: BeamSettings | None = None
+    image: TargetImage,
+    *,
+    empty: TargetSurface | None = None,
+    reflectance: FloatArray | None = None,
+    settings: BeamSettings | None = None,
 ) -> Beam:
     """Measure the beam on a target.
 
     image: The rectified picture.
     empty: The same target without a beam, rectified alike.
+    reflectance (h, w): Relative reflectance of the target; without, that of the seams is taken from the frame without a
+        beam.
     settings: Method and limits.
     Returns: Place by all methods, size, shape, flags. A picture without a beam gives NaN and its flag.
     InputError: The frame without a beam is of another size.
@@ -173,7 +181,7 @@ def measure_beam(
     valid = np.isfinite(image.values_dn)
     if valid.mean() < 0.75:
         return no_beam(BeamFlag.NOT_FINITE)
-    picture = _prepared(image, valid, empty)
+    picture = _prepared(image, valid, empty, reflectance)
     try:
         beam, scatter = _attempt(image, picture, chosen, edges_first=False)
         if beam.rejected:
@@ -220,9 +228,12 @@ class _Picture:
     saturated: FloatArray
     empty: FloatArray | None
     stretch: FloatArray
+    reflectance: FloatArray | None
 
 
-def _prepared(image: TargetImage, valid: BoolArray, empty: TargetSurface | None) -> _Picture:
+def _prepared(
+    image: TargetImage, valid: BoolArray, empty: TargetSurface | None, reflectance: FloatArray | None
+) -> _Picture:
     height, width = image.values_dn.shape
     scale = max(1, -(-max(height, width) // _ANALYSIS_PX))
     shape = (round(height / scale), round(width / scale))
@@ -239,7 +250,15 @@ def _prepared(image: TargetImage, valid: BoolArray, empty: TargetSurface | None)
         area_resized(saturated, shape),
         pattern,
         np.array([width / shape[1], height / shape[0]]),
+        _relative(reflectance, pattern, shape),
     )
+
+
+def _relative(reflectance: FloatArray | None, pattern: FloatArray | None, shape: tuple[int, int]) -> FloatArray | None:
+    """Return what the beam's light is divided by: a measured map, else the seams in the frame without a beam."""
+    if reflectance is not None:
+        return area_resized(reflectance / float(np.median(reflectance)), shape)
+    return None if pattern is None else seams_of(pattern)
 
 
 class _OnGrid(NamedTuple):
@@ -261,6 +280,9 @@ def _spot(picture: _Picture, region: BeamRegion) -> _OnGrid:
     difference = picture.values_dn - ground
     marks = picture.valid & (picture.values_dn < _MARK_SHARE * ground) & (difference < -3 * region.scatter_dn)
     smoothed = area_resized(region.smoothed_dn, shape)
+    if picture.reflectance is not None:
+        difference = difference / np.maximum(picture.reflectance, _LEAST_REFLECTANCE)
+        marks &= picture.reflectance < _LEAST_REFLECTANCE
     if marks.any():
         difference = _bridged(difference, marks | ~picture.valid, marks)
     labelled = area_resized(region.inside.astype(np.float32), shape) > 0.5
@@ -317,7 +339,9 @@ def _measured(image: TargetImage, picture: _Picture, region: BeamRegion, setting
         flags |= BeamFlag.SUNLIT_TARGET
     if _disagree(estimates, moments):
         flags |= BeamFlag.METHODS_DISAGREE
-    light = LightPicture(freeze(spot.values_dn), spot.inside, spot.usable & ~free, axes[0], axes[1])
+    light = LightPicture(
+        freeze(spot.values_dn), spot.inside, spot.usable & ~free, picture.saturated > 0, axes[0], axes[1]
+    )
     skirts = _skirts(centroids.get("super_gaussian"), region, spot)
     try:
         size = beam_size(light, spot.smoothed_dn, skirts, noise)

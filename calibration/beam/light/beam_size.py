@@ -29,12 +29,14 @@ class LightPicture:
     values_dn (h, w): Brightness above the background; rows from the top [DN].
     inside (h, w): Pixels inside the beam's outline.
     region (h, w): Pixels that the beam and its skirts light, as far as they stand out.
+    saturated (h, w): Pixels at the end of the grey scale: the light is more there.
     x_m (w,), y_m (h,): Places of columns and rows on the target [m].
     """
 
     values_dn: FloatArray
     inside: BoolArray
     region: BoolArray
+    saturated: BoolArray
     x_m: FloatArray
     y_m: FloatArray
 

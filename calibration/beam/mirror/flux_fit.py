@@ -25,6 +25,8 @@ from heliogauge.validate import FloatArray, IntArray, freeze
 __all__ = ["FluxFit", "FluxPhoto", "MirrorStand", "aureole_ratio", "compare_as_it_is", "correlation", "fit_flux"]
 
 _MOST_STEPS = 25
+#: Widths of the blocks within which residuals are taken as alike, in discs of the sun; the largest effect counts.
+_BLOCKS = (0.5, 1.0, 1.5)
 #: Change of a canting that ends the fit: a hundredth of what photos tell [rad].
 _SETTLED_RAD = 1e-6
 #: Steps of the differences that stand for derivatives [rad, 1/m, rad].
@@ -172,7 +174,7 @@ def fit_flux(photos: Sequence[FluxPhoto], mirror: Mirror, stand: MirrorStand, sc
 
 
 class _Linear(NamedTuple):
-    """Residuals and their derivatives by all parameters, over all photos, and the block of each pixel."""
+    """Residuals and their derivatives by all parameters, over all photos, and the block of each pixel by each width."""
 
     residuals: FloatArray
     rows: FloatArray
@@ -311,14 +313,13 @@ class _Fit:
                 basis, _ = np.linalg.qr(model)
                 part -= basis @ (basis.T @ part)
                 rows.append(weight * scale[0] * part)
-                index = _blocks(photo, scene)[known]
-                blocks.append(index + first)
-                first += int(index.max()) + 1
+                blocks.append(np.stack([_blocks(photo, scene, width)[known] for width in _BLOCKS]) + first)
+                first += int(blocks[-1].max()) + 1
         empty = np.zeros((0, 0))
         return _Linear(
             np.concatenate(residuals),
             np.concatenate(rows) if rows else empty,
-            np.concatenate(blocks) if blocks else np.zeros(0, dtype=np.intp),
+            np.concatenate(blocks, axis=1) if blocks else np.zeros((0, 0), dtype=np.intp),
             tuple(expected),
             np.array(levels),
         )
@@ -345,23 +346,32 @@ class _Fit:
         up, across = np.gradient(whole, photo.grid.y_m, photo.grid.x_m)
         return [*found, -across, -up]
 
+    def _size(self, covariance: FloatArray) -> float:
+        """Return the size of a covariance: that of the canting where it is estimated, else of the aims."""
+        count = 2 * (self._count - 1) if self._free and self._count > 1 else len(covariance)
+        return float(np.trace(covariance[:count, :count]))
+
+    def _left_out(self, linear: _Linear, normal: FloatArray, index: IntArray) -> FloatArray:
+        """Return the covariance by leaving out each block in turn (CR3: MacKinnon and White 1985, for clusters).
+
+        A block that alone determines a parameter then counts with what the others would say of it.
+        """
+        order = np.argsort(index, kind="stable")
+        bounds = np.flatnonzero(np.diff(index[order])) + 1
+        ridge = 1e-9 * np.diag(np.diag(normal))
+        total = np.zeros_like(normal)
+        for chosen in np.split(order, bounds):
+            rows = linear.rows[chosen]
+            shift = np.linalg.solve(normal - rows.T @ rows + ridge, rows.T @ linear.residuals[chosen])
+            total += np.outer(shift, shift)
+        return total
+
     # --- answer -----------------------------------------------------------------------------------------------------
 
     def _result(self, linear: _Linear, steps: int) -> FluxFit:
         normal = linear.rows.T @ linear.rows
         self._refuse_undetermined(normal)
-        inverse = np.linalg.inv(normal)
-        count = int(linear.blocks.max()) + 1
-        scores = np.zeros((count, normal.shape[0]))
-        np.add.at(scores, linear.blocks, linear.rows * linear.residuals[:, None])
-        lit = int(np.count_nonzero(np.abs(scores).sum(axis=1) > 1e-3 * np.abs(scores).sum(axis=1).max()))
-        if lit <= normal.shape[0]:
-            raise EstimationError(
-                f"flux: the photos show {lit} independent places of the beam, {normal.shape[0]} parameters are "
-                f"asked for; "
-                "more suns are needed"
-            )
-        covariance = inverse @ (scores.T @ scores) @ inverse * (lit / (lit - normal.shape[0]))
+        covariance = max((self._left_out(linear, normal, index) for index in linear.blocks), key=self._size)
         state, half, globals_ = self._state, self._count - 1, self._globals
         nan = float("nan")
         cantings = np.zeros((2 * self._count, 2 * self._count))
@@ -390,9 +400,9 @@ class _Fit:
         )
 
 
-def _blocks(photo: FluxPhoto, scene: Scene) -> IntArray:
-    """Return the number of the block that each pixel belongs to: as wide as the sun's disc on the target."""
-    width = 2 * 4.65e-3 * float(np.linalg.norm(scene.spread, ord=2))
+def _blocks(photo: FluxPhoto, scene: Scene, suns: float) -> IntArray:
+    """Return the number of the block that each pixel belongs to: so many of the sun's discs wide."""
+    width = suns * 2 * 4.65e-3 * float(np.linalg.norm(scene.spread, ord=2))
     column = ((photo.grid.x_m - photo.grid.x_m[0]) / width).astype(np.intp)
     row = ((photo.grid.y_m - photo.grid.y_m[0]) / width).astype(np.intp)
     return np.asarray(row[:, None] * (int(column.max()) + 1) + column[None, :])

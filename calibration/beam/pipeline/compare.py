@@ -241,8 +241,11 @@ def _flux_photo(
 def _grid(light: LightPicture, stand: MirrorStand, photos: BeamPhotos, row: int) -> FluxGrid:
     distance = float(np.linalg.norm(photos.planes[photos.targets[row]].center_m - stand.position_m))
     step = max(_SUN_RADIUS_RAD * distance / _PIXELS_PER_RADIUS, abs(float(light.x_m[1] - light.x_m[0])))
-    low_x, high_x = float(light.x_m.min()), float(light.x_m.max())
-    low_y, high_y = float(light.y_m.min()), float(light.y_m.max())
+    # What the beam and its skirts light, and a sun's disc around it.
+    margin = 2 * _SUN_RADIUS_RAD * distance
+    x, y = light.x_m[light.region.any(axis=0)], light.y_m[light.region.any(axis=1)]
+    low_x, high_x = max(float(light.x_m.min()), x.min() - margin), min(float(light.x_m.max()), x.max() + margin)
+    low_y, high_y = max(float(light.y_m.min()), y.min() - margin), min(float(light.y_m.max()), y.max() + margin)
     return FluxGrid(np.arange(low_x, high_x, step), np.arange(low_y, high_y, step))
 
 
@@ -255,9 +258,11 @@ def _sampled(light: LightPicture, grid: FluxGrid) -> FloatArray:
     if finer > 1.2:
         values = np.asarray(cv2.GaussianBlur(values, (0, 0), 0.29 * finer), dtype=np.float32)
     maps = np.meshgrid(column.astype(np.float32), line.astype(np.float32))
-    return np.asarray(
-        cv2.remap(values, maps[0], maps[1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE), dtype=np.float64
-    )
+    full = cv2.dilate(light.saturated.astype(np.float32), np.ones((3, 3)))
+    hidden = cv2.remap(full, maps[0], maps[1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE) > 0
+    sampled = cv2.remap(values, maps[0], maps[1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    # Light beyond the grey scale is not known.
+    return np.where(hidden, np.nan, np.asarray(sampled, dtype=np.float64))
 
 
 # --- what comes out ---------------------------------------------------------------------------------------------------
@@ -280,7 +285,9 @@ def _row(photo: FluxPhoto, number: int, before: FluxFit, after: FluxFit | None) 
 
 
 def _d90(flux: FloatArray, grid: FluxGrid) -> float:
-    known = np.where(np.isfinite(flux), flux, 0.0)
+    if not np.isfinite(flux).all():
+        return float("nan")  # Saturated: the light in the middle is not known.
+    known = flux
     return float(encircled_diameters_m(known, grid.x_m, grid.y_m, _center(known, grid), (0.9,))[0])
 
 
