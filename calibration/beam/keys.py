@@ -147,7 +147,6 @@ class BeamFluxSection(Section):
     reflectance_map: Text | None = Field(
         None, description="Picture of the target's relative diffuse reflectance (grey values), its edges the target's."
     )
-    sigma_reflectance_share: Sigma = Field(0.0, description="1 sigma of that reflectance, as a share, at a point.")
 
     @model_validator(mode="after")
     def _one_scale(self) -> Self:
@@ -163,9 +162,6 @@ class BeamEvaluationSection(Section):
 
     method: Method = Field("intensity", description="Method of the centre; intensity is recommended.")
     channel: Literal["red", "green", "blue", "luminance"] = Field("green", description="Colour that is measured.")
-    gamma: Positive = Field(
-        1.0, description="Exponent of the camera's response: brightness is grey value to this power; 1: linear."
-    )
     contours: Annotated[tuple[Share, ...], Field(min_length=1)] = Field(
         (0.1, 0.25, 0.5, 0.75, 0.9), description="Contours of the flux, as shares of the peak."
     )

@@ -16,7 +16,7 @@ from heliogauge.results.arrays import LabelledArray, write_arrays
 from heliogauge.results.folder import Summary, write_table_csv
 from heliogauge.results.frame import InstrumentResult
 from heliogauge.results.thumbnails import write_thumbnails
-from heliogauge.validate import FloatArray
+from heliogauge.validate import BoolArray, FloatArray
 
 __all__ = ["BEAMS_FILE", "CONTOURS_FILE", "FLUX_FILE", "Result"]
 
@@ -88,6 +88,17 @@ class Result(InstrumentResult):
             more |= {"off_label_x_m": offsets[:, 0], "off_label_y_m": offsets[:, 1]}
         return more | {name: list(texts) for name, texts in photos.passed_on.items()}
 
+    def _centred_m(self, used: BoolArray) -> FloatArray:
+        """Return the distance to the labels after the median offset of each target."""
+        lengths = []
+        for target in dict.fromkeys(self.beams.targets):
+            mine = used & np.array([name == target for name in self.beams.targets])
+            offsets = self.offsets_m[mine]
+            offsets = offsets[np.isfinite(offsets).all(axis=1)]
+            if len(offsets):
+                lengths.append(np.hypot(*(offsets - np.median(offsets, axis=0)).T))
+        return np.concatenate(lengths)
+
     @property
     def distances_m(self) -> FloatArray:
         """From the mirror to the target of each photo, shape (n,); NaN where not known [m]."""
@@ -112,6 +123,7 @@ class Result(InstrumentResult):
         if offsets.size:
             numbers["median_off_label_m"] = float(np.median(offsets))
             numbers["largest_off_label_m"] = float(offsets.max())
+            numbers["median_off_label_centred_m"] = float(np.median(self._centred_m(used)))
         texts = {
             "place": "centre of the light on the target: x right, y up, as seen from the field",
             "sizes": "from all of the light; beyond where it stands out of the background its skirts are continued "

@@ -63,6 +63,11 @@ class TargetFinder:
             )
         self._near: TargetCorners | None = None
         self._empty = self._empty_target()
+        self._reflectance = None
+        if frame.reflectance_file is not None:
+            self._reflectance = np.asarray(read_channel(frame.reflectance_file, "luminance"), dtype=np.float64)
+            if not (self._reflectance > 0).mean() > 0.5:
+                raise InputError(f"{frame.reflectance_file}: more than half of the reflectance map is black")
 
     def look(self, file: Path) -> None:
         """Find the marks once, so that all photos start their search from the same place, whatever their order."""
@@ -85,7 +90,7 @@ class TargetFinder:
         if self._empty is not None and self._empty.values_dn.shape != image.values_dn.shape:
             sizes = f"{image.values_dn.shape[::-1]} px, frames without a beam {self._empty.values_dn.shape[::-1]} px"
             return PhotoBeam(no_beam(BeamFlag.TARGET_NOT_FOUND), f"the target measures {sizes}")
-        return PhotoBeam(measure_beam(image, empty=self._empty, settings=settings))
+        return PhotoBeam(measure_beam(image, empty=self._empty, reflectance=self._reflectance, settings=settings))
 
     def image(self, file: Path) -> TargetImage:
         """Read one photo and put it on the target's plane."""

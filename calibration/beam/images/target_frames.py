@@ -92,6 +92,7 @@ class TargetFrame(ShortRepr):
     camera: The lens.
     empty_files: Photos of the target without a beam.
     channel: Colour that is measured: a sum of colours saturates sooner, and its centroid depends on their weights.
+    reflectance_file: Picture of the target's relative reflectance, its edges the target's.
     """
 
     corners_m: FloatArray
@@ -99,6 +100,7 @@ class TargetFrame(ShortRepr):
     camera: Camera | None = None
     empty_files: tuple[Path, ...] = ()
     channel: str = "green"
+    reflectance_file: Path | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "corners_m", float_array("corners_m", self.corners_m, (4, 2)))

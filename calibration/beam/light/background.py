@@ -85,10 +85,18 @@ def empty_target(frames_dn: Sequence[npt.NDArray[np.generic]]) -> TargetSurface:
     if len(shapes) > 1:
         raise InputError(f"empty frames: one size is needed, not {sorted(shapes)}")
     frames = [np.asarray(frame, dtype=np.float64) for frame in frames_dn]
+    unseen = [number for number, frame in enumerate(frames, start=1) if np.isfinite(frame).mean() < 0.5]
+    if unseen:
+        raise InputError(
+            f"empty frame {unseen[0]} shows less than half of the target: are the corners those of this target in "
+            f"this camera?"
+        )
     levels = [float(np.nanmedian(frame)) for frame in frames]
     if not min(levels) > 0:
         raise InputError(f"empty frame {int(np.argmin(levels)) + 1} is black (median {min(levels):.3g} DN)")
-    mean = np.nanmean([frame * (levels[0] / level) for frame, level in zip(frames, levels, strict=True)], axis=0)
+    scaled = np.array([frame * (levels[0] / level) for frame, level in zip(frames, levels, strict=True)])
+    counts = np.isfinite(scaled).sum(axis=0)
+    mean = np.where(counts > 0, np.nansum(scaled, axis=0) / np.maximum(counts, 1), np.nan)
     return TargetSurface(freeze(mean), len(frames))
 
 

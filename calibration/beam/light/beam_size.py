@@ -20,6 +20,9 @@ __all__ = ["SHARES", "BeamSize", "LightPicture", "beam_size", "no_size"]
 
 #: Shares of the light whose circles are measured.
 SHARES = (0.5, 0.9, 0.95)
+#: What panels that reflect 1 % more or less, and the blur of the photo, change diameters of drawn beams by (1 sigma,
+#: `beam synth`); twice that for moments and light.
+_LIMIT_SHARE = 0.005
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -110,9 +113,11 @@ def beam_size(picture: LightPicture, smoothed_dn: FloatArray, skirts: Skirts | N
         bare = light
     influences = _influences(bare, picture, whole)
     change = 0.5 * (whole - seen)
-    moments = propagated(influences[1:4], noise) + np.outer(change[1:4], change[1:4])
+    limit = _LIMIT_SHARE * np.array([2.0, 2.0, 2.0, 2.0, 1.0, 1.0, 1.0]) * np.abs(whole)
+    limit[2] = 2 * _LIMIT_SHARE * float(np.sqrt(max(whole[1] * whole[3], 0.0)))
+    moments = propagated(influences[1:4], noise) + np.outer(change[1:4], change[1:4]) + np.diag(limit[1:4] ** 2)
     sigma = np.array([np.sqrt(float(propagated(one[None], noise)[0, 0])) for one in influences])
-    sigma = np.hypot(sigma, change)
+    sigma = np.hypot(np.hypot(sigma, change), limit)
     peak = float(smoothed_dn[picture.inside].max()) if picture.inside.any() else float("nan")
     # The smoothed peak averages so many pixels that the background's error is what is left.
     sigma_peak = float(np.sqrt(sum(noise.block_dn2) / len(noise.block_dn2) + np.max(noise.white_dn2) / 9))

@@ -18,6 +18,7 @@ from calibration.beam.exchange.surfaces import (
 from calibration.beam.files.comparison import Comparison, PhotoComparison
 from calibration.beam.images.target_finder import TargetFinder
 from calibration.beam.keys import BeamMirrorSection, BeamsMeasurement
+from calibration.beam.light.beam_flags import BeamFlag
 from calibration.beam.light.beam_image import BeamSettings
 from calibration.beam.light.beam_moments import encircled_diameters_m
 from calibration.beam.light.beam_size import LightPicture
@@ -235,7 +236,15 @@ def _flux_photo(
         return "; ".join(filter(None, (beam.reason, note)))
     target = photos.planes[name]
     grid = _grid(beam.light, stand, photos, row)
-    return FluxPhoto(file.name, target, sun, grid, _sampled(beam.light, grid), beam.spot.position_m, BuieSun(0.02))
+    return FluxPhoto(
+        file.name,
+        target,
+        sun,
+        grid,
+        _sampled(beam.light, grid, hide_full=bool(beam.flags & BeamFlag.SATURATED)),
+        beam.spot.position_m,
+        BuieSun(0.02),
+    )
 
 
 def _grid(light: LightPicture, stand: MirrorStand, photos: BeamPhotos, row: int) -> FluxGrid:
@@ -249,7 +258,7 @@ def _grid(light: LightPicture, stand: MirrorStand, photos: BeamPhotos, row: int)
     return FluxGrid(np.arange(low_x, high_x, step), np.arange(low_y, high_y, step))
 
 
-def _sampled(light: LightPicture, grid: FluxGrid) -> FloatArray:
+def _sampled(light: LightPicture, grid: FluxGrid, *, hide_full: bool) -> FloatArray:
     """Return the light on a grid, averaged over its pixels."""
     column = (grid.x_m - light.x_m[0]) / (light.x_m[1] - light.x_m[0])
     line = (grid.y_m - light.y_m[0]) / (light.y_m[1] - light.y_m[0])
@@ -258,8 +267,10 @@ def _sampled(light: LightPicture, grid: FluxGrid) -> FloatArray:
     if finer > 1.2:
         values = np.asarray(cv2.GaussianBlur(values, (0, 0), 0.29 * finer), dtype=np.float32)
     maps = np.meshgrid(column.astype(np.float32), line.astype(np.float32))
+    # The peak alone at the end of the scale is that of a picture stretched to it.
     full = cv2.dilate(light.saturated.astype(np.float32), np.ones((3, 3)))
-    hidden = cv2.remap(full, maps[0], maps[1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE) > 0
+    shown = cv2.remap(full, maps[0], maps[1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    hidden = hide_full & (np.asarray(shown) > 0)
     sampled = cv2.remap(values, maps[0], maps[1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     # Light beyond the grey scale is not known.
     return np.where(hidden, np.nan, np.asarray(sampled, dtype=np.float64))

@@ -15,6 +15,8 @@ __all__ = ["doubts_of_beams"]
 
 #: Share of the light in the skirts beyond which the size depends on how they are continued.
 _MUCH_SKIRT = 0.1
+#: Labels that show a common shift, and its size in sigmas: 5 of them come by chance once in a million.
+_LEAST_LABELS, _ASIDE = 5, 5.0
 
 
 def doubts_of_beams(result: "Result") -> tuple[Doubt, ...]:
@@ -55,6 +57,7 @@ def doubts_of_beams(result: "Result") -> tuple[Doubt, ...]:
                 {"saturated_count": int(saturated.sum()), "beams_count": saturated.size},
             )
         )
+    doubts += _labels_aside(result)
     skirts = np.array([one.skirt_share for one in beams.sizes])
     wide = ~refused & (skirts > _MUCH_SKIRT)
     if wide.any():
@@ -71,3 +74,31 @@ def doubts_of_beams(result: "Result") -> tuple[Doubt, ...]:
             )
         )
     return gather_doubts(result.photos.doubts, doubts)
+
+
+def _labels_aside(result: "Result") -> list[Doubt]:
+    """Say where labels stand aside of the beams by the same on a target: its stated place or theirs has moved."""
+    found = []
+    used = ~result.beams.rejected & np.isfinite(result.offsets_m).all(axis=1)
+    for target in dict.fromkeys(result.beams.targets):
+        mine = used & np.array([name == target for name in result.beams.targets])
+        if np.count_nonzero(mine) < _LEAST_LABELS:
+            continue
+        offsets = result.offsets_m[mine]
+        middle = np.median(offsets, axis=0)
+        # The scatter of a median of normal errors is 1.25 times that of a mean.
+        sigma = 1.25 * 1.4826 * np.median(np.abs(offsets - middle), axis=0) / np.sqrt(len(offsets))
+        away = float(np.hypot(*middle))
+        if away > _ASIDE * float(np.hypot(*sigma)) and away > float(np.median(result.beams.sigma_m[mine])) * 2:
+            found.append(
+                Doubt(
+                    "labels_aside",
+                    f"labels on target {target} stand {away:.3f} m aside of the beams, by the same in "
+                    f"{len(offsets)} photos "
+                    f"({-middle[0]:+.3f} m right, {-middle[1]:+.3f} m up): was the target's place or the labels' "
+                    f"moved between "
+                    "two releases?",
+                    {"away_m": away},
+                )
+            )
+    return found

@@ -75,6 +75,9 @@ def read_photos(measurement: BeamsMeasurement) -> BeamPhotos:
         one.name: frame_of_section(sections[one.name], _corners(one), measurement.folder, channel)
         for one in model.target
     }
+    if model.flux.reflectance_map is not None:
+        file = measurement.path(model.flux.reflectance_map)
+        frames = {name: replace(one, reflectance_file=file) for name, one in frames.items()}
     distances = {one.name: one.distance_m for one in model.target if one.distance_m is not None}
     photos = model.photos
     if photos is None:
