@@ -220,7 +220,8 @@ def _below(sheet: Sheet) -> str:
             for cause, lost, more in zip(table["cause"], table["lost_text"], table["next_mrad_text"], strict=True)
         )
         pieces.append(
-            "<div><h2>What an error costs over a year</h2><table><thead><tr><th>Cause</th><th "
+            "<div><h2>What an error costs over a year</h2><small>energy lost (size of the error); one mrad "
+            "more</small><table><thead><tr><th>Cause</th><th "
             "class='number'>energy lost</th>"
             f"<th class='number'>one mrad more</th></tr></thead>{rows}</table></div>"
         )
