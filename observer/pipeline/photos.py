@@ -459,17 +459,37 @@ def look_first_at_each(
 
 
 def _look_for_each(runs: Sequence[_Run], photos: Sequence[tuple[int, str, Image]]) -> None:
-    """Look for each trough in some photos; where one is found, others that must be beside the photo are not sought."""
+    """Look for each trough in some photos; where one is found, others that must be beside the photo are not sought.
+
+    Troughs that are followed come first, and one that is found in a photo is followed through the rest before the
+    others are sought there: else a trough that comes into view after another one would be sought in whole photos.
+    """
     cam_from_list: dict[str, RigidTransform] = {}
-    for run in sorted(runs, key=lambda one: one.track is None):
-        for number, name, image in photos:
+
+    def take(run: _Run, some: Sequence[tuple[int, str, Image]]) -> None:
+        for number, name, image in some:
             run.take(number, name, image, cam_from_list.get(name))
-        run.finish()
+
+    def put_down(run: _Run) -> None:
         frame = run.finder.list_from_frame
         if frame is not None:
-            cam_from_list.update(
-                {name: run.poses[name] @ frame.inverse() for _, name, _ in photos if name in run.poses}
-            )
+            found = {name: run.poses[name] for _, name, _ in photos if name in run.poses}
+            cam_from_list.update({name: pose @ frame.inverse() for name, pose in found.items()})
+
+    lost = [run for run in runs if run.track is None]
+    for run in runs:
+        if run.track is not None:
+            take(run, photos)
+            run.finish()
+            put_down(run)
+    for k in range(len(photos)):
+        for run in tuple(lost):
+            take(run, photos[k : k + 1])
+            if run.track is not None:
+                lost.remove(run)
+                take(run, photos[k + 1 :])
+                run.finish()
+            put_down(run)
 
 
 def _runs_of(count: int) -> list[range]:
