@@ -28,6 +28,8 @@ from heliogauge.running.slope_commands import add_slope_exports
 app = make_app("Images of fringes seen in a mirror -> slope map with uncertainty.")
 imports = add_formats(app, "import")
 add_slope_exports(add_formats(app, "export"))
+screens = make_app("Screens and walls that show the pattern.")
+app.add_typer(screens, name="screen", help="Screens and walls that show the pattern.")
 
 
 @app.command("measure")
@@ -293,6 +295,34 @@ def _say_imported(said: str, out: Path, *, quiet: bool) -> None:
     if not quiet:
         typer.echo(said)
         typer.echo(f"measurement folder: {out}; evaluate it with `heliogauge deflectometry measure {out} -o RESULT`")
+
+
+@screens.command("geometry")
+def screen_geometry_command(
+    folder: MeasurementFolder,
+    out: OutFolder,
+    force: Force = False,
+    no_report: NoReport = False,
+    as_json: AsJson = False,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+) -> None:
+    """Photos of a screen or wall to its points, shape and pose: screen.nc, screen.csv, summary.json, report.html."""
+    from deflectometry.screen_geometry.keys import load_screen
+    from deflectometry.screen_geometry.pipeline import run
+    from heliogauge.running.terminal import terminal_progress
+
+    progress = terminal_progress(quiet=quiet, verbose=verbose)
+    deliver(
+        out,
+        lambda: run(load_screen(folder), None, progress),
+        progress,
+        force=force,
+        quiet=quiet,
+        report=not no_report,
+        as_json=as_json,
+        hint='; use it with shape = "measured" and file in [screen] of measurement.toml',
+    )
 
 
 @app.command("patterns")

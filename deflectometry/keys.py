@@ -136,8 +136,45 @@ class DotScreenSection(_ScreenSection):
     )
 
 
-ScreenSection = Annotated[RectangularScreenSection | TabulatedScreenSection, Discriminator("shape")]
-AnyScreenSection = RectangularScreenSection | TabulatedScreenSection | DotScreenSection
+class MeasuredScreenSection(Section):
+    """A screen that ``deflectometry screen geometry`` measured, with all that its points and pose share.
+
+    Its pose is in the file where a photo of the measuring camera was among its photos; otherwise it stands here.
+    """
+
+    shape: Literal["measured"] = Field(description="A screen from `heliogauge deflectometry screen geometry`.")
+    file: Text = Field(description="Its screen.nc.")
+    rotation_vector_rad: Vector3 | None = Field(
+        None, description="Rotation of cam_from_screen as a vector; default: the file's pose [rad]."
+    )
+    translation_m: Vector3 | None = Field(
+        None, description="The screen's origin in the camera's frame; default: the file's pose [m]."
+    )
+    sigma_rotation_mrad: Sigma3 = Field(
+        (0.0, 0.0, 0.0), description="1 sigma about each axis of the pose that stands here [mrad]."
+    )
+    sigma_translation_mm: Sigma3 = Field(
+        (0.0, 0.0, 0.0), description="1 sigma along each axis of the pose that stands here [mm]."
+    )
+    response_file: Text | None = Field(
+        None, description="Response of camera and display: columns camera_dn, display_level."
+    )
+
+    @model_validator(mode="after")
+    def _whole_pose(self) -> Self:
+        if (self.rotation_vector_rad is None) != (self.translation_m is None):
+            raise ValueError("rotation_vector_rad and translation_m belong together; give both, or none for the file's")
+        stated = {"sigma_rotation_mrad", "sigma_translation_mm"} & self.model_fields_set
+        if stated and self.translation_m is None:
+            raise ValueError(f"{', '.join(sorted(stated))}: the file's pose has its own sigmas; leave it out")
+        return self
+
+
+ScreenSection = Annotated[
+    RectangularScreenSection | TabulatedScreenSection | MeasuredScreenSection, Discriminator("shape")
+]
+DotFieldSection = Annotated[DotScreenSection | MeasuredScreenSection, Discriminator("shape")]
+AnyScreenSection = RectangularScreenSection | TabulatedScreenSection | DotScreenSection | MeasuredScreenSection
 
 
 # --- pattern and images ---------------------------------------------------------------------------------------------

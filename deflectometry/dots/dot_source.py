@@ -66,6 +66,9 @@ class DotSource(ShortRepr):
         grid = LatticeGrid(_bridged(places))
         sigma_u, sigma_v = _sigma_of_fractions(grid.places_px, covariance)
         v, u = np.meshgrid(np.linspace(0.0, 1.0, rows), np.linspace(0.0, 1.0, columns), indexing="ij")
+        # What is not known of a dot's own place counts as if it were seen beside it.
+        own = self.screen.sigma_at(u, v)[..., :2] / self.screen.spacing_m / (columns - 1, rows - 1)
+        sigma_u, sigma_v = np.hypot(sigma_u, own[..., 0]), np.hypot(sigma_v, own[..., 1])
         flags = np.where(measured, 0, int(SampleFlag.NOT_SEEN)).astype(np.uint32)
         maps = [np.where(measured, one, np.nan) for one in (u, v, sigma_u, sigma_v)]
         noise = NoiseModel(max(self.dots.residual_dn, 1e-6))

@@ -38,6 +38,8 @@ class FoundDots:
     contrast_dn (n,): Difference of dot and ground [DN].
     residual_dn: Usual noise of a pixel about the fitted dots [DN].
     n_coarse: Dots that no blurred disc fits: the last ones, with the centre of their outline.
+    size (n,): What each dot takes from or adds to its ground, in all its pixels over the contrast of the usual dot
+        [px^2]; NaN where it is not known.
     """
 
     centers_px: FloatArray
@@ -46,6 +48,7 @@ class FoundDots:
     contrast_dn: FloatArray
     residual_dn: float
     n_coarse: int = 0
+    size: FloatArray | None = None
 
     @property
     def spacing_px(self) -> float:
@@ -65,6 +68,20 @@ class FoundDots:
                 (x, y), (x1, y1) = (self.centers_px[one] - self.centers_px[k] for one in (across, down))
                 areas.append(abs(x * y1 - y * x1))
         return float(np.median(areas))
+
+    def chosen(self, which: IntArray | BoolArray) -> "FoundDots":
+        """Return some of the dots."""
+        index = np.arange(len(self.number))[which]
+        first_coarse = len(self.number) - self.n_coarse
+        return FoundDots(
+            self.centers_px[index],
+            self.covariance_px2[index],
+            self.number[index],
+            self.contrast_dn[index],
+            self.residual_dn,
+            int(np.count_nonzero(index >= first_coarse)),
+            None if self.size is None else self.size[index],
+        )
 
     def renumbered(self, number: IntArray) -> "FoundDots":
         """Return the dots with other columns and rows."""

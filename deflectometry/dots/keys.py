@@ -7,7 +7,7 @@ from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
-from deflectometry.keys import BenchMeasurement, BenchModel, DotScreenSection
+from deflectometry.keys import BenchMeasurement, BenchModel, DotFieldSection
 from heliogauge.errors import InputError
 from heliogauge.measurement.load import MEASUREMENT_FILE, read_measurement
 from heliogauge.measurement.models import Section, Text, Vector2
@@ -42,7 +42,7 @@ class DotsModel(BenchModel):
     """The whole measurement.toml of ``kind = "deflectometry-dots"``."""
 
     kind: Literal["deflectometry-dots"] = Field(description="A photo of a field of dots seen in a mirror.")
-    screen: DotScreenSection = Field(description="The field of dots: the place of each, and the pose of them all.")
+    screen: DotFieldSection = Field(description="The field of dots: the place of each, and the pose of them all.")
     photo: Text = Field(description="The photo in which the mirror shows the dots.")
     pattern: DotPatternSection = Field(DotPatternSection(), description="The pattern that the mirror shows.")
 

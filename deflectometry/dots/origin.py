@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from deflectometry.dots.found_dots import FoundDots
+from deflectometry.dots.turns import TURNS
 from deflectometry.pose.pose_observations import UncertainPose
 from deflectometry.setup.camera_and_screen import Setup
 from deflectometry.setup.dot_screen import DotScreen
@@ -34,12 +35,6 @@ _SURE = 0.99
 _LIGHT_SIGMAS, _LIGHT_RATIO = 10.0, 1.5
 #: Dots that give the mean slopes of a hypothesis: 500 give them twenty times better than one.
 _SPREAD = 500
-#: All ways in which columns and rows of the photo may be those of the table.
-_TURNS = tuple(
-    np.array(one)
-    for one in product(((1, 0), (-1, 0), (0, 1), (0, -1)), repeat=2)
-    if abs(one[0][0] * one[1][1] - one[0][1] * one[1][0]) == 1
-)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -82,7 +77,7 @@ def place_dots(dots: FoundDots, sight: Sight, known: tuple[IntArray, FloatArray]
     mounting; curvatures, twist and curl within 10 mrad at the rim, which no solar mirror exceeds; and of each dot that
     would not be in the table.
     """
-    found = [one for turn in _TURNS for one in _of_turn(dots, sight, turn, known)]
+    found = [one for turn in TURNS for one in _of_turn(dots, sight, turn, known)]
     if not found:
         raise EstimationError(
             "no place in the table of the dots fits what is seen: the mirror shows more columns or rows than it has, "
@@ -92,7 +87,7 @@ def place_dots(dots: FoundDots, sight: Sight, known: tuple[IntArray, FloatArray]
     weight = np.exp(weight - weight.max())
     weight /= weight.sum()
     best = found[int(np.argmax(weight))]
-    of_turn = np.array([weight[[one.turn is turn for one in found]].sum() for turn in _TURNS])
+    of_turn = np.array([weight[[one.turn is turn for one in found]].sum() for turn in TURNS])
     if of_turn.max() < _SURE:
         first, second = np.argsort(of_turn)[:-3:-1]
         raise EstimationError(
@@ -134,7 +129,7 @@ def _of_turn(
     first = np.array([sight.screen.first[0], sight.screen.first[1] - rows + 1])
     last = np.array([sight.screen.first[0] + columns - 1, sight.screen.first[1]])
     if known is not None:
-        shifts = [known[0] - turn @ _number_at(dots, known[1])]
+        shifts = [known[0] - turn @ number_at(dots, known[1])]
     else:
         # A line of the lattice that is beyond the table is of specks; more than a few are none.
         slack = 2
@@ -152,7 +147,7 @@ def _of_turn(
     return found
 
 
-def _number_at(dots: FoundDots, place_px: FloatArray) -> IntArray:
+def number_at(dots: FoundDots, place_px: FloatArray) -> IntArray:
     """Return the number in the lattice that belongs to a place in the photo, whether its dot was found or not.
 
     EstimationError: The place is beside the lattice, or between two of its dots.

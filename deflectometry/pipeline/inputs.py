@@ -1,6 +1,7 @@
 """From measurement.toml to what the numeric modules work on: camera, screen, pattern, mirror."""
 
 from collections.abc import Collection
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ from deflectometry.keys import (
     DeflectometryMeasurement,
     DotScreenSection,
     FacetSection,
+    MeasuredScreenSection,
     MirrorSection,
     PoseSection,
     RectangularScreenSection,
@@ -19,6 +21,7 @@ from deflectometry.keys import (
 )
 from deflectometry.pose.find_pose import MirrorInput
 from deflectometry.pose.pose_observations import DistanceObservation, Knowledge, KnownPoints, UncertainPose
+from deflectometry.screen_geometry import read_screen
 from deflectometry.setup.camera_and_screen import RectangularScreen, Screen, Setup, TabulatedScreen
 from deflectometry.setup.dot_screen import DotScreen
 from deflectometry.setup.patterns import Axis, FringePattern, FringeSet
@@ -48,10 +51,12 @@ def build_setup(measurement: BenchMeasurement) -> Setup:
     InputError: A camera file or screen table that cannot be read, or a rotation of more than a turn.
     """
     section = measurement.model.screen
+    if isinstance(section, MeasuredScreenSection):
+        return _with_measured_screen(measurement, section)
     known = _known_pose(section)
     return Setup(
         camera=build_camera(measurement.model.camera, measurement.folder),
-        screen=_build_screen(measurement),
+        screen=_build_screen(measurement, section),
         cam_from_screen=known.cam_from_mirror,
         covariance_cam_from_screen=known.covariance,
         sigma_screen_points_m=section.sigma_points_mm * 1e-3,
@@ -101,8 +106,38 @@ def build_camera(section: CameraSection, folder: Path) -> Camera:
     )
 
 
-def _build_screen(measurement: BenchMeasurement) -> Screen:
-    section = measurement.model.screen
+def _with_measured_screen(measurement: BenchMeasurement, section: MeasuredScreenSection) -> Setup:
+    """Build camera and screen where the screen was measured, with all that its points and its pose share.
+
+    InputError: Neither the file nor the section has a pose.
+    """
+    file = measurement.path(section.file)
+    measured = read_screen(file)
+    shared, pose, covariance = measured.shared, measured.cam_from_screen, np.zeros((6, 6))
+    if section.rotation_vector_rad is not None and section.translation_m is not None:
+        stated = _known_pose(PoseSection.model_validate(section.model_dump(include=set(PoseSection.model_fields))))
+        # The points keep their errors; those of the file's pose are not those of this one.
+        shared = tuple(replace(one, cam_from_screen=np.zeros(6)) for one in shared)
+        pose, covariance = stated.cam_from_mirror, stated.covariance
+    if pose is None:
+        raise InputError(
+            f"{file}: no photo of the measuring camera was among the screen's photos; give its pose in [screen] "
+            "(rotation_vector_rad, translation_m and their sigmas), or measure the screen again with measuring_photo"
+        )
+    return Setup(
+        camera=build_camera(measurement.model.camera, measurement.folder),
+        screen=measured.screen,
+        cam_from_screen=pose,
+        covariance_cam_from_screen=covariance,
+        sigma_screen_points_m=measured.sigma_surface_m,
+        shared_errors=shared,
+    )
+
+
+def _build_screen(
+    measurement: BenchMeasurement,
+    section: RectangularScreenSection | TabulatedScreenSection | DotScreenSection,
+) -> Screen:
     if isinstance(section, RectangularScreenSection):
         return RectangularScreen(section.width_m, section.height_m)
     if isinstance(section, DotScreenSection):
@@ -244,13 +279,15 @@ def inputs_without_sigma(measurement: BenchMeasurement, setup: Setup) -> frozens
     Camera and pose of the screen count where none of their sigmas is given, each size of the screen by itself.
     """
     model, keys = measurement.model, set[str]()
+    # A measured screen comes with its errors, and mostly with its pose.
+    measured = model.screen if isinstance(model.screen, MeasuredScreenSection) else None
     if not setup.camera.covariance.any() and not _states_sigma(model.camera, ("sigma",)):
         keys |= {f"camera.{name}" for name in ("focal_x_px", "focal_y_px", "center_x_px", "center_y_px")}
-    if not setup.covariance_cam_from_screen.any() and not _states_sigma(
-        model.screen, ("sigma_rotation", "sigma_translation")
-    ):
+    has_pose = measured is not None and measured.translation_m is None
+    stated = has_pose or _states_sigma(model.screen, ("sigma_rotation", "sigma_translation"))
+    if not setup.covariance_cam_from_screen.any() and not stated:
         keys |= {"screen.rotation_vector_rad", "screen.translation_m"}
-    if "sigma_points_mm" not in model.screen.model_fields_set:
+    if measured is None and "sigma_points_mm" not in model.screen.model_fields_set:
         sizes = {"width": "screen.width_m", "height": "screen.height_m", "sag": "screen.sag"}
         keys |= {key for name, key in sizes.items() if f"sigma_{name}_mm" not in model.screen.model_fields_set}
     return frozenset(keys)

@@ -380,7 +380,7 @@ class _DistanceInImage:
 
     def change_m(self, setup: Setup, step: SetupStep) -> float:
         """Return what a step of camera or screen does to the difference [m]."""
-        if step.warp is not None:
+        if not step.moves_pose:
             return 0.0
         moved = moved_setup(setup, (step,), np.ones(1))
         pose = self.image_only

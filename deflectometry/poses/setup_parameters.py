@@ -7,7 +7,7 @@ import numpy as np
 
 from deflectometry.poses.adjustment import JointSolution
 from deflectometry.setup.camera_and_screen import Setup
-from deflectometry.setup.setup_steps import SetupStep
+from deflectometry.setup.setup_steps import SetupStep, Warp
 from heliogauge.camera.model import PARAMETER_NAMES
 from heliogauge.validate import FloatArray
 
@@ -61,7 +61,7 @@ def _parameters(setup: Setup, steps: Sequence[SetupStep], solution: JointSolutio
             yield SetupParameter(name, unit, stated, sigma, found, sigma_found)
 
     sizes = _sizes_m(setup)
-    warps = [(index, step.source, step.warp) for index, step in enumerate(steps) if step.warp is not None]
+    warps = [(index, step.source, step.warp) for index, step in enumerate(steps) if isinstance(step.warp, Warp)]
     for index, source, warp in warps:
         alone = np.zeros(len(steps))
         across = "x" if warp.order[0] else "y"

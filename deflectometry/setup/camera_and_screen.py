@@ -5,6 +5,7 @@ from typing import Protocol
 
 import numpy as np
 
+from deflectometry.setup.smooth_screen import SharedStep
 from heliogauge.camera.model import Camera
 from heliogauge.errors import InputError
 from heliogauge.geometry.rigid import RigidTransform
@@ -187,6 +188,7 @@ class Setup(ShortRepr):
     sigma_sag_m: Standard deviation of how far its middle stands out of the plane of its edges [m].
     sigma_periods (2,): Relative standard deviations of the scale of u and of v, where periods were estimated.
     sigma_shift (2,): Standard deviations of u and v that all pixels share, where orders were counted from a point.
+    shared_errors: Independent errors of the screen's points and its pose together, where both were measured.
     """
 
     camera: Camera
@@ -198,6 +200,7 @@ class Setup(ShortRepr):
     sigma_sag_m: float = 0.0
     sigma_periods: FloatArray = field(default_factory=lambda: np.zeros(2))
     sigma_shift: FloatArray = field(default_factory=lambda: np.zeros(2))
+    shared_errors: tuple[SharedStep, ...] = ()
 
     def __post_init__(self) -> None:
         matrix = covariance_matrix("covariance_cam_from_screen", self.covariance_cam_from_screen, 6)

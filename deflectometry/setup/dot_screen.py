@@ -23,10 +23,12 @@ class DotScreen:
     xyz_m (rows, columns, 3): Place of each dot in the screen's frame, topmost row first; NaN for a dot that is not
         there [m].
     first: Column number of the first column, row number of the topmost row.
+    sigma_m (rows, columns, 3): Standard deviations that are each dot's own; zero without [m].
     """
 
     xyz_m: FloatArray
     first: tuple[int, int]
+    sigma_m: FloatArray | None = None
 
     def __post_init__(self) -> None:
         xyz = float_array("dots", self.xyz_m, (None, None, 3), finite=False)
@@ -55,6 +57,21 @@ class DotScreen:
         xyz = np.full((rows, columns, 3), np.nan)
         xyz[high[1] - whole[:, 1], whole[:, 0] - low[0]] = xyz_m
         return cls(xyz, (int(low[0]), int(high[1])))
+
+    def sigma_at(self, u: AnyFloatArray, v: AnyFloatArray) -> FloatArray:
+        """Return what is the own standard deviation of the dots nearest to fractions, shape (..., 3) [m]."""
+        if self.sigma_m is None:
+            return np.zeros((*np.shape(u), 3))
+        rows, columns = self.shape
+        column = np.clip(np.rint(np.asarray(u) * (columns - 1)), 0, columns - 1).astype(np.intp)
+        row = np.clip(np.rint(np.asarray(v) * (rows - 1)), 0, rows - 1).astype(np.intp)
+        return np.asarray(self.sigma_m[row, column])
+
+    @property
+    def spacing_m(self) -> FloatArray:
+        """Usual distance of two columns and of two rows, shape (2,) [m]."""
+        steps = (np.diff(self.xyz_m, axis=1), np.diff(self.xyz_m, axis=0))
+        return np.array([np.nanmedian(np.linalg.norm(one, axis=-1)) for one in steps])
 
     @property
     def shape(self) -> tuple[int, int]:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from deflectometry.setup.camera_and_screen import Screen, Setup
+from deflectometry.setup.smooth_screen import SmoothWarp
 from heliogauge.validate import AnyFloatArray, FloatArray
 
 
@@ -23,9 +24,15 @@ class Warp:
     order: tuple[int, int]
     rms_m: float
 
-    def shift_m(self, u: FloatArray, v: FloatArray) -> FloatArray:
-        """Return the shift of the points that show (u, v) along the axis, shape (...) [m]."""
-        return self.rms_m * _legendre(self.order[0], u) * _legendre(self.order[1], v)
+    def shifts_m(self, u: FloatArray, v: FloatArray) -> FloatArray:
+        """Return the shifts of the points that show (u, v), shape (..., 3) [m]."""
+        shifts = np.zeros((*np.shape(u), 3))
+        shifts[..., self.axis] = self.rms_m * _legendre(self.order[0], u) * _legendre(self.order[1], v)
+        return shifts
+
+    def scaled(self, amount: float) -> "Warp":
+        """Return the shape times an amount."""
+        return replace(self, rms_m=amount * self.rms_m)
 
 
 def _legendre(order: int, fraction: FloatArray) -> FloatArray:
@@ -40,14 +47,14 @@ class WarpedScreen:
     """A screen with smooth shapes added to it."""
 
     screen: Screen
-    warps: tuple[Warp, ...]
+    warps: "tuple[Warp | SmoothWarp, ...]"
 
     def points_m(self, u: AnyFloatArray, v: AnyFloatArray) -> FloatArray:
         """Return the points that show display coordinates (u, v), shape (..., 3) [m]."""
         points = self.screen.points_m(u, v)
         wide, high = np.asarray(u, dtype=np.float64), np.asarray(v, dtype=np.float64)
         for warp in self.warps:
-            points[..., warp.axis] += warp.shift_m(wide, high)
+            points += warp.shifts_m(wide, high)
         return points
 
     def describe(self) -> str:
@@ -68,7 +75,12 @@ class SetupStep:
     source: str
     cam_from_screen: FloatArray = field(default_factory=lambda: np.zeros(6))
     camera: FloatArray = field(default_factory=lambda: np.zeros(10))
-    warp: Warp | None = None
+    warp: Warp | SmoothWarp | None = None
+
+    @property
+    def moves_pose(self) -> bool:
+        """Whether camera or the screen's pose move, which a mirror's pose found in the image follows."""
+        return bool(self.cam_from_screen.any() or self.camera.any())
 
 
 def moved_setup(setup: Setup, steps: Sequence[SetupStep], amounts: FloatArray) -> Setup:
@@ -76,7 +88,7 @@ def moved_setup(setup: Setup, steps: Sequence[SetupStep], amounts: FloatArray) -
     pose = sum((amount * one.cam_from_screen for one, amount in zip(steps, amounts, strict=True)), np.zeros(6))
     camera = sum((amount * one.camera for one, amount in zip(steps, amounts, strict=True)), np.zeros(10))
     warps = tuple(
-        replace(one.warp, rms_m=float(amount) * one.warp.rms_m)
+        one.warp.scaled(float(amount))
         for one, amount in zip(steps, amounts, strict=True)
         if one.warp is not None and amount != 0
     )
@@ -99,6 +111,8 @@ def setup_steps(setup: Setup) -> Iterator[SetupStep]:
             yield SetupStep("screen shape", warp=warp)
     for source, warp in _screen_sizes(setup):
         yield SetupStep(source, warp=warp)
+    for one in setup.shared_errors:
+        yield SetupStep("screen geometry", cam_from_screen=one.cam_from_screen, warp=one.warp)
 
 
 def principal_steps(covariance: FloatArray) -> FloatArray:

@@ -144,7 +144,7 @@ def moved_inputs(setup: Setup, cam_from_mirror: RigidTransform, located: Uncerta
 def moved_input(setup: Setup, cam_from_mirror: RigidTransform, located: UncertainPose, step: SetupStep) -> MovedInput:
     """Return the inputs after one step of camera or screen, which the pose follows."""
     moved = moved_setup(setup, (step,), np.ones(1))
-    follows = cam_from_mirror if step.warp is not None else located.following(moved, cam_from_mirror)
+    follows = located.following(moved, cam_from_mirror) if step.moves_pose else cam_from_mirror
     return MovedInput(step.source, moved, follows)
 
 

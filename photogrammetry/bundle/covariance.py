@@ -38,6 +38,19 @@ class _Half(NamedTuple):
     targets: FloatArray
 
 
+class SharedErrors(NamedTuple):
+    """Independent errors that targets and poses share, one sigma each, and what each target has beside them.
+
+    targets (k, n, 3): What each error does to the targets [m].
+    photos (k, p, 6): What it does to the poses, as steps of `RigidTransform.moved` [rad, m].
+    own (n, 3, 3): Covariance that is each target's alone [m^2].
+    """
+
+    targets: FloatArray
+    photos: FloatArray
+    own: FloatArray
+
+
 class ImagePointCofactors(NamedTuple):
     """Inverse of the normal matrix as the image points of one camera see it.
 
@@ -259,6 +272,40 @@ class BundleCovariance:
                 both = self.dense_cofactors(np.concatenate([at_target[part], places[own_photo[part]]], axis=1))
                 crossed[part] = both[:, :3, 3:]
         return ImagePointCofactors(self.dense_cofactors(places), crossed, targets)
+
+    def shared_errors(
+        self, targets: Sequence[int] | IntArray, photos: Sequence[int] | IntArray, *, under_datum: bool
+    ) -> SharedErrors:
+        """Return the joint covariance of many targets and poses without forming it.
+
+        targets, photos: Places of determined targets, none of them fixed, and of photos.
+        under_datum: Under the datum of the result, where the share of the datum in what is a target's own is left out
+            (a target's own sigma over the root of their number). Otherwise exact, in a frame of its own: right for
+            whatever does not depend on position and rotation of the network.
+
+        A target that is eliminated has ``roots (w - coupling^T d)`` with the error d of the dense part, of which
+        ``F^T`` has the columns, and a w of its own.
+        """
+        factor, layout = self._elimination.factor, self._layout
+        halves = factor.half(np.zeros((layout.n_global, 1))).shape[0]
+        dense = factor.back(np.eye(halves))
+        moved = -self._elimination.roots @ self._elimination.coupling.turned_times(dense)
+        dense = dense / self._system.dense_scale[:, None]
+        if under_datum:
+            dense, moved = self._system.under_datum(dense, moved)
+        chosen, places = np.asarray(targets, dtype=np.intp), np.asarray(photos, dtype=np.intp)
+        slots, kept = layout.slot[chosen], layout.kept_column[chosen]
+        result = np.zeros((chosen.size, 3, halves))
+        own = np.zeros((chosen.size, 3, 3))
+        inside = slots >= 0
+        roots = self._elimination.roots[slots[inside]]
+        result[inside] = moved[slots[inside]]
+        own[inside] = roots @ np.swapaxes(roots, 1, 2)
+        result[kept >= 0] = dense[kept[kept >= 0][:, None] + np.arange(3)]
+        poses = dense[6 * places[:, None] + np.arange(6)]
+        share = self._factors.share
+        scale = np.sqrt(share)
+        return SharedErrors(scale * np.moveaxis(result, 2, 0), scale * np.moveaxis(poses, 2, 0), share * own)
 
     def joint(
         self, targets: Sequence[int] | IntArray = (), photos: Sequence[int] | IntArray = (), *, intrinsics: bool = False

@@ -3,8 +3,8 @@
 import numpy as np
 
 from deflectometry.dots.found_dots import find_dots
+from deflectometry.dots.ground import POLARITIES
 from deflectometry.dots.keys import DotsMeasurement
-from deflectometry.dots.pipeline.measure import POLARITIES
 from deflectometry.frames.image_file_checks import check_compression
 from deflectometry.pipeline.check import find_faults_of_bench
 from heliogauge.images.photos import read_frames

@@ -4,12 +4,12 @@ from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 
 from deflectometry.dots.dot_source import DotSource
 from deflectometry.dots.found_dots import FoundDots, find_dots
+from deflectometry.dots.ground import POLARITIES, ground_of_dots, without_dots
 from deflectometry.dots.keys import DotPatternSection, DotsMeasurement
 from deflectometry.dots.origin import PlacedDots, Sight, find_light, place_dots
 from deflectometry.frames.image_file_checks import check_compression, check_size
@@ -27,13 +27,10 @@ from heliogauge.images.photos import read_frames
 from heliogauge.measurement.load import MEASUREMENT_FILE
 from heliogauge.running.progress import Progress, SilentProgress
 from heliogauge.validate import BoolArray, Float32Array, IntArray
-from photogrammetry.targets import Polarity
 
 #: Share of the mirror with dots below which a part of it has none: around a mirror with 40 dots across, half a
 #: dot's distance along the edges is 5 %, and as much may be lost to clips.
 _DOTTED_SHARE = 0.9
-#: What measurement.toml calls dots of either kind.
-POLARITIES = {"dark": Polarity.BLACK_ON_WHITE, "light": Polarity.WHITE_ON_BLACK}
 
 
 def run(measurement: DotsMeasurement, options: Options | None = None, progress: Progress | None = None) -> Result:
@@ -64,7 +61,10 @@ def run(measurement: DotsMeasurement, options: Options | None = None, progress: 
     setup = build_setup(measurement)
     screen = setup.screen
     if not isinstance(screen, DotScreen):
-        raise InputError(f"{measurement.folder / MEASUREMENT_FILE}: screen.shape must be dots")
+        raise InputError(
+            f"{measurement.folder / MEASUREMENT_FILE}: [screen] must be a field of dots (shape dots, or measured by "
+            f"its dots), not a {screen.describe()}"
+        )
     frames = read_frames((measurement.path(measurement.model.photo),), jobs=options.jobs, progress=progress)
     photo = np.asarray(frames.images_dn[0])
     check_size(photo.shape[::-1], setup.camera, str(measurement.path(measurement.model.photo)))
@@ -102,33 +102,6 @@ def run(measurement: DotsMeasurement, options: Options | None = None, progress: 
         ),
     )
     return measure_source(ready, progress)
-
-
-def ground_of_dots(photo_dn: npt.NDArray[Any], dots: FoundDots, polarity: Polarity) -> Float32Array:
-    """Return the photo without dots and specks: nothing as small as the distance of two dots is left.
-
-    photo_dn (h, w): Grey values [DN].
-    """
-    width = int(2 * np.ceil(0.5 * dots.spacing_px) + 1)
-    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (width, width))
-    order = (cv2.MORPH_CLOSE, cv2.MORPH_OPEN)
-    image = photo_dn.astype(np.float32)
-    for operation in order if polarity is Polarity.BLACK_ON_WHITE else order[::-1]:
-        image = np.asarray(cv2.morphologyEx(image, operation, kernel), dtype=np.float32)
-    return image
-
-
-def without_dots(photo_dn: npt.NDArray[Any], ground_dn: Float32Array, dots: FoundDots) -> Float32Array:
-    """Return the photo with the ground in the place of each dot: what is beside dots, as the mirror's edges, stays.
-
-    photo_dn, ground_dn (h, w): The photo, and its ground from `ground_of_dots` [DN].
-    """
-    near = np.zeros(photo_dn.shape, dtype=np.uint8)
-    # Half the distance of two dots holds a dot with its blur.
-    radius = int(np.ceil(0.5 * dots.spacing_px))
-    for x, y in np.rint(dots.centers_px).astype(int).tolist():
-        cv2.circle(near, (x, y), radius, 1, cv2.FILLED)
-    return np.where(near > 0, ground_dn, photo_dn).astype(np.float32)
 
 
 def _known_dot(

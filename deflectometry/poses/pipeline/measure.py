@@ -238,7 +238,7 @@ def _row(name: str, result: Result) -> PoseRow:
 def _follows(result: Result, step: SetupStep) -> FloatArray:
     """Return the step of the mirror's pose when camera and screen make one of theirs: outline and distance stay."""
     with_setup = result.evaluation.located.pose.with_setup
-    if with_setup is None or step.warp is not None:
+    if with_setup is None or not step.moves_pose:
         return np.zeros(6)
     before, after = with_setup(result.setup), with_setup(moved_setup(result.setup, (step,), np.ones(1)))
     turn = RigidTransform(after.rotation @ before.rotation.T, np.zeros(3)).rotation_vector_rad

@@ -1,0 +1,191 @@
+"""What measurement.toml of ``kind = "screen-geometry"`` may say, and how it is read."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal, Self
+
+from pydantic import Field, model_validator
+
+from heliogauge.errors import InputError
+from heliogauge.measurement.files import image_files
+from heliogauge.measurement.load import MEASUREMENT_FILE, read_measurement, refuse_missing
+from heliogauge.measurement.models import MeasurementModel, PhotosSection, Section, Text, Vector2
+from heliogauge.short_repr import ShortRepr
+from photogrammetry.keys import (
+    CameraSections,
+    ControlPointSection,
+    DatumSection,
+    KnownFilesSection,
+    NetworkCameraSection,
+    PhotogrammetryMeasurement,
+    PhotogrammetryModel,
+    ScaleBarSection,
+    TargetsSection,
+    with_known_files,
+)
+
+
+class KnownWallDotSection(Section):
+    """A dot of the field whose place in one of the photos is known: ``[dots.known_dot]``."""
+
+    photo: Text = Field(description="Name of the photo.")
+    image_px: Vector2 = Field(description="Where the dot is in it, x and y, to half the distance of two dots [px].")
+    column: int = Field(0, description="Its column.")
+    row: int = Field(0, description="Its row.")
+
+
+class WallDotsSection(Section):
+    """The field of dots that the photos show."""
+
+    dots: Literal["dark", "light"] = Field("dark", description="Dark dots on light ground, or light ones on dark.")
+    origin: Literal["corner", "light", "marks"] = Field(
+        "corner",
+        description="Which dot is (0, 0): the lower left one seen in the first photo, that beside a point light, or as "
+        "the marks of the pattern say.",
+    )
+    file: Text | None = Field(
+        None,
+        description="Table of the pattern (columns column, row, large), as `deflectometry patterns --dots` writes it; "
+        "with the columns u, v the dots are on a display, whose surface is measured.",
+    )
+    known_dot: KnownWallDotSection | None = Field(None, description="A dot whose place in a photo is known.")
+
+    @model_validator(mode="after")
+    def _one_origin(self) -> Self:
+        if self.origin == "marks" and self.file is None:
+            raise ValueError('origin = "marks" needs file, the table of the pattern')
+        if self.origin != "corner" and self.known_dot is not None:
+            raise ValueError(f'origin = "{self.origin}" and [dots.known_dot] are both given; leave one')
+        return self
+
+
+class DisplaySection(Section):
+    """A display whose surface is measured by coded targets at known fractions of the displayed image."""
+
+    file: Text = Field(
+        description="Table of coded targets on the display or at its rims: columns target, u, v (fractions of the "
+        "displayed image from its left and from its top edge). A name without a corner's number (23 for 23.0 to 23.3) "
+        "stands for the middle of a square marker."
+    )
+
+
+class ShapeSection(Section):
+    """How the screen is described."""
+
+    form: Literal["auto", "plane", "bent", "free"] = Field(
+        "auto",
+        description="Surface of a display: a plane, bent (second order), free (fourth order); default: the simplest "
+        "that the points do not contradict. A field of dots keeps the place of each dot.",
+    )
+    frame: Literal["screen", "network"] = Field(
+        "screen",
+        description="Frame of the result: the screen's own (origin in its middle, x right, y up, z towards the "
+        "viewer), or that of the control points.",
+    )
+
+
+class ScreenGeometryModel(MeasurementModel):
+    """The whole measurement.toml of ``kind = "screen-geometry"``."""
+
+    kind: Literal["screen-geometry"] = Field(description="Photos of a screen or wall, to its geometry.")
+    camera: CameraSections = Field(
+        (NetworkCameraSection(),), description="The camera that took the photos, or a table for each; as in a network."
+    )
+    images: PhotosSection = Field(description="The photos.")
+    measuring_photo: Text | None = Field(
+        None,
+        description="The photo that the camera of the deflectometry measurement took from its place, one of the "
+        "photos; its pose to the screen is a result.",
+    )
+    targets: TargetsSection = Field(description="The coded targets at the rims of the screen or around it.")
+    dots: WallDotsSection | None = Field(None, description="The field of dots, printed or displayed.")
+    display: DisplaySection | None = Field(None, description="The display, known by coded targets at its rims.")
+    shape: ShapeSection = Field(ShapeSection(), description="How the screen is described.")
+    scale_bar: tuple[ScaleBarSection, ...] = Field((), description="Known distances between targets.")
+    control_point: tuple[ControlPointSection, ...] = Field((), description="Targets with known coordinates.")
+    files: KnownFilesSection = Field(KnownFilesSection(), description="Tables of scale bars and control points.")
+    datum: DatumSection = Field(DatumSection(), description="What places the network where the rest leaves it open.")
+
+    @model_validator(mode="after")
+    def _dots_or_display(self) -> Self:
+        if (self.dots is None) == (self.display is None):
+            raise ValueError("give [dots] for a field of dots, or [display] for coded targets at the rims, one of both")
+        if not (self.scale_bar or self.control_point or self.files.names):
+            raise ValueError(
+                "the size of the screen is not determined; give a [[scale_bar]] or [[control_point]], or a table of "
+                "them in [files]"
+            )
+        return self
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ScreenMeasurement(ShortRepr):
+    """Checked photos of a screen.
+
+    folder: The measurement's folder.
+    model: What measurement.toml says.
+    photo_files: The photos.
+    """
+
+    folder: Path
+    model: ScreenGeometryModel
+    photo_files: tuple[Path, ...]
+
+    @property
+    def input_files(self) -> tuple[Path, ...]:
+        """All files the measurement consists of, measurement.toml first."""
+        model = self.model
+        named = [one.file for one in model.camera] + [
+            one.file for one in (model.dots, model.display) if one is not None
+        ]
+        others = (*(one for one in named if one is not None), *model.files.names, *model.targets.names)
+        return (self.folder / MEASUREMENT_FILE, *(self.folder / one for one in others), *self.photo_files)
+
+    @property
+    def network(self) -> PhotogrammetryMeasurement:
+        """The same as a photo network."""
+        model = self.model
+        network = PhotogrammetryModel(
+            kind="photogrammetry",
+            name=model.name,
+            camera=model.camera,
+            images=model.images,
+            targets=model.targets.model_copy(update={"find_uncoded": False}),
+            scale_bar=model.scale_bar,
+            control_point=model.control_point,
+            files=model.files,
+            datum=model.datum,
+        )
+        return PhotogrammetryMeasurement(self.folder, with_known_files(network, self.folder), self.photo_files)
+
+
+def load_screen(folder: Path) -> ScreenMeasurement:
+    """Read and check the folder of a screen's photos.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder with measurement.toml; the files it names are relative to it.
+
+    Returns
+    -------
+    ScreenMeasurement
+        The measurement; every file it names exists.
+
+    Raises
+    ------
+    InputError
+        No such folder or file, not TOML, another kind, an unknown or missing key, or a value that cannot be.
+    """
+    file, model = read_measurement(folder, ScreenGeometryModel)
+    photos = image_files(folder, "images.photos", model.images.photos)
+    measurement = ScreenMeasurement(folder, model, photos)
+    refuse_missing(file, measurement.input_files)
+    names = {one.name for one in photos}
+    stated = [("measuring_photo", model.measuring_photo)]
+    if model.dots is not None and model.dots.known_dot is not None:
+        stated.append(("dots.known_dot.photo", model.dots.known_dot.photo))
+    for key, name in stated:
+        if name is not None and name not in names:
+            raise InputError(f"{file}: {key} = {name!r} is none of the {len(photos)} photos of images.photos")
+    return measurement

@@ -1,0 +1,354 @@
+"""Photos of a screen to one adjusted network of targets and dots, and from it the points of the screen."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from deflectometry.dots.found_dots import FoundDots, find_dots
+from deflectometry.dots.ground import POLARITIES, ground_of_dots
+from deflectometry.dots.marks import DotTable, number_by_marks
+from deflectometry.dots.origin import find_light, number_at
+from deflectometry.screen_geometry.keys import ScreenMeasurement, WallDotsSection
+from deflectometry.screen_geometry.numbering import DotView, number_alike
+from deflectometry.screen_geometry.screen_shape import ScreenPoints
+from heliogauge.doubts import Doubt
+from heliogauge.errors import EstimationError, InputError
+from heliogauge.images.photos import read_image
+from heliogauge.results.tables import read_table_csv
+from heliogauge.running.progress import Progress
+from heliogauge.short_repr import ShortRepr
+from heliogauge.validate import BoolArray, FloatArray, IntArray
+from photogrammetry import ImagePoints
+from photogrammetry import pipeline as photogrammetry_pipeline
+from photogrammetry.bundle import BundleResult
+from photogrammetry.pipeline import build_search, collect_photos, measure_photo
+from photogrammetry.start_values import StartValues
+
+#: A dot must be seen in so many photos to be measured with a check.
+_LEAST_PHOTOS = 2
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Seen(ShortRepr):
+    """What the photos show.
+
+    targets: Coded targets, as photogrammetry has them.
+    dots: Dots of each photo that shows the field, by its own lattice.
+    lights: Numbers of the dot beside a light, in the photo's own lattice; where one was looked for and found.
+    doubts: What is doubtful of the photos.
+    """
+
+    targets: Any
+    dots: dict[str, FoundDots]
+    lights: dict[str, IntArray]
+    doubts: tuple[Doubt, ...]
+
+
+def see(measurement: ScreenMeasurement, progress: Progress) -> Seen:
+    """Find targets and dots in all photos.
+
+    InputError: Photos or tables that cannot be used.
+    EstimationError: No targets, or fewer than two photos with dots.
+    """
+    section, model = measurement.network.model.targets, measurement.model
+    if section is None:
+        raise InputError("[targets] is missing")
+    search = build_search(section, measurement.folder)
+    found, dots, lights, without = [], {}, {}, []
+    with progress.stage("measure photos", len(measurement.photo_files)) as stage:
+        for file in measurement.photo_files:
+            image = read_image(file)
+            found.append(measure_photo(image, file.name, section, search))
+            if model.dots is not None:
+                try:
+                    own = _dots_of(image, model.dots)
+                except EstimationError as error:
+                    without.append(f"{file.name} ({error})")
+                else:
+                    dots[file.name] = own
+                    if model.dots.origin == "light":
+                        place = _light(image, own, model.dots)
+                        if place is not None:
+                            lights[file.name] = place
+            stage.advance()
+    if model.dots is not None and len(dots) < _LEAST_PHOTOS:
+        raise EstimationError(
+            f"{len(dots)} of {len(found)} photos show the field of dots, {_LEAST_PHOTOS} are needed: "
+            + "; ".join(without)
+        )
+    doubts: tuple[Doubt, ...] = ()
+    if without:
+        text = f"{len(without)} of {len(found)} photos give no dots: {'; '.join(without)}"
+        doubts = (Doubt("photos_without_dots", text, {"photos_count": len(without)}),)
+    return Seen(collect_photos(found), dots, lights, doubts)
+
+
+def _dots_of(image: npt.NDArray[Any], section: WallDotsSection) -> FoundDots:
+    return find_dots(image, np.ones(image.shape, dtype=np.bool_), POLARITIES[section.dots])
+
+
+def _light(image: npt.NDArray[Any], dots: FoundDots, section: WallDotsSection) -> IntArray | None:
+    """Return the number of the dot beside the light; None where no light stands out."""
+    try:
+        place = find_light(image, ground_of_dots(image, dots, POLARITIES[section.dots]), _hull(image, dots))
+        return number_at(dots, place)
+    except EstimationError:
+        return None
+
+
+def _hull(image: npt.NDArray[Any], dots: FoundDots) -> BoolArray:
+    """Return the pixels between the dots, shape (h, w)."""
+    import cv2
+
+    mask = np.zeros(image.shape, dtype=np.uint8)
+    cv2.fillConvexPoly(mask, cv2.convexHull(np.rint(dots.centers_px).astype(np.int32)), 1)
+    return np.asarray(mask, dtype=np.bool_)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ScreenNetwork(ShortRepr):
+    """The adjusted network of a screen.
+
+    result: Photogrammetry's.
+    number (n, 2): Column and row of each dot that was measured; empty for a display with coded targets.
+    points: The points of the screen.
+    origin: What says which dot is (0, 0), in words.
+    doubts: Those of photos, network and numbering.
+    own_frame: Whether the points do not depend on the network's frame.
+    on_display: Whether the points have fractions of a display.
+    """
+
+    result: photogrammetry_pipeline.Result
+    number: IntArray
+    points: ScreenPoints
+    origin: str
+    doubts: tuple[Doubt, ...]
+    own_frame: bool
+    on_display: bool
+
+
+def solve(measurement: ScreenMeasurement, seen: Seen, progress: Progress) -> ScreenNetwork:
+    """Adjust the network and take the points of the screen from it.
+
+    InputError: Tables that cannot be used.
+    EstimationError: The photos do not hang together, or do not say which dot is which.
+    """
+    network, model = measurement.network, measurement.model
+    alone = photogrammetry_pipeline.run(network, None, progress, measured=seen.targets)
+    if model.dots is None:
+        return _of_targets(measurement, alone, seen)
+    table = None if model.dots.file is None else DotTable.read(measurement.folder / model.dots.file)
+    names, numbers, origin, doubts = _numbered(measurement, seen, alone.solved.bundle, table)
+    points = _joined(seen.targets, names, numbers, seen.dots)
+    start = StartValues(_poses(alone.solved.bundle), {})
+    joint = photogrammetry_pipeline.run(network, None, progress, measured=points, start=start)
+    bundle = joint.solved.bundle
+    place = {name: k for k, name in enumerate(bundle.problem.observations.targets)}
+    every = np.unique(np.concatenate(numbers), axis=0)
+    enough = bundle.problem.observations.n_rays
+    chosen = np.array(
+        [one for one in every.tolist() if enough[place.get(_name(one), 0)] >= _LEAST_PHOTOS and _name(one) in place]
+    )
+    index = np.array([place[_name(one)] for one in chosen.tolist()], dtype=np.intp)
+    if table is not None and table.on_display:
+        u, v = table.fractions(chosen)
+    else:
+        low, high = chosen.min(axis=0), chosen.max(axis=0)
+        u, v = (chosen[:, 0] - low[0]) / (high[0] - low[0]), (high[1] - chosen[:, 1]) / (high[1] - low[1])
+    gathered = (*seen.doubts, *joint.doubts, *doubts)
+    found = _screen_points(measurement, bundle, index, u, v)
+    own_frame = model.shape.frame == "screen"
+    on_display = table is not None and table.on_display
+    return ScreenNetwork(joint, chosen, found, origin, gathered, own_frame, on_display)
+
+
+def _name(number: Sequence[int]) -> str:
+    return f"dot {number[0]} {number[1]}"
+
+
+def _poses(bundle: BundleResult) -> dict[str, Any]:
+    return dict(zip(bundle.problem.observations.photos, bundle.cam_from_world, strict=True))
+
+
+def _numbered(
+    measurement: ScreenMeasurement, seen: Seen, bundle: BundleResult, table: "DotTable | None"
+) -> tuple[list[str], list[IntArray], str, tuple[Doubt, ...]]:
+    """Return the photos with dots, the numbers of their dots, what says the origin, and doubts."""
+    section = measurement.model.dots
+    if section is None:
+        raise InputError("[dots] is missing")
+    poses, owners = _poses(bundle), bundle.problem
+    cameras = dict(zip(owners.observations.photos, owners.camera_index.tolist(), strict=True))
+    names = [name for name in seen.dots if name in poses]
+    if len(names) < _LEAST_PHOTOS:
+        raise EstimationError(
+            f"{len(names)} of the photos with dots hang together by their targets; {_LEAST_PHOTOS} are needed"
+        )
+    if section.origin == "marks" and table is not None:
+        numbers = [number_by_marks(seen.dots[name], table, name) for name in names]
+        return names, numbers, "marks of the pattern", ()
+    views = [DotView(name, seen.dots[name], bundle.state.cameras[cameras[name]], poses[name]) for name in names]
+    numbers = list(number_alike(views, bundle.points_m[np.isfinite(bundle.points_m).all(axis=1)]))
+    doubts: tuple[Doubt, ...] = ()
+    if section.known_dot is not None:
+        known = section.known_dot
+        if known.photo not in names:
+            raise InputError(f"dots.known_dot.photo = {known.photo!r}: no dots were found in this photo")
+        own = seen.dots[known.photo].renumbered(numbers[names.index(known.photo)])
+        zero = number_at(own, np.array(known.image_px)) - (known.column, known.row)
+        origin = f"the known dot in {known.photo}"
+    elif section.origin == "light":
+        lit = {}
+        for name, its in zip(names, numbers, strict=True):
+            if name in seen.lights:
+                at = np.flatnonzero((seen.dots[name].number == seen.lights[name]).all(axis=1))
+                if at.size:
+                    lit[name] = tuple(its[at[0]].tolist())
+        zero, doubts = _agreed(lit, len(names))
+        origin = f"the light beside it, in {len(lit)} of {len(names)} photos"
+    else:
+        zero = np.concatenate(numbers).min(axis=0)
+        origin = "the lower left one"
+    return names, [own - zero for own in numbers], origin, doubts
+
+
+def _agreed(lit: dict[str, tuple[int, ...]], count: int) -> tuple[IntArray, tuple[Doubt, ...]]:
+    """Return the dot beside the light by most photos."""
+    if not lit:
+        raise EstimationError(
+            f"no light stands out beside a dot in any of {count} photos; give [dots.known_dot], or origin = "
+            '"corner" to count from the lower left dot'
+        )
+    places, votes = np.unique(np.array(list(lit.values())), axis=0, return_counts=True)
+    best = int(np.argmax(votes))
+    if 2 * votes[best] <= len(lit):
+        raise EstimationError(
+            f"the photos do not agree on the dot beside the light ({len(places)} places in {len(lit)} photos); cover "
+            "other bright spots, or give [dots.known_dot]"
+        )
+    if len(places) == 1:
+        return places[best], ()
+    odd = [name for name, place in lit.items() if place != tuple(places[best].tolist())]
+    text = f"in {', '.join(odd)} another dot than in the other {votes[best]} photos is beside the brightest spot"
+    return places[best], (Doubt("light_beside_other_dot", text, {"photos_count": len(odd)}),)
+
+
+def _joined(targets: Any, names: Sequence[str], numbers: Sequence[IntArray], dots: dict[str, FoundDots]) -> Any:
+    """Return the image points of the targets and of the dots."""
+    points: ImagePoints = targets.points
+    photos = [points.photos[k] for k in points.photo_index.tolist()]
+    labels = [points.targets[k] for k in points.target_index.tolist()]
+    places, covariances = [points.pixels_px], [points.covariance_px2]
+    for name, number in zip(names, numbers, strict=True):
+        labels += [_name(one) for one in number.tolist()]
+        photos += [name] * len(number)
+        places.append(dots[name].centers_px)
+        covariances.append(dots[name].covariance_px2)
+    covariance = np.concatenate(covariances)
+    joined = ImagePoints.from_names(
+        photos, labels, np.concatenate(places), 0.5 * (covariance + np.swapaxes(covariance, 1, 2))
+    )
+    more = joined.n - points.n
+    kinds = np.zeros(points.n, dtype=np.intp) if targets.kinds is None else targets.kinds
+    shapes = np.concatenate([targets.ellipses_px2, np.full((more, 2, 2), np.nan)])
+    return replace(
+        targets,
+        points=joined,
+        ellipses_px2=shapes,
+        kinds=np.concatenate([kinds, np.full(more, int(kinds.max(initial=0)) + 1)]),
+    )
+
+
+def _of_targets(measurement: ScreenMeasurement, result: photogrammetry_pipeline.Result, seen: Seen) -> ScreenNetwork:
+    """Return the points of a display that coded targets at its rims mark."""
+    section = measurement.model.display
+    if section is None:
+        raise InputError("[display] is missing")
+    bundle = result.solved.bundle
+    names, u, v = _read_display(measurement.folder / section.file)
+    place = {name: k for k, name in enumerate(bundle.problem.observations.targets)}
+    groups = [[place[one] for one in _parts(name) if one in place] for name in names]
+    whole = [
+        len(group) in (1, 4) and len(group) == (4 if name not in place else 1)
+        for name, group in zip(names, groups, strict=True)
+    ]
+    if sum(whole) < 3:
+        missing = [name for name, fine in zip(names, whole, strict=True) if not fine]
+        raise EstimationError(
+            f"{sum(whole)} of the {len(names)} targets of {section.file} are in the network, 3 are needed; not there: "
+            f"{', '.join(missing[:8])}"
+        )
+    fine = np.array(whole)
+    chosen = [group for group, is_whole in zip(groups, whole, strict=True) if is_whole]
+    flat = np.array([one for group in chosen for one in group], dtype=np.intp)
+    points = _screen_points(measurement, bundle, flat, np.zeros(flat.size), np.zeros(flat.size))
+    mean = np.zeros((len(chosen), flat.size))
+    first = 0
+    for row, group in enumerate(chosen):
+        mean[row, first : first + len(group)] = 1.0 / len(group)
+        first += len(group)
+    points = replace(
+        points,
+        u=u[fine],
+        v=v[fine],
+        points_m=mean @ points.points_m,
+        shared_m=np.einsum("gn,kni->kgi", mean, points.shared_m),
+        own_m2=np.einsum("gn,nij->gij", mean**2, points.own_m2),
+    )
+    doubts: tuple[Doubt, ...] = ()
+    if not fine.all():
+        missing = [name for name, is_whole in zip(names, whole, strict=True) if not is_whole]
+        text = f"{len(missing)} of {len(names)} targets of {section.file} are not used: {', '.join(missing[:8])}"
+        doubts = (Doubt("display_targets_missing", text, {"targets_count": len(missing)}),)
+    origin = f"{int(fine.sum())} targets with known fractions"
+    gathered = (*seen.doubts, *result.doubts, *doubts)
+    own_frame = measurement.model.shape.frame == "screen"
+    return ScreenNetwork(result, np.zeros((0, 2), dtype=np.intp), points, origin, gathered, own_frame, True)
+
+
+def _parts(name: str) -> list[str]:
+    return [name, *(f"{name}.{k}" for k in range(4))]
+
+
+def _read_display(file: Path) -> tuple[list[str], FloatArray, FloatArray]:
+    columns = read_table_csv(file, ("target", "u", "v"))
+    try:
+        u, v = (np.array([float(one) for one in columns[name]]) for name in ("u", "v"))
+    except ValueError as error:
+        raise InputError(f"{file}: u and v must be numbers ({error})") from None
+    if u.size and (min(u.min(), v.min()) < -0.5 or max(u.max(), v.max()) > 1.5):
+        raise InputError(
+            f"{file}: u, v go from {min(u.min(), v.min()):g} to {max(u.max(), v.max()):g}; fractions of the displayed "
+            "image are needed (0 to 1, u from its left edge, v from its top edge)"
+        )
+    return list(columns["target"]), u, v
+
+
+def _screen_points(
+    measurement: ScreenMeasurement, bundle: BundleResult, index: IntArray, u: FloatArray, v: FloatArray
+) -> ScreenPoints:
+    """Return some targets of the network with all that they share with each other and the measuring camera."""
+    photos = bundle.problem.observations.photos
+    measuring = measurement.model.measuring_photo
+    if measuring is not None and measuring not in photos:
+        raise EstimationError(
+            f"measuring_photo = {measuring!r} is not in the network: it shows too few targets that others show too"
+        )
+    at = [] if measuring is None else [photos.index(measuring)]
+    own_frame = measurement.model.shape.frame == "screen"
+    errors = bundle.covariance.shared_errors(index, at, under_datum=not own_frame)
+    steps = errors.photos[:, 0] if at else np.zeros((len(errors.targets), 6))
+    return ScreenPoints(
+        u=u,
+        v=v,
+        points_m=bundle.state.points_m[index],
+        shared_m=errors.targets,
+        own_m2=errors.own,
+        cam_from_world=bundle.cam_from_world[at[0]] if at else None,
+        pose_steps=steps,
+        viewer_m=bundle.state.centers_m.mean(axis=0),
+    )
