@@ -27,6 +27,8 @@ FringePreset = Literal[
     "laser-scan",
     "gazing",
     "gazing-close",
+    "screen-dots",
+    "screen-rims",
 ]
 TargetPreset = Literal["small", "panel", "single", "retro", "busy", "markers", "natural"]
 BoardPreset = Literal["chessboard", "charuco", "circles", "circles-asymmetric", "targets"]
@@ -115,6 +117,13 @@ def deflectometry(
         from data_synth.sky import gazing_preset, write_gazing
 
         write_gazing(folder, gazing_preset(preset, seed), seed, force=force)
+        if not quiet:
+            print(folder)
+        return
+    if preset in ("screen-dots", "screen-rims"):
+        from data_synth.screens import ScreenChoice, write_screen_dataset
+
+        write_screen_dataset(folder, ScreenChoice("dots" if preset == "screen-dots" else "rims", seed), force=force)
         if not quiet:
             print(folder)
         return

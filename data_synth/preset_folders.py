@@ -13,6 +13,7 @@ from data_synth.heliostats import (
     write_heliostat_dataset,
 )
 from data_synth.lasers import write_laser_scan
+from data_synth.screens import ScreenChoice, write_screen_dataset
 from data_synth.sky import gazing_preset, write_gazing
 from data_synth.targets import (
     PhotoOptions,
@@ -36,6 +37,10 @@ def deflectometry(
         return
     if preset in ("gazing", "gazing-close"):
         write_gazing(folder, gazing_preset(preset, seed), seed, force=force)
+        return
+    if preset in ("screen-dots", "screen-rims"):
+        choice = ScreenChoice("dots" if preset == "screen-dots" else "rims", seed)
+        write_screen_dataset(folder, choice, force=force, progress=progress)
         return
     write_dataset(folder, preset_scene(preset), DatasetOptions(seed, force=force), progress)
 

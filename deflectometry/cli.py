@@ -309,13 +309,13 @@ def screen_geometry_command(
 ) -> None:
     """Photos of a screen or wall to its points, shape and pose: screen.nc, screen.csv, summary.json, report.html."""
     from deflectometry.screen_geometry.keys import load_screen
-    from deflectometry.screen_geometry.pipeline import run
+    from deflectometry.screen_geometry.pipeline.geometry import run
     from heliogauge.running.terminal import terminal_progress
 
     progress = terminal_progress(quiet=quiet, verbose=verbose)
     deliver(
         out,
-        lambda: run(load_screen(folder), None, progress),
+        lambda: run(load_screen(folder), progress),
         progress,
         force=force,
         quiet=quiet,

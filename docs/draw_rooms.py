@@ -27,6 +27,7 @@ METHOD = {
     ),
     "deflectometry": (
         "setup",
+        "screen_geometry",
         "sources",
         "frames",
         "fringes",
@@ -56,7 +57,18 @@ METHOD = {
     "calibration.beam": ("images", "target", "light", "mirror"),
     "calibration.survey": (),
     "calibration.heliostat": ("kinematic_model", "observations", "fitting", "diagnosis", "exports", "performance"),
-    "data_synth": ("optics", "fringes", "dots", "targets", "troughs", "heliostats", "acceptance", "lasers", "sky"),
+    "data_synth": (
+        "optics",
+        "fringes",
+        "dots",
+        "targets",
+        "troughs",
+        "heliostats",
+        "acceptance",
+        "lasers",
+        "sky",
+        "screens",
+    ),
     "heliogauge": (
         "geometry",
         "camera",

@@ -1,14 +1,12 @@
 """Marks in a field of dots: large and small ones, by which every part of the field says which part it is."""
 
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
 from deflectometry.dots.found_dots import FoundDots
 from deflectometry.dots.turns import TURNS
-from heliogauge.errors import EstimationError, InputError
-from heliogauge.results.tables import read_table_csv
+from heliogauge.errors import EstimationError
 from heliogauge.validate import BoolArray, FloatArray, IntArray
 
 #: Chance that the size of a dot is read wrong, where the photo does not say it better.
@@ -32,30 +30,6 @@ class DotTable:
     large: BoolArray
     u: FloatArray
     v: FloatArray
-
-    @classmethod
-    def read(cls, file: Path) -> "DotTable":
-        """Read a table with the columns column, row, large, and u, v where the dots are displayed.
-
-        InputError: A missing column, or values that cannot be meant.
-        """
-        columns = read_table_csv(file, ("column", "row", "large"))
-        try:
-            number = np.array([[int(one) for one in columns[name]] for name in ("column", "row")], dtype=np.intp).T
-            large = np.array([int(one) for one in columns["large"]])
-            fractions = [
-                np.array([float(one) for one in columns[name]]) if name in columns else np.full(len(number), np.nan)
-                for name in ("u", "v")
-            ]
-        except ValueError as error:
-            raise InputError(
-                f"{file}: column, row and large must be whole numbers, u and v fractions ({error})"
-            ) from None
-        if not np.isin(large, (0, 1)).all():
-            raise InputError(f"{file}: large must be 1 for a large dot and 0 for a small one")
-        if len(np.unique(number, axis=0)) < len(number):
-            raise InputError(f"{file}: a dot (column, row) is listed twice; remove one")
-        return cls(number, large.astype(np.bool_), *fractions)
 
     @property
     def on_display(self) -> bool:

@@ -11,7 +11,7 @@ from heliogauge.faces import lazy_face
 if TYPE_CHECKING:
     from deflectometry.screen_geometry.keys import load_screen as load_screen
     from deflectometry.screen_geometry.measured_screen import MeasuredScreen as MeasuredScreen
-    from deflectometry.screen_geometry.pipeline import run as run
-    from deflectometry.screen_geometry.screen_file import read_screen as read_screen
+    from deflectometry.screen_geometry.pipeline.geometry import run as run
+    from deflectometry.screen_geometry.pipeline.screen_file import read_screen as read_screen
 
 __getattr__, __dir__, __all__ = lazy_face(__name__)

@@ -8,21 +8,13 @@ from pydantic import Field, model_validator
 
 from heliogauge.errors import InputError
 from heliogauge.measurement.files import image_files
-from heliogauge.measurement.load import MEASUREMENT_FILE, read_measurement, refuse_missing
-from heliogauge.measurement.models import MeasurementModel, PhotosSection, Section, Text, Vector2
+from heliogauge.measurement.load import read_measurement, refuse_missing
+from heliogauge.measurement.models import Section, Text, Vector2
 from heliogauge.short_repr import ShortRepr
-from photogrammetry.keys import (
-    CameraSections,
-    ControlPointSection,
-    DatumSection,
-    KnownFilesSection,
-    NetworkCameraSection,
-    PhotogrammetryMeasurement,
-    PhotogrammetryModel,
-    ScaleBarSection,
-    TargetsSection,
-    with_known_files,
-)
+from photogrammetry.keys import PhotogrammetryMeasurement, PhotogrammetryModel
+
+#: Keys that are not those of a photo network.
+_OF_THE_SCREEN = {"kind", "measuring_photo", "dots", "display", "shape"}
 
 
 class KnownWallDotSection(Section):
@@ -84,32 +76,27 @@ class ShapeSection(Section):
     )
 
 
-class ScreenGeometryModel(MeasurementModel):
-    """The whole measurement.toml of ``kind = "screen-geometry"``."""
+class ScreenGeometryModel(PhotogrammetryModel):
+    """The whole measurement.toml of ``kind = "screen-geometry"``: a photo network, and what of it is the screen."""
 
-    kind: Literal["screen-geometry"] = Field(description="Photos of a screen or wall, to its geometry.")
-    camera: CameraSections = Field(
-        (NetworkCameraSection(),), description="The camera that took the photos, or a table for each; as in a network."
+    kind: Literal["screen-geometry"] = Field(  # type: ignore[assignment]
+        description="Photos of a screen or wall, to its geometry."
     )
-    images: PhotosSection = Field(description="The photos.")
     measuring_photo: Text | None = Field(
         None,
         description="The photo that the camera of the deflectometry measurement took from its place, one of the "
         "photos; its pose to the screen is a result.",
     )
-    targets: TargetsSection = Field(description="The coded targets at the rims of the screen or around it.")
     dots: WallDotsSection | None = Field(None, description="The field of dots, printed or displayed.")
     display: DisplaySection | None = Field(None, description="The display, known by coded targets at its rims.")
     shape: ShapeSection = Field(ShapeSection(), description="How the screen is described.")
-    scale_bar: tuple[ScaleBarSection, ...] = Field((), description="Known distances between targets.")
-    control_point: tuple[ControlPointSection, ...] = Field((), description="Targets with known coordinates.")
-    files: KnownFilesSection = Field(KnownFilesSection(), description="Tables of scale bars and control points.")
-    datum: DatumSection = Field(DatumSection(), description="What places the network where the rest leaves it open.")
 
     @model_validator(mode="after")
     def _dots_or_display(self) -> Self:
         if (self.dots is None) == (self.display is None):
             raise ValueError("give [dots] for a field of dots, or [display] for coded targets at the rims, one of both")
+        if self.images is None or self.targets is None:
+            raise ValueError("[images] with photos and [targets] are needed")
         if not (self.scale_bar or self.control_point or self.files.names):
             raise ValueError(
                 "the size of the screen is not determined; give a [[scale_bar]] or [[control_point]], or a table of "
@@ -135,28 +122,17 @@ class ScreenMeasurement(ShortRepr):
     def input_files(self) -> tuple[Path, ...]:
         """All files the measurement consists of, measurement.toml first."""
         model = self.model
-        named = [one.file for one in model.camera] + [
-            one.file for one in (model.dots, model.display) if one is not None
-        ]
-        others = (*(one for one in named if one is not None), *model.files.names, *model.targets.names)
-        return (self.folder / MEASUREMENT_FILE, *(self.folder / one for one in others), *self.photo_files)
+        own = [one.file for one in (model.dots, model.display) if one is not None and one.file is not None]
+        network = PhotogrammetryMeasurement(self.folder, model, self.photo_files).input_files
+        return (*network, *(self.folder / one for one in own))
 
     @property
     def network(self) -> PhotogrammetryMeasurement:
         """The same as a photo network."""
-        model = self.model
-        network = PhotogrammetryModel(
-            kind="photogrammetry",
-            name=model.name,
-            camera=model.camera,
-            images=model.images,
-            targets=model.targets.model_copy(update={"find_uncoded": False}),
-            scale_bar=model.scale_bar,
-            control_point=model.control_point,
-            files=model.files,
-            datum=model.datum,
-        )
-        return PhotogrammetryMeasurement(self.folder, with_known_files(network, self.folder), self.photo_files)
+        keys = self.model.model_dump(exclude_unset=True, exclude=_OF_THE_SCREEN)
+        keys["targets"]["find_uncoded"] = False
+        network = PhotogrammetryModel.model_validate(keys | {"kind": "photogrammetry"})
+        return PhotogrammetryMeasurement(self.folder, network, self.photo_files).with_tables()
 
 
 def load_screen(folder: Path) -> ScreenMeasurement:
@@ -178,7 +154,8 @@ def load_screen(folder: Path) -> ScreenMeasurement:
         No such folder or file, not TOML, another kind, an unknown or missing key, or a value that cannot be.
     """
     file, model = read_measurement(folder, ScreenGeometryModel)
-    photos = image_files(folder, "images.photos", model.images.photos)
+    section = model.images
+    photos = () if section is None else image_files(folder, "images.photos", section.photos)
     measurement = ScreenMeasurement(folder, model, photos)
     refuse_missing(file, measurement.input_files)
     names = {one.name for one in photos}

@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 
 from deflectometry.screen_geometry.measured_screen import MeasuredScreen
-from deflectometry.screen_geometry.pipeline import POINTS_FILE
-from deflectometry.screen_geometry.screen_file import read_screen
+from deflectometry.screen_geometry.pipeline.geometry import POINTS_FILE
+from deflectometry.screen_geometry.pipeline.screen_file import read_screen
 from heliogauge.errors import InputError
 from heliogauge.reporting import page
 from heliogauge.reporting.html import Html, join

@@ -10,13 +10,10 @@ from heliogauge.faces import lazy_face
 if TYPE_CHECKING:
     from photogrammetry.keys.cameras import CameraSections as CameraSections
     from photogrammetry.keys.cameras import NetworkCameraSection as NetworkCameraSection
-    from photogrammetry.keys.known_files import with_known_files as with_known_files
     from photogrammetry.keys.load import PhotogrammetryMeasurement as PhotogrammetryMeasurement
-    from photogrammetry.keys.measurement import ControlPointSection as ControlPointSection
     from photogrammetry.keys.measurement import CoordinateSection as CoordinateSection
     from photogrammetry.keys.measurement import DatumSection as DatumSection
     from photogrammetry.keys.measurement import DistanceSection as DistanceSection
-    from photogrammetry.keys.measurement import KnownFilesSection as KnownFilesSection
     from photogrammetry.keys.measurement import PhotogrammetryModel as PhotogrammetryModel
     from photogrammetry.keys.measurement import ScaleBarSection as ScaleBarSection
     from photogrammetry.keys.natural import NaturalSection as NaturalSection

@@ -40,6 +40,13 @@ class PhotogrammetryMeasurement(ShortRepr):
         images = dict.fromkeys(video_of(file) for file in self.photo_files)
         return (self.folder / MEASUREMENT_FILE, *(self.folder / name for name in named if name), *images)
 
+    def with_tables(self) -> "PhotogrammetryMeasurement":
+        """Return the same with what the tables of ``[files]`` say in the model.
+
+        InputError: A table that cannot be used.
+        """
+        return replace(self, model=with_known_files(self.model, self.folder))
+
 
 def load_photogrammetry(folder: Path) -> PhotogrammetryMeasurement:
     """Read and check a folder with photos, or image points, of targets.
@@ -52,4 +59,4 @@ def load_photogrammetry(folder: Path) -> PhotogrammetryMeasurement:
     photos = () if model.images is None else image_files(folder, "images.photos", model.images.photos)
     found = PhotogrammetryMeasurement(folder, model, photos)
     refuse_missing(file, found.input_files)
-    return replace(found, model=with_known_files(model, folder))
+    return found.with_tables()

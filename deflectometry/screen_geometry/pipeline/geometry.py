@@ -9,8 +9,8 @@ import numpy.typing as npt
 
 from deflectometry.screen_geometry.keys import ScreenMeasurement
 from deflectometry.screen_geometry.measured_screen import MeasuredScreen
-from deflectometry.screen_geometry.network import ScreenNetwork, see, solve
-from deflectometry.screen_geometry.screen_file import SCREEN_FILE, write_screen
+from deflectometry.screen_geometry.pipeline.network import ScreenNetwork, see, solve
+from deflectometry.screen_geometry.pipeline.screen_file import SCREEN_FILE, write_screen
 from deflectometry.screen_geometry.screen_shape import ShapeTest, describe_display, describe_dots
 from deflectometry.setup.dot_screen import DotScreen
 from heliogauge.doubts import Doubt, gather_doubts
@@ -30,11 +30,6 @@ SECTION_FILE = "screen.toml"
 _NODES = 11
 #: More than this share of image points left out is said.
 _LEFT_OUT_SHARE = 0.02
-
-
-@dataclass(frozen=True, slots=True)
-class Options:
-    """Choices of the evaluation: none."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -197,15 +192,13 @@ class Result(InstrumentResult):
         return "\n".join(lines)
 
 
-def run(measurement: ScreenMeasurement, options: Options | None = None, progress: Progress | None = None) -> Result:
+def run(measurement: ScreenMeasurement, progress: Progress | None = None) -> Result:
     """Find the geometry of a screen from photos of it.
 
     Parameters
     ----------
     measurement : ScreenMeasurement
         From `load_screen`.
-    options : Options, optional
-        Nothing yet.
     progress : Progress, optional
         Reports each stage.
 

@@ -12,6 +12,7 @@ from deflectometry.dots.found_dots import FoundDots, find_dots
 from deflectometry.dots.ground import POLARITIES, ground_of_dots
 from deflectometry.dots.marks import DotTable, number_by_marks
 from deflectometry.dots.origin import find_light, number_at
+from deflectometry.dots.pipeline.dot_table import read_dot_table
 from deflectometry.screen_geometry.keys import ScreenMeasurement, WallDotsSection
 from deflectometry.screen_geometry.numbering import DotView, number_alike
 from deflectometry.screen_geometry.screen_shape import ScreenPoints
@@ -25,6 +26,8 @@ from heliogauge.validate import BoolArray, FloatArray, IntArray
 from photogrammetry import ImagePoints
 from photogrammetry import pipeline as photogrammetry_pipeline
 from photogrammetry.bundle import BundleResult
+from photogrammetry.bundle import state as states
+from photogrammetry.keys import NetworkCameraSection, PhotogrammetryMeasurement
 from photogrammetry.pipeline import build_search, collect_photos, measure_photo
 from photogrammetry.start_values import StartValues
 
@@ -141,10 +144,11 @@ def solve(measurement: ScreenMeasurement, seen: Seen, progress: Progress) -> Scr
     alone = photogrammetry_pipeline.run(network, None, progress, measured=seen.targets)
     if model.dots is None:
         return _of_targets(measurement, alone, seen)
-    table = None if model.dots.file is None else DotTable.read(measurement.folder / model.dots.file)
+    table = None if model.dots.file is None else read_dot_table(measurement.folder / model.dots.file)
     names, numbers, origin, doubts = _numbered(measurement, seen, alone.solved.bundle, table)
     points = _joined(seen.targets, names, numbers, seen.dots)
-    start = StartValues(_poses(alone.solved.bundle), {})
+    network, is_start = _with_found_cameras(network, alone.solved.bundle)
+    start = StartValues(_poses(alone.solved.bundle), {}) if is_start else None
     joint = photogrammetry_pipeline.run(network, None, progress, measured=points, start=start)
     bundle = joint.solved.bundle
     place = {name: k for k, name in enumerate(bundle.problem.observations.targets)}
@@ -164,6 +168,32 @@ def solve(measurement: ScreenMeasurement, seen: Seen, progress: Progress) -> Scr
     own_frame = model.shape.frame == "screen"
     on_display = table is not None and table.on_display
     return ScreenNetwork(joint, chosen, found, origin, gathered, own_frame, on_display)
+
+
+def _with_found_cameras(
+    network: PhotogrammetryMeasurement, bundle: BundleResult
+) -> tuple[PhotogrammetryMeasurement, bool]:
+    """Return the network with the cameras that calibrated themselves as they were found, and whether all are.
+
+    Poses that go with a camera as it was found are no start for the same camera as it was stated.
+    """
+    found = {one.name: (one, camera) for one, camera in zip(bundle.problem.cameras, bundle.state.cameras, strict=True)}
+    sections, all_found = [], True
+    for section in network.model.camera:
+        model, camera = found.get(section.name, (None, None))
+        if model is None or camera is None or not model.free:
+            sections.append(section)
+        elif section.file is not None or section.millimetres is not None:
+            sections.append(section)
+            all_found = False
+        else:
+            values = dict(zip(states.INTRINSIC_NAMES, states.intrinsics_of(camera).tolist(), strict=True))
+            size = {"width_px": camera.width_px, "height_px": camera.height_px}
+            direction = {"distortion_direction": str(camera.distortion.direction)}
+            stated = section.model_dump(exclude_unset=True) | values | size | direction | {"free": model.free}
+            stated.pop("focal_length_35mm", None)
+            sections.append(NetworkCameraSection.model_validate(stated))
+    return replace(network, model=network.model.model_copy(update={"camera": tuple(sections)})), all_found
 
 
 def _name(number: Sequence[int]) -> str:

@@ -1,0 +1,1 @@
+"""Photos of a screen to its geometry: the stages in a row; the file of a measured screen."""
