@@ -24,6 +24,7 @@ FringePreset = Literal[
     "plane",
     "curved-screen",
     "ensemble",
+    "tower",
     "laser-scan",
     "gazing",
     "gazing-close",
@@ -117,6 +118,13 @@ def deflectometry(
         from data_synth.sky import gazing_preset, write_gazing
 
         write_gazing(folder, gazing_preset(preset, seed), seed, force=force)
+        if not quiet:
+            print(folder)
+        return
+    if preset == "tower":
+        from data_synth.fringes.tower import KNOWLEDGE, tower_scene
+
+        write_dataset(folder, tower_scene(), DatasetOptions(seed, KNOWLEDGE, force=force))
         if not quiet:
             print(folder)
         return

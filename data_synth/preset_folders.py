@@ -4,6 +4,7 @@ from pathlib import Path
 
 from data_synth.acceptance import write_tests_folder
 from data_synth.fringes import DatasetOptions, preset_scene, write_dataset
+<<<<<<< HEAD
 from data_synth.heliostats import (
     BenchOptions,
     HeliostatChoice,
@@ -12,6 +13,10 @@ from data_synth.heliostats import (
     write_beam_dataset,
     write_heliostat_dataset,
 )
+=======
+from data_synth.fringes.tower import KNOWLEDGE, tower_scene
+from data_synth.heliostats import HeliostatChoice, HeliostatOptions, heliostat_scene, write_heliostat_dataset
+>>>>>>> 66df4f12 (Heliostat seen from its tower as a preset; screens cut back to what is whole)
 from data_synth.lasers import write_laser_scan
 from data_synth.screens import ScreenChoice, write_screen_dataset
 from data_synth.sky import gazing_preset, write_gazing
@@ -37,6 +42,9 @@ def deflectometry(
         return
     if preset in ("gazing", "gazing-close"):
         write_gazing(folder, gazing_preset(preset, seed), seed, force=force)
+        return
+    if preset == "tower":
+        write_dataset(folder, tower_scene(), DatasetOptions(seed, KNOWLEDGE, force=force), progress)
         return
     if preset in ("screen-dots", "screen-rims"):
         choice = ScreenChoice("dots" if preset == "screen-dots" else "rims", seed)

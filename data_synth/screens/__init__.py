@@ -5,8 +5,8 @@ from typing import TYPE_CHECKING
 from heliogauge.faces import lazy_face
 
 if TYPE_CHECKING:
+    from data_synth.screens.dataset import write_screen_dataset as write_screen_dataset
     from data_synth.screens.scene import ScreenChoice as ScreenChoice
     from data_synth.screens.scene import screen_scene as screen_scene
-    from data_synth.screens.scene import write_screen_dataset as write_screen_dataset
 
 __getattr__, __dir__, __all__ = lazy_face(__name__)

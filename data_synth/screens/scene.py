@@ -2,35 +2,26 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
-from data_synth.fringes.dataset import SYNTHETIC, TRUTH_FILE
 from data_synth.optics.markers import marker_print
 from data_synth.optics.photo import View
 from data_synth.optics.pinhole import PinholeCamera
 from data_synth.optics.prints import DotGridPrint
 from data_synth.optics.sheets import Sheet, SheetShape
-from data_synth.screens.photo import take_photo
 from data_synth.targets.presets import dome_views, look_at
 from data_synth.targets.scene import Conditions, KnownLength, TargetScene
 from heliogauge.geometry.rigid import RigidTransform
-from heliogauge.images.photos import write_image
-from heliogauge.measurement.writer import write_measurement
-from heliogauge.results.json_file import write_json
-from heliogauge.results.tables import write_table_csv
-from heliogauge.results.whole_folder import WholeFolder
-from heliogauge.running.progress import Progress, SilentProgress
 from heliogauge.short_repr import ShortRepr
 from heliogauge.validate import FloatArray
 
 #: Camera that goes around, and the one of the measurement.
-_SURVEY = PinholeCamera(1600, 1200, 1750.0, 1745.0, 802.0, 597.0, k1=-0.08, k2=0.05)
-_BENCH = PinholeCamera(1224, 1024, 1800.0, 1800.0, 610.0, 512.0)
-_BENCH_PHOTO = "photo_bench"
-_DICTIONARY = "DICT_4X4_50"
+SURVEY = PinholeCamera(1600, 1200, 1750.0, 1745.0, 802.0, 597.0, k1=-0.08, k2=0.05)
+BENCH = PinholeCamera(1224, 1024, 1800.0, 1800.0, 610.0, 512.0)
+BENCH_PHOTO = "photo_bench"
+DICTIONARY = "DICT_4X4_50"
 _MARKER_M = 0.06
 #: Columns and rows of the field of dots, their distance and diameter [m].
 _COUNT, _PITCH_M, _DOT_M = (30, 20), 0.04, 0.011
@@ -84,13 +75,13 @@ def screen_scene(choice: ScreenChoice) -> ScreenScene:
     size = ((_COUNT[0] - 1) * _PITCH_M, (_COUNT[1] - 1) * _PITCH_M)
     places = dict(_marker_places(size))
     sheets = [
-        Sheet(str(number), marker_print(_DICTIONARY, number, _MARKER_M), _on_surface(shape, x, y))
+        Sheet(str(number), marker_print(DICTIONARY, number, _MARKER_M), _on_surface(shape, x, y))
         for number, (x, y) in places.items()
     ]
-    views = dome_views(_SURVEY, 2.1, choice.n_photos, (18.0, 35.0, 45.0), rng)
+    views = dome_views(SURVEY, 2.1, choice.n_photos, (18.0, 35.0, 45.0), rng)
     place = np.array([0.25, 0.35, 2.6]) + 0.05 * rng.standard_normal(3)
-    views = (*views, View(_BENCH_PHOTO, _BENCH, look_at(place, 0.02 * rng.standard_normal(3))))
-    scene = TargetScene("screen", tuple(sheets), views, Conditions(vignetting=0.05), dictionary=_DICTIONARY)
+    views = (*views, View(BENCH_PHOTO, BENCH, look_at(place, 0.02 * rng.standard_normal(3))))
+    scene = TargetScene("screen", tuple(sheets), views, Conditions(vignetting=0.05), dictionary=DICTIONARY)
     points = scene.points_m()
     lengths = []
     for a, b in (("0.0", "8.2"), ("4.1", "11.3")):
@@ -125,74 +116,3 @@ def _on_surface(shape: SheetShape, x_m: float, y_m: float) -> RigidTransform:
     rotation = np.stack([right, np.cross(normal, right), normal], axis=1)
     height = float(shape.height_m(np.array(x_m), np.array(y_m)))
     return RigidTransform(rotation, np.array([x_m, y_m, height]))
-
-
-def write_screen_dataset(
-    folder: Path, choice: ScreenChoice, *, force: bool = False, progress: Progress | None = None
-) -> ScreenScene:
-    """Draw the photos and write them as a measurement folder that is whole or not there.
-
-    Returns: What was drawn.
-    InputError: The folder holds something, or cannot be written to.
-    """
-    drawn, progress = screen_scene(choice), progress or SilentProgress()
-    scene = drawn.scene
-    with WholeFolder(folder, SYNTHETIC, force=force) as working:
-        with progress.stage("take photos", len(scene.views)) as stage:
-            rngs = np.random.default_rng(choice.seed).spawn(len(scene.views))
-            for view, rng in zip(scene.views, rngs, strict=True):
-                photo = take_photo(scene, view, drawn.dots_m, drawn.radii_m, drawn.shape, rng)
-                write_image(working / f"{view.name}.png", photo)
-                stage.advance()
-        comment = f"Synthetic measurement, seed {choice.seed}; see {TRUTH_FILE}."
-        write_measurement(working, _content(drawn, choice), comment=comment)
-        if choice.show == "rims":
-            names = list(drawn.markers)
-            fractions = np.array([drawn.markers[one] for one in names]).T
-            write_table_csv(working / "targets.csv", {"target": names, "u": fractions[0], "v": fractions[1]})
-        bench = scene.views[-1].cam_from_world
-        truth = {
-            "seed": choice.seed,
-            "size_m": drawn.size_m,
-            "screen_from_print": "z = a x^2 + b x y + c y^2 + d x^3 + e y^3",
-            "bending_per_m": drawn.shape.bending_per_m.tolist(),
-            "ripple_per_m2": drawn.shape.ripple_per_m2.tolist(),
-            "measuring_camera": {
-                "rotation_vector_rad": bench.rotation_vector_rad.tolist(),
-                "translation_m": bench.translation_m.tolist(),
-            },
-        }
-        write_json(working / TRUTH_FILE, truth)
-    return drawn
-
-
-def _content(drawn: ScreenScene, choice: ScreenChoice) -> dict[str, Any]:
-    """Return what measurement.toml says without its images."""
-    content: dict[str, Any] = {
-        "kind": "screen-geometry",
-        "name": "screen",
-        "camera": [
-            {"name": "survey", "width_px": _SURVEY.width_px, "height_px": _SURVEY.height_px},
-            {
-                "name": "measuring",
-                "photos": [f"{_BENCH_PHOTO}.png"],
-                "width_px": _BENCH.width_px,
-                "height_px": _BENCH.height_px,
-                "focal_px": _BENCH.focal_y_px,
-                "center_x_px": _BENCH.center_x_px,
-                "center_y_px": _BENCH.center_y_px,
-            },
-        ],
-        "images": {"photos": "photo_*.png"},
-        "measuring_photo": f"{_BENCH_PHOTO}.png",
-        "targets": {"dictionary": _DICTIONARY},
-        "scale_bar": [
-            {"a": one.a, "b": one.b, "length_m": round(one.stated_m, 7), "sigma_mm": 1e3 * one.sigma_m}
-            for one in drawn.scene.lengths
-        ],
-    }
-    if choice.show == "dots":
-        content["dots"] = {"dots": "dark", "origin": "corner"}
-    else:
-        content["display"] = {"file": "targets.csv"}
-    return content

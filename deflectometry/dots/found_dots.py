@@ -38,8 +38,6 @@ class FoundDots:
     contrast_dn (n,): Difference of dot and ground [DN].
     residual_dn: Usual noise of a pixel about the fitted dots [DN].
     n_coarse: Dots that no blurred disc fits: the last ones, with the centre of their outline.
-    size (n,): What each dot takes from or adds to its ground, in all its pixels over the contrast of the usual dot
-        [px^2]; NaN where it is not known.
     """
 
     centers_px: FloatArray
@@ -48,7 +46,6 @@ class FoundDots:
     contrast_dn: FloatArray
     residual_dn: float
     n_coarse: int = 0
-    size: FloatArray | None = None
 
     @property
     def spacing_px(self) -> float:
@@ -80,7 +77,6 @@ class FoundDots:
             self.contrast_dn[index],
             self.residual_dn,
             int(np.count_nonzero(index >= first_coarse)),
-            None if self.size is None else self.size[index],
         )
 
     def renumbered(self, number: IntArray) -> "FoundDots":

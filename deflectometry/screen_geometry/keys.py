@@ -30,22 +30,14 @@ class WallDotsSection(Section):
     """The field of dots that the photos show."""
 
     dots: Literal["dark", "light"] = Field("dark", description="Dark dots on light ground, or light ones on dark.")
-    origin: Literal["corner", "light", "marks"] = Field(
+    origin: Literal["corner", "light"] = Field(
         "corner",
-        description="Which dot is (0, 0): the lower left one seen in the first photo, that beside a point light, or as "
-        "the marks of the pattern say.",
-    )
-    file: Text | None = Field(
-        None,
-        description="Table of the pattern (columns column, row, large), as `deflectometry patterns --dots` writes it; "
-        "with the columns u, v the dots are on a display, whose surface is measured.",
+        description="Which dot is (0, 0): the lower left one, as the first photo has it, or that beside a point light.",
     )
     known_dot: KnownWallDotSection | None = Field(None, description="A dot whose place in a photo is known.")
 
     @model_validator(mode="after")
     def _one_origin(self) -> Self:
-        if self.origin == "marks" and self.file is None:
-            raise ValueError('origin = "marks" needs file, the table of the pattern')
         if self.origin != "corner" and self.known_dot is not None:
             raise ValueError(f'origin = "{self.origin}" and [dots.known_dot] are both given; leave one')
         return self
@@ -122,7 +114,7 @@ class ScreenMeasurement(ShortRepr):
     def input_files(self) -> tuple[Path, ...]:
         """All files the measurement consists of, measurement.toml first."""
         model = self.model
-        own = [one.file for one in (model.dots, model.display) if one is not None and one.file is not None]
+        own = [] if model.display is None else [model.display.file]
         network = PhotogrammetryMeasurement(self.folder, model, self.photo_files).input_files
         return (*network, *(self.folder / one for one in own))
 

@@ -84,8 +84,7 @@ def number_alike(views: Sequence[DotView], targets_m: FloatArray) -> tuple[IntAr
     if weight.max() < _SURE:
         raise EstimationError(
             f"which dot of one photo is which of another is not decided ({len(keys)} numberings, the likeliest has a "
-            f"probability of {weight.max():.2f}); take photos that show the whole field with its edges, or a pattern "
-            "with marks (`heliogauge deflectometry patterns --dots`)"
+            f"probability of {weight.max():.2f}); take photos that show the whole field with its edges"
         )
     chosen = numbers[int(np.argmax(weight))]
     upwards = np.array([1, -1])

@@ -225,7 +225,7 @@ def run(measurement: ScreenMeasurement, progress: Progress | None = None) -> Res
     own_frame = model.shape.frame == "screen"
     tests: tuple[ShapeTest, ...] = ()
     with progress.stage("shape"):
-        if model.dots is not None and not network.on_display:
+        if model.dots is not None:
             measured = describe_dots(network.points, network.number, own_frame=own_frame)
         else:
             measured, tests = describe_display(network.points, model.shape.form, own_frame=own_frame)

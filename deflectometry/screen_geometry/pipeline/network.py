@@ -10,9 +10,7 @@ import numpy.typing as npt
 
 from deflectometry.dots.found_dots import FoundDots, find_dots
 from deflectometry.dots.ground import POLARITIES, ground_of_dots
-from deflectometry.dots.marks import DotTable, number_by_marks
 from deflectometry.dots.origin import find_light, number_at
-from deflectometry.dots.pipeline.dot_table import read_dot_table
 from deflectometry.screen_geometry.keys import ScreenMeasurement, WallDotsSection
 from deflectometry.screen_geometry.numbering import DotView, number_alike
 from deflectometry.screen_geometry.screen_shape import ScreenPoints
@@ -122,7 +120,6 @@ class ScreenNetwork(ShortRepr):
     origin: What says which dot is (0, 0), in words.
     doubts: Those of photos, network and numbering.
     own_frame: Whether the points do not depend on the network's frame.
-    on_display: Whether the points have fractions of a display.
     """
 
     result: photogrammetry_pipeline.Result
@@ -131,7 +128,6 @@ class ScreenNetwork(ShortRepr):
     origin: str
     doubts: tuple[Doubt, ...]
     own_frame: bool
-    on_display: bool
 
 
 def solve(measurement: ScreenMeasurement, seen: Seen, progress: Progress) -> ScreenNetwork:
@@ -144,8 +140,7 @@ def solve(measurement: ScreenMeasurement, seen: Seen, progress: Progress) -> Scr
     alone = photogrammetry_pipeline.run(network, None, progress, measured=seen.targets)
     if model.dots is None:
         return _of_targets(measurement, alone, seen)
-    table = None if model.dots.file is None else read_dot_table(measurement.folder / model.dots.file)
-    names, numbers, origin, doubts = _numbered(measurement, seen, alone.solved.bundle, table)
+    names, numbers, origin, doubts = _numbered(measurement, seen, alone.solved.bundle)
     points = _joined(seen.targets, names, numbers, seen.dots)
     network, is_start = _with_found_cameras(network, alone.solved.bundle)
     start = StartValues(_poses(alone.solved.bundle), {}) if is_start else None
@@ -158,16 +153,12 @@ def solve(measurement: ScreenMeasurement, seen: Seen, progress: Progress) -> Scr
         [one for one in every.tolist() if enough[place.get(_name(one), 0)] >= _LEAST_PHOTOS and _name(one) in place]
     )
     index = np.array([place[_name(one)] for one in chosen.tolist()], dtype=np.intp)
-    if table is not None and table.on_display:
-        u, v = table.fractions(chosen)
-    else:
-        low, high = chosen.min(axis=0), chosen.max(axis=0)
-        u, v = (chosen[:, 0] - low[0]) / (high[0] - low[0]), (high[1] - chosen[:, 1]) / (high[1] - low[1])
+    low, high = chosen.min(axis=0), chosen.max(axis=0)
+    u, v = (chosen[:, 0] - low[0]) / (high[0] - low[0]), (high[1] - chosen[:, 1]) / (high[1] - low[1])
     gathered = (*seen.doubts, *joint.doubts, *doubts)
     found = _screen_points(measurement, bundle, index, u, v)
     own_frame = model.shape.frame == "screen"
-    on_display = table is not None and table.on_display
-    return ScreenNetwork(joint, chosen, found, origin, gathered, own_frame, on_display)
+    return ScreenNetwork(joint, chosen, found, origin, gathered, own_frame)
 
 
 def _with_found_cameras(
@@ -205,7 +196,7 @@ def _poses(bundle: BundleResult) -> dict[str, Any]:
 
 
 def _numbered(
-    measurement: ScreenMeasurement, seen: Seen, bundle: BundleResult, table: "DotTable | None"
+    measurement: ScreenMeasurement, seen: Seen, bundle: BundleResult
 ) -> tuple[list[str], list[IntArray], str, tuple[Doubt, ...]]:
     """Return the photos with dots, the numbers of their dots, what says the origin, and doubts."""
     section = measurement.model.dots
@@ -218,9 +209,6 @@ def _numbered(
         raise EstimationError(
             f"{len(names)} of the photos with dots hang together by their targets; {_LEAST_PHOTOS} are needed"
         )
-    if section.origin == "marks" and table is not None:
-        numbers = [number_by_marks(seen.dots[name], table, name) for name in names]
-        return names, numbers, "marks of the pattern", ()
     views = [DotView(name, seen.dots[name], bundle.state.cameras[cameras[name]], poses[name]) for name in names]
     numbers = list(number_alike(views, bundle.points_m[np.isfinite(bundle.points_m).all(axis=1)]))
     doubts: tuple[Doubt, ...] = ()
@@ -337,7 +325,7 @@ def _of_targets(measurement: ScreenMeasurement, result: photogrammetry_pipeline.
     origin = f"{int(fine.sum())} targets with known fractions"
     gathered = (*seen.doubts, *result.doubts, *doubts)
     own_frame = measurement.model.shape.frame == "screen"
-    return ScreenNetwork(result, np.zeros((0, 2), dtype=np.intp), points, origin, gathered, own_frame, True)
+    return ScreenNetwork(result, np.zeros((0, 2), dtype=np.intp), points, origin, gathered, own_frame)
 
 
 def _parts(name: str) -> list[str]:
