@@ -4,7 +4,7 @@ from pathlib import Path
 
 from data_synth.acceptance import write_tests_folder
 from data_synth.fringes import DatasetOptions, preset_scene, write_dataset
-<<<<<<< HEAD
+from data_synth.fringes.tower import KNOWLEDGE, tower_scene
 from data_synth.heliostats import (
     BenchOptions,
     HeliostatChoice,
@@ -13,10 +13,6 @@ from data_synth.heliostats import (
     write_beam_dataset,
     write_heliostat_dataset,
 )
-=======
-from data_synth.fringes.tower import KNOWLEDGE, tower_scene
-from data_synth.heliostats import HeliostatChoice, HeliostatOptions, heliostat_scene, write_heliostat_dataset
->>>>>>> 66df4f12 (Heliostat seen from its tower as a preset; screens cut back to what is whole)
 from data_synth.lasers import write_laser_scan
 from data_synth.screens import ScreenChoice, write_screen_dataset
 from data_synth.sky import gazing_preset, write_gazing
