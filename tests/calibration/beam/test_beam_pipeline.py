@@ -7,18 +7,16 @@ import cv2
 import numpy as np
 import pytest
 
-from calibration.beam.light.beam_flags import BeamFlag
-from calibration.beam.pipeline.beams import (
+from calibration.beam.images.target_frames import (
     ArucoMarkers,
     CornerPixels,
     DarkMarks,
     MarkerTemplates,
     TargetFrame,
     WholeImage,
-    measure_beams,
-    target_image,
-    write_beams,
 )
+from calibration.beam.light.beam_flags import BeamFlag
+from calibration.beam.pipeline.beams import measure_beams, target_image, write_beams
 from calibration.beam.target.marks import CORNERS
 from calibration.beam.target.view import view_from_points
 from heliogauge.errors import InputError

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from calibration.beam.images.target_frames import TargetFinder
+from calibration.beam.images.target_finder import TargetFinder
 from calibration.beam.target.marks import CORNERS, mark_corner
 from calibration.heliostat.kinematic_model.design import PlaneTarget
 from calibration.heliostat.observations.plant import Plant
