@@ -133,6 +133,31 @@ def measure_command(
     )
 
 
+@app.command("plan")
+def plan_command(
+    folder: MeasurementFolder,
+    out: OutFolder,
+    force: Force = False,
+    no_report: NoReport = False,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+) -> None:
+    """Plan a measurement by backward gazing: spacings of the cameras compared; spacings.csv, report.html."""
+    from deflectometry.gazing.planning.keys import load_gazing_plan
+    from deflectometry.gazing.planning.plan import run
+    from heliogauge.running.terminal import terminal_progress
+
+    progress = terminal_progress(quiet=quiet, verbose=verbose)
+    deliver(
+        out,
+        lambda: run(load_gazing_plan(folder), progress),
+        progress,
+        force=force,
+        quiet=quiet,
+        report=not no_report,
+    )
+
+
 @imports.command("opencsp")
 def import_opencsp_command(
     files: Annotated[

@@ -83,6 +83,16 @@ INSTRUMENT = Instrument(
             init_help="For photos of a screen or wall, to its geometry.",
             run="deflectometry.screen_geometry.pipeline.geometry:run",
         ),
+        Kind(
+            name="backward-gazing-plan",
+            model="deflectometry.gazing.planning.keys:GazingPlanModel",
+            load="deflectometry.gazing.planning.keys:load_gazing_plan",
+            template="deflectometry.gazing.planning:template_plan.toml",
+            command="deflectometry plan",
+            init_option="--gazing-plan",
+            init_help="For a plan of backward gazing: how far apart the cameras should stand.",
+            run="deflectometry.gazing.planning.plan:run",
+        ),
     ),
     synth="data_synth.preset_folders:deflectometry",
     synth_command="data_synth.cli:deflectometry",
@@ -94,5 +104,6 @@ INSTRUMENT = Instrument(
         "deflectometry-compare": "deflectometry.report:report_compare.ipynb",
         "backward-gazing": "deflectometry.report:report_gazing.ipynb",
         "screen-geometry": "deflectometry.screen_geometry:report.ipynb",
+        "backward-gazing-plan": "deflectometry.report:report_gazing_plan.ipynb",
     },
 )

@@ -12,6 +12,7 @@ from deflectometry.gazing.node_slopes import (
     NodeSlopes,
     d_deviation_d_slopes,
     d_expected_d_deviation,
+    deviations,
     expected,
     solve_nodes,
 )
@@ -35,11 +36,13 @@ class Gains:
     """What each camera sees over what it should, as its logarithm.
 
     logarithm (c,): Adjusted.
-    covariance (c, c): Of these.
+    shift_m (c, 2): By what each camera stands beside its stated place, in x and y of the mirror.
+    covariance (3 c, 3 c): Of the logarithms, of all shifts in x, of all shifts in y.
     misfit (c,): RMS of each camera's residuals over their sigmas, the share that two slopes took away restored.
     """
 
     logarithm: FloatArray
+    shift_m: FloatArray
     covariance: FloatArray
     misfit: FloatArray
 
@@ -69,25 +72,35 @@ def spread_nodes(facets: Sequence[Brightness], count: int = _NODES) -> list[Brig
     return chosen
 
 
-def fit_gains(facets: Sequence[Brightness], profile: SunProfile, prior: FloatArray) -> Gains:
-    """Find the gains of all cameras and the slopes of some nodes together.
+def fit_gains(facets: Sequence[Brightness], profile: SunProfile, prior: FloatArray, places: FloatArray) -> Gains:
+    """Find gains and places of all cameras and the slopes of some nodes together.
 
     facets: Nodes of each facet, from `spread_nodes`.
     prior (c, c): Covariance of the logarithms before: of each camera's level, and of the reflectance.
-    Returns: The gains.
+    places (c, c): Covariance of each coordinate of the cameras' places against the mirror [m^2].
+    Returns: Gains, and places across the sight.
 
-    Two slopes leave of c brightnesses c - 2 that know the gains: the slopes are eliminated from the normal equations
-    node by node (Schur complement).
+    Two slopes leave of c brightnesses c - 2 that know gains and places: the slopes are eliminated from the normal
+    equations node by node (Schur complement). Both are found at once: a camera that stands 2 mm beside its stated place
+    looks like one with another gain.
     """
     count = len(prior)
-    logarithm, inverse_prior = np.zeros(count), np.linalg.inv(prior)
+    # Exact places keep a hair of freedom, so that their covariance has an inverse.
+    loose = places + 1e-12 * np.eye(count)
+    inverse_prior = np.zeros((3 * count, 3 * count))
+    for first, one in ((0, prior), (count, loose), (2 * count, loose)):
+        inverse_prior[first : first + count, first : first + count] = np.linalg.inv(one)
+    values: FloatArray = np.zeros(3 * count)
     normal = inverse_prior
+    squares, freedom = np.zeros(count), np.zeros(count)
     for _ in range(_ROUNDS):
-        normal, right = inverse_prior.copy(), -inverse_prior @ logarithm
+        normal, right = inverse_prior.copy(), -inverse_prior @ values
         squares, freedom = np.zeros(count), np.zeros(count)
-        for seen in facets:
-            found = solve_nodes(seen, profile, np.exp(logarithm))
-            model, residual, weight, kept = _eliminated(seen, found, profile, np.exp(logarithm))
+        gains = np.exp(values[:count])
+        for stated in facets:
+            seen = stated.moved(values[count:].reshape(2, count).T)
+            found = solve_nodes(seen, profile, gains)
+            model, residual, weight, kept = _eliminated(seen, found, profile, gains)
             left = np.diagonal(kept, axis1=1, axis2=2)
             share_left = np.divide(left, weight, out=np.zeros(left.shape), where=weight > 0)
             # Where the slopes take a camera's light as it is, its residual says nothing.
@@ -96,14 +109,38 @@ def fit_gains(facets: Sequence[Brightness], profile: SunProfile, prior: FloatArr
             freedom += (share_left * tested).sum(axis=0)
             # Nodes that no slopes explain would draw the gains to themselves.
             share = 1.0 / np.maximum(1.0, found.misfit / (4.0 * max(count - 2, 1)))
-            normal += np.einsum("n,nc,ncd,nd->cd", share, model, kept, model)
-            right += np.einsum("n,nc,ncd,nd->c", share, model, kept, residual)
+            by_place = _d_light_d_place(seen, found.slopes, profile, gains)
+            design = np.concatenate([_diagonal(one) for one in (model, by_place[..., 0], by_place[..., 1])], axis=2)
+            weighted = np.einsum("n,nci,ncd->nid", share, design, kept)
+            normal += np.einsum("nid,ndj->ij", weighted, design)
+            right += np.einsum("nid,nd->i", weighted, residual)
         step = np.linalg.solve(normal, right)
         # A twentieth of what is unknown: the next round would change nothing that matters.
         if (np.abs(step) < 0.05 * np.sqrt(np.diag(np.linalg.inv(normal)))).all():
             break
-        logarithm = logarithm + np.clip(step, -0.5, 0.5)
-    return Gains(logarithm, np.linalg.inv(normal), np.sqrt(squares / np.maximum(freedom, 1e-9)))
+        values = values + np.clip(step, -0.5, 0.5)
+    return Gains(
+        values[:count],
+        values[count:].reshape(2, count).T,
+        np.asarray(np.linalg.inv(normal), dtype=np.float64),
+        np.asarray(np.sqrt(squares / np.maximum(freedom, 1e-9))),
+    )
+
+
+def _diagonal(values: FloatArray) -> FloatArray:
+    """Return diagonal matrices (n, c, c) of values (n, c)."""
+    return np.asarray(values[:, :, None] * np.eye(values.shape[1]))
+
+
+def _d_light_d_place(seen: Brightness, slopes: FloatArray, profile: SunProfile, gains: FloatArray) -> FloatArray:
+    """Return how each camera's light follows its own place in x and y, shape (n, c, 2) [1/m]."""
+    steep = d_expected_d_deviation(seen, slopes, profile) * gains[:, None, None]
+    off, step = deviations(seen, slopes), 1e-3
+    columns = []
+    for axis in np.eye(2):
+        change = (deviations(seen.moved(np.tile(step * axis, (len(gains), 1))), slopes) - off).mean(axis=2) / step
+        columns.append((steep * change).sum(axis=2).T)
+    return np.stack(columns, axis=-1)
 
 
 def _eliminated(

@@ -93,8 +93,6 @@ def _moved(
 ) -> Iterator[tuple[str, FloatArray]]:
     """Yield each source, and what one sigma of it does to the light of each camera (c, n)."""
     light = gains.factors[:, None] * expected(seen, slopes, profile)
-    for step in principal_steps(gains.covariance):
-        yield "brightness levels", step[:, None] * light
     steep = d_expected_d_deviation(seen, slopes, profile) * gains.factors[:, None, None]
     off = deviations(seen, slopes)
 
@@ -102,14 +100,15 @@ def _moved(
         change = (deviations(moved, slopes) - off).mean(axis=2)
         return np.asarray((steep * change).sum(axis=2))
 
-    for axis in np.eye(3):
-        for camera, sigma in enumerate(sigmas.eyes_m):
-            if sigma > 0:
-                eyes = seen.eyes_m.copy()
-                eyes[camera] += sigma * axis
-                yield "camera places", through(replace(seen, eyes_m=eyes))
-        if sigmas.mirror_m > 0:
-            yield "mirror place", through(replace(seen, eyes_m=seen.eyes_m - sigmas.mirror_m * axis))
+    count = len(gains.logarithm)
+    for step in principal_steps(gains.covariance):
+        shift = step[count:].reshape(2, count).T
+        yield "brightness levels and places", step[:count, None] * light + through(seen.moved(shift))
+    along = np.array([0.0, 0.0, 1.0])
+    for camera, sigma in enumerate(sigmas.eyes_m):
+        eyes = seen.eyes_m.copy()
+        eyes[camera] += np.hypot(sigma, sigmas.mirror_m) * along
+        yield "distance", through(replace(seen, eyes_m=eyes))
     if sigmas.sun_rad > 0:
         across = np.linalg.svd(seen.sun[None])[2][1:]
         for one in across:

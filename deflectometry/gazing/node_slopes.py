@@ -1,6 +1,6 @@
 """From the brightness of one mirror point in several cameras to its two slopes, with what is left unknown."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -54,6 +54,14 @@ class Brightness:
             self.eyes_m,
             self.sun,
         )
+
+    def moved(self, shift_m: FloatArray) -> "Brightness":
+        """Return the same with cameras elsewhere by shifts in x and y (c, 2) [m]."""
+        return replace(self, eyes_m=self.eyes_m + np.pad(shift_m, ((0, 0), (0, 1))))
+
+    def with_value(self, value: FloatArray) -> "Brightness":
+        """Return the same points with other light (c, n)."""
+        return replace(self, value=value)
 
     def of_cameras(self, cameras: IntArray) -> "Brightness":
         """Return what some of the cameras saw."""

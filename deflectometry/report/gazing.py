@@ -1,13 +1,18 @@
 """The cameras of backward gazing and the sun's profile, for the report."""
 
+from pathlib import Path
+
 import numpy as np
 
 from deflectometry.gazing.pipeline.result import CAMERAS_FILE, PROFILE_FILE
-from heliogauge.reporting.html import Html, beside, join
+from deflectometry.gazing.planning.plan import SPACINGS_FILE
+from heliogauge.reporting import page
+from heliogauge.reporting.html import FirstScreen, Html, beside, join
 from heliogauge.reporting.look import LINE_X, LINE_Y
 from heliogauge.reporting.notation import number_text
 from heliogauge.reporting.results import Results
-from heliogauge.results.folder import read_table_csv
+from heliogauge.reporting.verdict import verdict_of
+from heliogauge.results.folder import SUMMARY_FILE, read_summary, read_table_csv, unit_of
 from heliogauge.view.charts import ChartSeries, ChartView, Mark
 from heliogauge.view.tables import TableColumn, TableView
 
@@ -50,3 +55,41 @@ def cameras_and_sun(results: Results) -> Html:
         equal=True,
     )
     return join(table, beside(sun, places))
+
+
+#: Numbers of a plan: key and label.
+_PLAN = (
+    ("spacing_m", "Side of the square of cameras"),
+    ("sigma_measured_rad", "Slopes where measured, each way"),
+    ("sigma_at_zero_slope_rad", "Near zero slope"),
+    ("measured_share", "Measured"),
+    ("blind_share", "Blind"),
+)
+
+
+def plan_first(folder: Path) -> FirstScreen:
+    """Return the best spacing of a plan with what it gives."""
+    summary = read_summary(folder / SUMMARY_FILE)
+    rows = []
+    for key, label in _PLAN:
+        name, unit = unit_of(key)
+        rows.append((label, number_text(float(summary.numbers[key] or 0.0), None, unit, name), ""))
+    line = f"{summary.kind}; heliogauge {summary.version}"
+    return page.first_screen(summary.name, line, verdict_of(summary), rows, None)
+
+
+def spacings(folder: Path) -> ChartView:
+    """Return what each spacing of a plan gives."""
+    names = ("side_m", "expected_error_rad", "sigma_at_zero_rad", "blind_share")
+    table = read_table_csv(folder / SPACINGS_FILE, names)
+    side, error, at_zero = (np.array(table[name], dtype=np.float64) for name in names[:3])
+    return ChartView(
+        "What a spacing gives",
+        "side of the square of cameras [m]",
+        "each slope [mrad]",
+        (
+            ChartSeries("expected error, blind points with their slopes", side, 1e3 * error, LINE_X),
+            ChartSeries("sigma near zero slope", side, 1e3 * at_zero, LINE_Y),
+        ),
+        note="Close cameras see a slope near zero on the even middle of the sun; far ones lose the sun beside it.",
+    )

@@ -103,7 +103,9 @@ def run(
                 "the cameras' places, or whether the heliostat tracked"
             )
         refuse_exchanged(names, some, of_sun.profile, prior)
-        gains = fit_gains(some, of_sun.profile, prior)
+        sigmas = gazing_sigmas(measurement, list(range(len(cameras))))
+        places = np.diag(sigmas.eyes_m**2) + sigmas.mirror_m**2
+        gains = fit_gains(some, of_sun.profile, prior, places)
         left_out = contradicting_camera(gains, prior)
         chosen = [number for number in range(len(cameras)) if left_out is None or number != left_out.number]
         if left_out is not None and options.strict:
@@ -111,12 +113,13 @@ def run(
         kept = np.array(chosen)
         if left_out is not None:
             prior = prior[np.ix_(kept, kept)]
-            gains = fit_gains([one.of_cameras(kept) for one in some], of_sun.profile, prior)
+            places = places[np.ix_(kept, kept)]
+            gains = fit_gains([one.of_cameras(kept) for one in some], of_sun.profile, prior, places)
         _refuse_impossible_gains([names[number] for number in chosen], gains, prior)
     with progress.stage("slopes", steps=len(facets)) as stage:
         solved = []
         for grid, (bright, nodes, saturated) in zip(grids, seen, strict=True):
-            few = bright.of_cameras(kept)
+            few = bright.of_cameras(kept).moved(gains.shift_m)
             found = solve_nodes(few, of_sun.profile, gains.factors)
             solved.append(SolvedFacet(grid, nodes, saturated, few, found))
             stage.advance()

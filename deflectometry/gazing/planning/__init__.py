@@ -1,0 +1,1 @@
+"""How far apart the cameras of backward gazing should stand: sigmas to be expected, and what will be blind."""
