@@ -65,7 +65,7 @@ def first_screen(report: MirrorReport) -> Html:
             "of a facet's normal, beyond the surface",
         ),
         ("Scatter of the beam", said("scatter_rad", "{:.2f}", 1e3, "mrad"), "beyond surface and sun"),
-        ("Slope error", "below " + said("slope_error_bound_rad", "{:.2f}", 1e3, "mrad"), "bound, 95 %"),
+        ("Slope error at most", said("slope_error_bound_rad", "{:.2f}", 1e3, "mrad"), "bound, 95 %"),
     ]
     line = f"{report.summary.texts.get('mirror', '')}; {report.summary.texts.get('sun', '')}"
     passed = [] if report.summary.doubts else ["measured and expected flux are those of one mirror"]
