@@ -28,6 +28,7 @@ FringePreset = Literal[
     "laser-scan",
     "gazing",
     "gazing-close",
+    "stars",
     "screen-dots",
     "screen-rims",
 ]
@@ -111,6 +112,13 @@ def deflectometry(
         from data_synth.lasers import write_laser_scan
 
         write_laser_scan(folder, seed=seed, force=force)
+        if not quiet:
+            print(folder)
+        return
+    if preset == "stars":
+        from data_synth.stars import write_stars
+
+        write_stars(folder, seed=seed, force=force)
         if not quiet:
             print(folder)
         return

@@ -16,6 +16,7 @@ from data_synth.heliostats import (
 from data_synth.lasers import write_laser_scan
 from data_synth.screens import ScreenChoice, write_screen_dataset
 from data_synth.sky import gazing_preset, write_gazing
+from data_synth.stars import write_stars
 from data_synth.targets import (
     PhotoOptions,
     board_scene,
@@ -35,6 +36,9 @@ def deflectometry(
     """Draw fringe images of a screen seen in a mirror, or scan one with a laser."""
     if preset == "laser-scan":
         write_laser_scan(folder, seed=seed, force=force)
+        return
+    if preset == "stars":
+        write_stars(folder, seed=seed, force=force)
         return
     if preset in ("gazing", "gazing-close"):
         write_gazing(folder, gazing_preset(preset, seed), seed, force=force)

@@ -118,6 +118,11 @@ def measure_command(
             from deflectometry.gazing.pipeline.measure import run as run_gazing
 
             return run_gazing(load_gazing(folder), options, progress)
+        if kind == "stars":
+            from deflectometry.stars.keys import load_stars
+            from deflectometry.stars.pipeline.measure import run as run_stars
+
+            return run_stars(load_stars(folder), options, progress)
         from deflectometry.keys import load_deflectometry
 
         return run(load_deflectometry(folder), options, progress)

@@ -84,6 +84,17 @@ INSTRUMENT = Instrument(
             run="deflectometry.screen_geometry.pipeline.geometry:run",
         ),
         Kind(
+            name="stars",
+            model="deflectometry.stars.keys:StarsModel",
+            load="deflectometry.stars.keys:load_stars",
+            template="deflectometry.stars:template_stars.toml",
+            command="deflectometry measure",
+            init_option="--stars",
+            init_help="For stars seen in the facets of a heliostat at night.",
+            run="deflectometry.stars.pipeline.measure:run",
+            options="deflectometry.pipeline.choices:Options",
+        ),
+        Kind(
             name="backward-gazing-plan",
             model="deflectometry.gazing.planning.keys:GazingPlanModel",
             load="deflectometry.gazing.planning.keys:load_gazing_plan",
@@ -104,6 +115,7 @@ INSTRUMENT = Instrument(
         "deflectometry-compare": "deflectometry.report:report_compare.ipynb",
         "backward-gazing": "deflectometry.report:report_gazing.ipynb",
         "screen-geometry": "deflectometry.screen_geometry:report.ipynb",
+        "stars": "deflectometry.report:report_stars.ipynb",
         "backward-gazing-plan": "deflectometry.report:report_gazing_plan.ipynb",
     },
 )

@@ -35,6 +35,7 @@ METHOD = {
         "laser",
         "field",
         "gazing",
+        "stars",
         "pose",
         "shape",
         "poses",
@@ -67,6 +68,7 @@ METHOD = {
         "acceptance",
         "lasers",
         "sky",
+        "stars",
         "screens",
     ),
     "heliogauge": (

