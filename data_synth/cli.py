@@ -31,6 +31,7 @@ FringePreset = Literal[
     "stars",
     "screen-dots",
     "screen-rims",
+    "surface-scan",
 ]
 TargetPreset = Literal["small", "panel", "single", "retro", "busy", "markers", "natural"]
 BoardPreset = Literal["chessboard", "charuco", "circles", "circles-asymmetric", "targets"]
@@ -100,7 +101,7 @@ def deflectometry(
     quiet: Quiet = False,
     verbose: Verbose = False,
 ) -> None:
-    """Draw fringe images of a screen seen in a mirror with known slope errors, or scan one with a laser."""
+    """Draw fringe images of a screen seen in a mirror with known slope errors, or scan it with a laser."""
     from data_synth.fringes.dataset import DatasetOptions, PoseOptions, write_dataset, write_poses
     from data_synth.fringes.faults import Fault
     from data_synth.fringes.knowledge import Knowledge
@@ -108,10 +109,11 @@ def deflectometry(
     from deflectometry.setup import make_pattern
     from heliogauge.running.terminal import terminal_progress
 
-    if preset == "laser-scan":
-        from data_synth.lasers import write_laser_scan
+    if preset in ("laser-scan", "surface-scan"):
+        from data_synth.lasers import write_laser_scan, write_surface_scan
 
-        write_laser_scan(folder, seed=seed, force=force)
+        write = write_laser_scan if preset == "laser-scan" else write_surface_scan
+        write(folder, seed=seed, force=force)
         if not quiet:
             print(folder)
         return

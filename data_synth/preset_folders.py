@@ -13,7 +13,7 @@ from data_synth.heliostats import (
     write_beam_dataset,
     write_heliostat_dataset,
 )
-from data_synth.lasers import write_laser_scan
+from data_synth.lasers import write_laser_scan, write_surface_scan
 from data_synth.screens import ScreenChoice, write_screen_dataset
 from data_synth.sky import gazing_preset, write_gazing
 from data_synth.stars import write_stars
@@ -33,7 +33,7 @@ from heliogauge.running.progress import Progress, SilentProgress
 def deflectometry(
     folder: Path, *, preset: str = "small", seed: int = 0, force: bool = False, progress: Progress | None = None
 ) -> None:
-    """Draw fringe images of a screen seen in a mirror, or scan one with a laser."""
+    """Draw fringe images of a screen seen in a mirror, or scan one or its surface with a laser."""
     if preset == "laser-scan":
         write_laser_scan(folder, seed=seed, force=force)
         return
@@ -49,6 +49,9 @@ def deflectometry(
     if preset in ("screen-dots", "screen-rims"):
         choice = ScreenChoice("dots" if preset == "screen-dots" else "rims", seed)
         write_screen_dataset(folder, choice, force=force, progress=progress)
+        return
+    if preset == "surface-scan":
+        write_surface_scan(folder, seed=seed, force=force)
         return
     write_dataset(folder, preset_scene(preset), DatasetOptions(seed, force=force), progress)
 

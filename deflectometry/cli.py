@@ -108,6 +108,11 @@ def measure_command(
             from deflectometry.dots.pipeline.measure import run as run_dots
 
             return run_dots(load_dots(folder), options, progress)
+        if kind == "surface-scan":
+            from deflectometry.scans.keys import load_surface_scan
+            from deflectometry.scans.pipeline.measure import run as run_scan
+
+            return run_scan(load_surface_scan(folder), options, progress)
         if kind == "laser-scan":
             from deflectometry.laser.keys import load_laser
             from deflectometry.laser.pipeline.measure import run as run_laser

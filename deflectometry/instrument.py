@@ -52,6 +52,17 @@ INSTRUMENT = Instrument(
             check="deflectometry.poses.pipeline.check:find_faults",
         ),
         Kind(
+            name="surface-scan",
+            model="deflectometry.scans.keys:SurfaceScanModel",
+            load="deflectometry.scans.keys:load_surface_scan",
+            template="deflectometry.scans:template_scan.toml",
+            command="deflectometry measure",
+            init_option="--scan",
+            init_help="For points of the surface by laser tracker or scanner, instead of images of fringes.",
+            run="deflectometry.scans.pipeline.measure:run",
+            options="deflectometry.pipeline.choices:Options",
+        ),
+        Kind(
             name="laser-scan",
             model="deflectometry.laser.keys:LaserModel",
             load="deflectometry.laser.keys:load_laser",
@@ -108,6 +119,7 @@ INSTRUMENT = Instrument(
     synth="data_synth.preset_folders:deflectometry",
     synth_command="data_synth.cli:deflectometry",
     reports={
+        "surface-scan": "deflectometry.report:report_slopes.ipynb",
         "deflectometry": "deflectometry.report:report.ipynb",
         "slopes": "deflectometry.report:report_slopes.ipynb",
         "deflectometry-poses": "deflectometry.report:report_poses.ipynb",

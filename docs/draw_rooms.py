@@ -36,6 +36,7 @@ METHOD = {
         "field",
         "gazing",
         "stars",
+        "scans",
         "pose",
         "shape",
         "poses",

@@ -1,4 +1,4 @@
-"""Laser scans of a mirror with known slope errors."""
+"""Laser scans of a mirror with known slope errors, and of its surface."""
 
 from typing import TYPE_CHECKING
 
@@ -6,6 +6,8 @@ from heliogauge.faces import lazy_face
 
 if TYPE_CHECKING:
     from data_synth.lasers.dataset import write_laser_scan as write_laser_scan
+    from data_synth.lasers.dataset import write_surface_scan as write_surface_scan
+    from data_synth.lasers.points import PointScene as PointScene
     from data_synth.lasers.scan import LaserScene as LaserScene
 
 __getattr__, __dir__, __all__ = lazy_face(__name__)

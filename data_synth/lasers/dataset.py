@@ -1,10 +1,11 @@
-"""A trough panel scanned by a laser from twice its focal length: scan.csv, measurement.toml and the truth."""
+"""A trough panel scanned by a laser, and a facet whose surface is: tables, measurement.toml and the truth."""
 
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from data_synth.fringes.dataset import SYNTHETIC, TRUTH_FILE
+from data_synth.lasers.points import PointScene, scan_points
 from data_synth.lasers.scan import LaserScene, trace_scan
 from heliogauge.measurement.writer import write_measurement
 from heliogauge.results.json_file import write_json
@@ -63,4 +64,33 @@ def write_laser_scan(
         write_table_csv(working / TRUTH_TABLE, truth)
         write_json(
             working / TRUTH_FILE, {"seed": seed, "place_m": traced.place_m.tolist(), "turn_rad": list(scene.turn_rad)}
+        )
+
+
+def write_surface_scan(folder: Path, scene: PointScene | None = None, seed: int = 0, *, force: bool = False) -> None:
+    """Scan a facet and write the measurement folder, with truth.json.
+
+    force: Replace an earlier synthetic measurement.
+    InputError: The folder holds something or cannot be written to.
+    """
+    scene = scene or PointScene()
+    points = scan_points(scene, seed)
+    content = {
+        "kind": "surface-scan",
+        "name": "facet",
+        "notes": "Synthetic: drawn by heliogauge deflectometry synth --preset surface-scan.",
+        "points": {"file": "points.csv", "sigma_point_mm": 1e3 * scene.sigma_point_m},
+        "mirror": {"design": scene.design} | dict(scene.design_numbers),
+    }
+    place = scene.scanner_from_mirror
+    with WholeFolder(folder, SYNTHETIC, force=force) as working:
+        write_table_csv(working / "points.csv", dict(zip(("x_m", "y_m", "z_m"), points.T, strict=True)))
+        write_measurement(working, content, comment=f"Synthetic measurement, seed {seed}; see truth.json.")
+        write_json(
+            working / TRUTH_FILE,
+            {
+                "seed": seed,
+                "scanner_from_mirror_rotation": place.rotation.tolist(),
+                "scanner_from_mirror_translation_m": place.translation_m.tolist(),
+            },
         )

@@ -166,6 +166,23 @@ def evaluate_nurbs(file: Path, control_m: FloatArray, degrees: list[int]) -> tup
 
 
 def _read_ply(file: Path) -> tuple[FloatArray, FloatArray]:
+    columns = read_ply_columns(file)
+    if not {"x", "y", "z", "nx", "ny", "nz"} <= set(columns):
+        raise InputError(
+            f"{file}: vertices with x, y, z and normals nx, ny, nz are needed; points without normals are a scan of "
+            "the surface (`heliogauge deflectometry init FOLDER --scan`)"
+        )
+    points = np.column_stack([columns[name] for name in ("x", "y", "z")])
+    normals = np.column_stack([columns[name] for name in ("nx", "ny", "nz")])
+    good = np.isfinite(points).all(axis=1) & np.isfinite(normals).all(axis=1) & (np.abs(normals).max(axis=1) > 0)
+    return points[good], normals[good]
+
+
+def read_ply_columns(file: Path) -> dict[str, FloatArray]:
+    """Read what a PLY file says of its vertices.
+
+    InputError: Not a PLY file, other elements before the vertices, or vertices without x, y, z.
+    """
     content = read_regular(file, "a PLY file", _MOST_BYTES)
     head, found, body = content.partition(b"end_header\n")
     if not content.startswith(b"ply") or not found:
@@ -175,8 +192,8 @@ def _read_ply(file: Path) -> tuple[FloatArray, FloatArray]:
     if not found or form is None:
         raise InputError(f"{file}: not a PLY file; its header is not whole")
     fields, count, before = _vertex_fields(lines)
-    if before or not {"x", "y", "z", "nx", "ny", "nz"} <= {name for name, _ in fields}:
-        raise InputError(f"{file}: vertices with x, y, z and normals nx, ny, nz are needed, as the first element")
+    if before or not {"x", "y", "z"} <= {name for name, _ in fields}:
+        raise InputError(f"{file}: vertices with x, y, z are needed, as the first element")
     try:
         if form[1] == "ascii":
             rows = [line.split()[: len(fields)] for line in body.decode("latin-1").splitlines()[:count]]
@@ -189,10 +206,7 @@ def _read_ply(file: Path) -> tuple[FloatArray, FloatArray]:
             columns = {name: values[name].astype(np.float64) for name, _ in fields}
     except (KeyError, ValueError, TypeError) as error:
         raise InputError(f"{file}: the vertices cannot be read ({error})") from None
-    points = np.column_stack([columns[name] for name in ("x", "y", "z")])
-    normals = np.column_stack([columns[name] for name in ("nx", "ny", "nz")])
-    good = np.isfinite(points).all(axis=1) & np.isfinite(normals).all(axis=1) & (np.abs(normals).max(axis=1) > 0)
-    return points[good], normals[good]
+    return columns
 
 
 def _vertex_fields(lines: list[str]) -> tuple[list[tuple[str, str]], int, bool]:

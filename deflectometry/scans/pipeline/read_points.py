@@ -1,0 +1,95 @@
+"""Points of scanners: CSV, PLY and E57, with or without normals."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from deflectometry.exchange.surface_files import read_ply_columns
+from heliogauge.errors import InputError
+from heliogauge.files.extras import of_extra
+from heliogauge.results.tables import read_columns_csv, read_table_csv
+from heliogauge.validate import FloatArray
+
+PLACES, NORMALS = ("x_m", "y_m", "z_m"), ("normal_x", "normal_y", "normal_z")
+#: Facets and panels are smaller; a mirror in millimetres is a thousand times as large [m].
+_LARGEST_M = 100.0
+_SMALLEST_M = 0.02
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ScannedPoints:
+    """Points of a surface.
+
+    points_m (n, 3): [m].
+    normals (n, 3): Unit normals; None where the file has none.
+    """
+
+    points_m: FloatArray
+    normals: FloatArray | None
+
+
+def read_points(file: Path, unit: str) -> ScannedPoints:
+    """Read the points of a scan.
+
+    unit: "m" or "mm", of PLY and E57; the columns of CSV name theirs.
+    InputError: The file cannot be read, has no points, or they are in another unit.
+    """
+    suffix = file.suffix.lower()
+    if suffix == ".csv":
+        columns, size = _read_csv(file), 1.0
+    elif suffix == ".ply":
+        columns, size = read_ply_columns(file), _SIZES[unit]
+    elif suffix == ".e57":
+        columns, size = _read_e57(file), _SIZES[unit]
+    else:
+        raise InputError(f"{file}: points of CSV, PLY or E57 are needed")
+    missing = [name for name in "xyz" if name not in columns]
+    if missing:
+        raise InputError(f"{file}: its points have no {', '.join(missing)}; x, y and z are needed")
+    points = size * np.column_stack([columns[name] for name in "xyz"])
+    normals = None
+    if all(name in columns for name in ("nx", "ny", "nz")):
+        normals = np.column_stack([columns[name] for name in ("nx", "ny", "nz")])
+    good = np.isfinite(points).all(axis=1)
+    if normals is not None:
+        length = np.linalg.norm(normals, axis=1, keepdims=True)
+        good &= np.isfinite(normals).all(axis=1) & (length[:, 0] > 0)
+        normals = (normals / np.where(length > 0, length, 1.0))[good]
+    points = points[good]
+    if len(points) == 0:
+        raise InputError(f"{file}: there are no points with coordinates")
+    reach = float(np.ptp(points, axis=0).max())
+    if not _SMALLEST_M < reach < _LARGEST_M:
+        words = "in millimetres" if reach >= _LARGEST_M else "in another unit"
+        raise InputError(
+            f"{file}: the points reach over {reach:.4g} m: are they {words}? Coordinates are in metres; of PLY and E57 "
+            'unit = "mm" in [points] says otherwise'
+        )
+    return ScannedPoints(np.unique(points, axis=0) if normals is None else points, normals)
+
+
+_SIZES = {"m": 1.0, "mm": 1e-3}
+
+
+def _read_csv(file: Path) -> dict[str, FloatArray]:
+    known = read_table_csv(file, PLACES)
+    names = (*PLACES, *(NORMALS if all(name in known for name in NORMALS) else ()))
+    _, table = read_columns_csv(file, (), names)
+    return dict(zip(("x", "y", "z", "nx", "ny", "nz"), (table[name] for name in names), strict=False))
+
+
+def _read_e57(file: Path) -> dict[str, FloatArray]:
+    library = of_extra("pye57")
+    try:
+        scans = library.E57(str(file))
+        found = [scans.read_scan(number, ignore_missing_fields=True) for number in range(scans.scan_count)]
+    except Exception as error:
+        # The library raises types of its own, which are no part of its face.
+        raise InputError(f"{file}: cannot be read as E57 ({str(error)[:200]})") from error
+    if not found:
+        raise InputError(f"{file}: holds no scan")
+    return {
+        name: np.concatenate([np.asarray(one[f"cartesian{name.upper()}"], np.float64) for one in found])
+        for name in "xyz"
+    }

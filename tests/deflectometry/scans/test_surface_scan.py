@@ -1,0 +1,204 @@
+"""Scans of the surface: slopes and their sigmas against facets drawn by data_synth, and bad input."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from data_synth.lasers import PointScene, write_surface_scan
+from deflectometry.exchange.slope_files import import_slopes
+from deflectometry.scans.keys import load_surface_scan
+from deflectometry.scans.pipeline.measure import SurfaceScanResult, run
+from heliogauge.errors import EstimationError, InputError
+from heliogauge.results.tables import read_columns_csv, write_table_csv
+
+COLUMNS = ("x_m", "y_m", "z_m")
+#: Small, and curved enough to know where it is.
+TROUGH = PointScene("trough", (("focal_length_m", 1.71),), 1.6, 1.2, 900)
+X_AXIS = TROUGH.scanner_from_mirror.rotation[:, 0].tolist()
+
+
+def scanned(folder: Path, scene: PointScene, seed: int = 0, **keys: object) -> Path:
+    write_surface_scan(folder, scene, seed)
+    change(folder, **keys)
+    return folder
+
+
+def change(folder: Path, **keys: object) -> None:
+    """Set keys of measurement.toml: section__key=value."""
+    file = folder / "measurement.toml"
+    for name, value in keys.items():
+        section, _, key = name.partition("__")
+        text = file.read_text().split("\n")
+        text = [line for line in text if not line.startswith(f"{key} =")]
+        if f"[{section}]" not in text:
+            text.append(f"[{section}]")
+        shown = str(value).lower() if isinstance(value, bool) else repr(value).replace("'", '"')
+        text.insert(text.index(f"[{section}]") + 1, f"{key} = {shown}")
+        file.write_text("\n".join(text))
+
+
+def table(folder: Path) -> dict[str, np.ndarray]:
+    return dict(read_columns_csv(folder / "points.csv", (), COLUMNS)[1])
+
+
+def measured(folder: Path) -> SurfaceScanResult:
+    return run(load_surface_scan(folder))
+
+
+def errors_of(result: SurfaceScanResult, scene: PointScene) -> tuple[np.ndarray, np.ndarray]:
+    """Return slope errors (2, n) and their sigmas, without what a motion of the trough does: its place was fitted."""
+    one = result.slope_map
+    known = one.valid
+    x, y = (plane[known] for plane in np.meshgrid(one.x_m, one.y_m))
+    _, true_x, true_y = scene.mirror.surface(x, y)
+    errors = np.stack([one.slope_x[known] - true_x, one.slope_y[known] - true_y])
+    sigmas = np.stack([one.sigma_random_x[known], one.sigma_random_y[known]])
+    none, one_ = np.zeros(x.size), np.ones(x.size)
+    # Tilts, and the turn about z: slopes turn with the frame and are those of another place.
+    moved = np.stack([[one_, none], [none, one_], [y, x]])
+    amounts = np.linalg.lstsq(moved.reshape(3, -1).T, errors.ravel(), rcond=None)[0]
+    return errors - np.tensordot(amounts, moved, axes=1), sigmas
+
+
+@pytest.mark.slow
+def test_published_estimate_and_what_patches_buy(tmp_path: Path) -> None:
+    """V-16: 4,000 points of 0.1 mm on 6 m2: about 3 mrad between neighbours; patches buy a factor of five."""
+    result = measured(scanned(tmp_path / "scan", PointScene()))
+    numbers = result.numbers
+    assert numbers["neighbour_slope_noise_rad"] == pytest.approx(3.65e-3, rel=0.05)
+    assert numbers["point_noise_m"] == pytest.approx(1e-4, rel=0.1)
+    three_by_three = result.patches[0]
+    assert three_by_three.noise_rad[0] == pytest.approx(1.05e-3, rel=0.1)
+    best = min(one.total_rad for one in result.patches if np.isfinite(one.total_rad))
+    assert best < 1.1e-3
+    assert np.nanmax(result.slope_map.sigma_random_x) < 6e-3
+
+
+@pytest.mark.slow
+def test_errors_are_those_of_the_sigmas(tmp_path: Path) -> None:
+    ratios = []
+    for seed in range(2):
+        folder = scanned(tmp_path / f"s{seed}", TROUGH, seed, points__x_axis=X_AXIS)
+        errors, sigmas = errors_of(measured(folder), TROUGH)
+        ratios.append(np.sqrt(np.mean((errors / sigmas) ** 2)))
+    # Below 1: what a patch could lose without being seen is in the sigma.
+    assert 0.5 < np.mean(ratios) < 1.1
+
+
+@pytest.mark.slow
+def test_noise_of_means_scatters_as_said(tmp_path: Path) -> None:
+    """Sums over the map, of patches that overlap: their scatter over ten scans, whitened with the noise correlation."""
+    scene = PointScene("trough", (("focal_length_m", 1.71),), 1.6, 1.2, 900, with_errors=False)
+    squares = []
+    for seed in range(12):
+        folder = scanned(tmp_path / f"s{seed}", scene, seed, points__x_axis=X_AXIS, evaluation__patch_mm=280.0)
+        one = measured(folder).slope_map
+        known = one.valid
+        x = np.meshgrid(one.x_m, one.y_m)[0][known]
+        weight = x - x.mean()
+        error = (one.slope_x - one.design_slope_x)[known]
+        sigma = np.sqrt(one.noise_correlation * np.sum((weight * one.sigma_random_x[known]) ** 2))
+        squares.append(float((weight @ (error - error.mean()) / sigma) ** 2))
+    # Chi-square of 12: one in a thousand on either side, and the fitted pose takes a share of what it sees.
+    assert 1.5 < sum(squares) < 32
+
+
+def test_pose_and_what_the_shape_leaves_free(tmp_path: Path) -> None:
+    result = measured(scanned(tmp_path / "scan", TROUGH, points__x_axis=X_AXIS))
+    assert any("y" in words or "0.000, 1.000" in words for words in result.place.held)
+    assert {"motions_left_free"} <= {one.code for one in result.doubts}
+    found = result.place.mirror_from_points.rotation @ TROUGH.scanner_from_mirror.rotation
+    # The facet's own errors tilt the best fit by some mrad.
+    assert np.abs(found - np.eye(3)).max() < 5e-3
+
+
+def test_normals_give_slopes_too(tmp_path: Path) -> None:
+    folder = scanned(tmp_path / "scan", TROUGH, points__x_axis=X_AXIS)
+    points = np.column_stack(list(table(folder).values()))
+    place = TROUGH.scanner_from_mirror
+    inside = (points - place.translation_m) @ place.rotation
+    _, slope_x, slope_y = TROUGH.mirror.surface(inside[:, 0], inside[:, 1])
+    normals = np.column_stack([-slope_x, -slope_y, np.ones(len(slope_x))]) @ place.rotation.T
+    for sign in (1.0, -1.0):
+        columns = dict(zip(("normal_x", "normal_y", "normal_z"), sign * normals.T, strict=True))
+        write_table_csv(folder / "points.csv", table(folder) | columns)
+        change(folder, points__slopes_from="normals", points__sigma_normal_mrad=0.1)
+        result = measured(folder)
+        errors, _ = errors_of(result, TROUGH)
+        assert np.sqrt(np.mean(errors**2)) < 5e-4
+        assert ("normals_turned" in {one.code for one in result.doubts}) == (sign < 0)
+    columns["normal_x"][::2] *= -1
+    columns["normal_y"][::2] *= -1
+    columns["normal_z"][::2] *= -1
+    write_table_csv(folder / "points.csv", table(folder) | columns)
+    with pytest.raises(InputError, match="normals point the other way"):
+        measured(folder)
+
+
+def test_millimetres_are_refused(tmp_path: Path) -> None:
+    folder = scanned(tmp_path / "scan", TROUGH)
+    write_table_csv(folder / "points.csv", {name: 1e3 * column for name, column in table(folder).items()})
+    with pytest.raises(InputError, match="are they in millimetres"):
+        measured(folder)
+
+
+@pytest.mark.slow
+def test_a_scanner_behind_the_mirror_is_refused(tmp_path: Path) -> None:
+    behind = TROUGH.scanner_from_mirror.apply(np.array([0.0, 0.0, -5.0])).tolist()
+    folder = scanned(tmp_path / "scan", TROUGH, points__scanner_m=behind)
+    with pytest.raises(EstimationError, match="upside down"):
+        measured(folder)
+
+
+@pytest.mark.slow
+def test_another_design_is_said(tmp_path: Path) -> None:
+    folder = scanned(tmp_path / "scan", TROUGH, points__x_axis=X_AXIS, mirror__focal_length_m=4.0)
+    doubts = {one.code: one for one in measured(folder).doubts}
+    assert "1.7" in doubts["scan_contradicts_design"].text
+
+
+@pytest.mark.slow
+def test_stray_points_are_left_out(tmp_path: Path) -> None:
+    folder = scanned(tmp_path / "scan", TROUGH, points__x_axis=X_AXIS)
+    columns = table(folder)
+    stray = np.random.default_rng(0).choice(len(columns["z_m"]), 8, replace=False)
+    columns["z_m"][stray] += 0.01
+    write_table_csv(folder / "points.csv", columns)
+    result = measured(folder)
+    (odd,) = (one for one in result.doubts if one.code == "points_odd")
+    assert 8 <= odd.numbers["odd_count"] <= 9
+    errors, sigmas = errors_of(result, TROUGH)
+    assert np.sqrt(np.mean((errors / sigmas) ** 2)) < 1.4
+
+
+def test_a_ply_without_normals_is_a_scan(tmp_path: Path) -> None:
+    folder = scanned(tmp_path / "scan", TROUGH, points__x_axis=X_AXIS)
+    points = np.column_stack(list(table(folder).values()))
+    expected = measured(folder).numbers["sdx_rad"]
+    head = f"ply\nformat binary_little_endian 1.0\nelement vertex {len(points)}\n"
+    head += "".join(f"property double {name}\n" for name in "xyz") + "end_header\n"
+    (folder / "points.ply").write_bytes(head.encode() + (1e3 * points).astype("<f8").tobytes())
+    with pytest.raises(InputError, match="points without normals are a scan"):
+        import_slopes(folder / "points.ply", tmp_path / "in", "surface")
+    change(folder, points__file="points.ply", points__unit="mm")
+    assert measured(folder).numbers["sdx_rad"] == pytest.approx(expected, rel=1e-3)
+    change(folder, points__slopes_from="normals")
+    with pytest.raises(InputError, match="the points have none"):
+        measured(folder)
+
+
+@pytest.mark.slow
+def test_e57_is_read(tmp_path: Path) -> None:
+    library = pytest.importorskip("pye57")
+    folder = scanned(tmp_path / "scan", TROUGH, points__x_axis=X_AXIS)
+    expected = measured(folder).numbers["sdx_rad"]
+    columns = dict(zip(("cartesianX", "cartesianY", "cartesianZ"), table(folder).values(), strict=True))
+    writer = library.E57(str(folder / "points.e57"), mode="w")
+    writer.write_scan_raw(columns)
+    writer.close()
+    change(folder, points__file="points.e57")
+    assert measured(folder).numbers["sdx_rad"] == pytest.approx(expected, rel=1e-3)
+    (folder / "points.e57").write_bytes(b"nothing of the kind")
+    with pytest.raises(InputError, match="cannot be read as E57"):
+        measured(folder)
