@@ -82,6 +82,7 @@ class Result(InstrumentResult):
         peak, sigma_peak, power, sigma_power = np.array([one.of_beam for one in self.scales]).T
         more |= {"peak_flux": peak, "sigma_peak_flux": sigma_peak, "power": power, "sigma_power": sigma_power}
         more["skirt_share"] = np.array([one.skirt_share for one in beams.sizes])
+        more["aureole_share"] = np.array([one.aureole_share for one in beams.sizes])
         offsets = self.offsets_m
         if np.isfinite(offsets).any():
             more |= {"label_x_m": photos.numbers["label_x_m"], "label_y_m": photos.numbers["label_y_m"]}

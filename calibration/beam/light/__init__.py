@@ -1,6 +1,6 @@
 """The light of a beam on its target: background, region, centre by four methods, size, and what to trust.
 
-Statistics of series of places: accuracy over a day, drift, repeatability.
+And the aim points that look for a beam which is not on its target.
 """
 
 from typing import TYPE_CHECKING
@@ -12,9 +12,6 @@ if TYPE_CHECKING:
     from calibration.beam.light.beam_image import measure_beam as measure_beam
     from calibration.beam.light.beam_moments import BeamMoments as BeamMoments
     from calibration.beam.light.beam_moments import encircled_diameters_m as encircled_diameters_m
-    from calibration.beam.light.spot_statistics import daily_tracking as daily_tracking
-    from calibration.beam.light.spot_statistics import drift_and_oscillation as drift_and_oscillation
-    from calibration.beam.light.spot_statistics import repeatability as repeatability
-    from calibration.beam.light.spot_statistics import search_spiral as search_spiral
+    from calibration.beam.light.search_spiral import search_spiral as search_spiral
 
 __getattr__, __dir__, __all__ = lazy_face(__name__)

@@ -26,6 +26,7 @@ __all__ = [
     "area_resized",
     "background_around",
     "empty_target",
+    "projected",
     "shadow_steps",
     "taken_by_background",
 ]
@@ -62,6 +63,8 @@ class Background:
     scatter_dn: Robust scatter of the free pixels about the smooth part [DN].
     residuals_dn (h, w): Picture minus the smooth part where no beam is, limited to what is no mark; 0 elsewhere
         [DN].
+    smooth_dn (h, w): The smooth part [DN].
+    bending (k,): Functions that bend: without a frame of the empty target, light of the beam may pass for them.
     """
 
     values_dn: FloatArray
@@ -69,6 +72,8 @@ class Background:
     cofactor: FloatArray
     scatter_dn: float
     residuals_dn: FloatArray
+    smooth_dn: FloatArray
+    bending: BoolArray
 
 
 def empty_target(frames_dn: Sequence[npt.NDArray[np.generic]]) -> TargetSurface:
@@ -159,7 +164,11 @@ def background_around(
     basis = np.concatenate([basis, *(step[..., None] for step in steps)], axis=2)
     smooth, residuals, scatter, cofactor = _fitted(values_dn, free, basis, full_scale_dn)
     under = smooth + _continued(residuals, free) if continued else smooth
-    return Background(freeze(under), freeze(basis), freeze(cofactor), scatter, freeze(residuals))
+    number = np.arange(basis.shape[2])
+    bending = (number >= 3) & (number < 6) if empty is None and degree == 2 else np.zeros(number.size, dtype=np.bool_)
+    return Background(
+        freeze(under), freeze(basis), freeze(cofactor), scatter, freeze(residuals), freeze(smooth), freeze(bending)
+    )
 
 
 def shadow_steps(values_dn: FloatArray, free: BoolArray, background: Background, most: int) -> list[FloatArray]:
@@ -189,11 +198,21 @@ def taken_by_background(bell_dn: FloatArray, free: BoolArray, background: Backgr
     free (h, w): Pixels that were taken for free of it.
     Returns (h, w): The part of the background that is the beam's, under the beam too [DN].
     """
-    rows, wanted = background.basis[free], bell_dn[free]
+    smooth = projected(bell_dn, free, background.basis)
+    return smooth + _continued(np.where(free, bell_dn - smooth, 0.0), free)
+
+
+def projected(values_dn: FloatArray, free: BoolArray, basis: FloatArray) -> FloatArray:
+    """Return what functions take of a picture by least squares over some pixels, shape (h, w) [DN].
+
+    values_dn (h, w): The picture [DN].
+    free (h, w): Pixels that count.
+    basis (h, w, k): The functions.
+    """
+    rows = basis[free]
     normal = rows.T @ rows
     normal[np.diag_indices_from(normal)] += 1e-9 * np.trace(normal) / normal.shape[0]
-    smooth = background.basis @ np.linalg.solve(normal, rows.T @ wanted)
-    return smooth + _continued(np.where(free, bell_dn - smooth, 0.0), free)
+    return np.asarray(basis @ np.linalg.solve(normal, rows.T @ values_dn[free]))
 
 
 class _Smooth(NamedTuple):

@@ -17,6 +17,7 @@ __all__ = [
     "Centroid",
     "PixelNoise",
     "Spot",
+    "block_sums",
     "centroid_covariance_px2",
     "gaussian_centroid",
     "intensity_centroid",
@@ -398,3 +399,8 @@ def _sums(influence: FloatArray, shape: tuple[int, int]) -> FloatArray:
     """Add up the influence in blocks, shape (k, blocks)."""
     each = influence[0].size / (shape[0] * shape[1])
     return np.stack([area_resized(part, shape).ravel() * each for part in influence])
+
+
+def block_sums(values: FloatArray) -> list[FloatArray]:
+    """Return the sums of a picture in blocks of the target, for each size of blocks within which errors are alike."""
+    return [_sums(values[None], _block_shape(values.shape, blocks))[0] for blocks in _BLOCKS]

@@ -18,6 +18,7 @@ class BeamFlag(IntFlag):
     LITTLE_BACKGROUND = 1 << 7
     METHODS_DISAGREE = 1 << 8
     UNREADABLE = 1 << 9
+    BACKGROUND_MAY_HOLD_LIGHT = 1 << 10
 
 
 BEAM_FLAG_TEXTS: dict[BeamFlag, str] = {
@@ -31,6 +32,8 @@ BEAM_FLAG_TEXTS: dict[BeamFlag, str] = {
     BeamFlag.LITTLE_BACKGROUND: "the beam leaves too little of the target free to know its own brightness",
     BeamFlag.METHODS_DISAGREE: "the centroid depends on the method far beyond its uncertainty",
     BeamFlag.UNREADABLE: "the picture cannot be read",
+    BeamFlag.BACKGROUND_MAY_HOLD_LIGHT: "light of the beam may be spread over the whole target and count as "
+    "background (haze, a dirty mirror, the camera's halo): the sizes are those of the rest",
 }
 
 #: Bits with which a beam has no value that a fit may use.

@@ -6,6 +6,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
+from calibration.beam.light.aureole import Aureole, find_aureole
 from calibration.beam.light.background import TargetSurface, area_resized, seams_of, taken_by_background
 from calibration.beam.light.beam_centroids import (
     CENTROID_METHODS,
@@ -344,9 +345,11 @@ def _measured(image: TargetImage, picture: _Picture, region: BeamRegion, setting
     )
     skirts = _skirts(centroids.get("super_gaussian"), region, spot)
     try:
-        size = beam_size(light, spot.smoothed_dn, skirts, noise)
+        size = beam_size(light, spot.smoothed_dn, skirts, noise, _aureole(region, skirts))
     except EstimationError:
         size = no_size()
+    if size.has_aureole:
+        flags |= BeamFlag.BACKGROUND_MAY_HOLD_LIGHT
     return Beam(
         chosen,
         estimates,
@@ -383,6 +386,14 @@ def _skirts(bell: Centroid | None, region: BeamRegion, spot: Spot) -> Skirts | N
         except EstimationError:
             break
     return found
+
+
+def _aureole(region: BeamRegion, skirts: Skirts | None) -> Aureole | None:
+    """Look for light around the beam that falls slower than its skirts."""
+    light = np.where(region.inside, np.maximum(region.smoothed_dn, 0.0), 0.0)
+    coarse = (light.shape[0], light.shape[1])
+    beyond = np.zeros(coarse) if skirts is None else area_resized(skirts.bell_dn, coarse)
+    return find_aureole(region.background, region.free, light, beyond) if light.any() else None
 
 
 def _estimate(image: TargetImage, picture: _Picture, centroid: Centroid, noise: PixelNoise) -> SpotEstimate:

@@ -58,6 +58,19 @@ def doubts_of_beams(result: "Result") -> tuple[Doubt, ...]:
             )
         )
     doubts += _labels_aside(result)
+    held = ~refused & ((beams.flags & np.uint32(BeamFlag.BACKGROUND_MAY_HOLD_LIGHT)) != 0)
+    if held.any():
+        shares = np.array([one.aureole_share for one in beams.sizes])[held]
+        doubts.append(
+            Doubt(
+                "background_may_hold_light",
+                f"in {int(held.sum())} of {held.size} photos light seems to be spread around the beam as wide as "
+                f"the target (haze, a dirty mirror, the camera's halo), {float(np.median(shares)):.0%} of all light "
+                f"(median): sizes are those of the light without it, and their sigma says what it would change; "
+                f"give frames without a beam, and measure under a clear sky",
+                {"beams_count": int(held.sum()), "median_aureole_share": float(np.median(shares))},
+            )
+        )
     skirts = np.array([one.skirt_share for one in beams.sizes])
     wide = ~refused & (skirts > _MUCH_SKIRT)
     if wide.any():

@@ -275,5 +275,6 @@ def test_real_beams_agree_with_their_labels(shared_data: Path, name: str) -> Non
     flux = measure_beam(whole_image(plain, corners, by_index=True))
     assert (np.abs(flux.spot.position_m - label) < pixel).all()
     beam = measure_beam(whole_image(raw, corners, by_index=True))
-    assert beam.flags == 0
+    # Without a frame of the empty target, its own brightness may hold light of so large a beam.
+    assert beam.flags & ~BeamFlag.BACKGROUND_MAY_HOLD_LIGHT == 0
     assert np.linalg.norm(beam.spot.position_m - label) < 0.1
