@@ -26,8 +26,8 @@ SHARES = (0.5, 0.9, 0.95)
 #: `beam synth`); twice that for moments and light.
 _LIMIT_SHARE = 0.005
 #: An aureole that is lower than its sigma counts as none. It is said where it is no chance (3 sigmas, and D90 by 3 of
-#: the sigmas that it has without) and would change D90 by more than twice that of a clear sky is found to: a circumsolar
-#: ratio of 0.02 at 66 m up to 5 % with frames of the empty target, 16 % without (`beam synth`).
+#: the sigmas that it has without) and would change D90 by more than twice that of a clear sky is found to: a
+#: circumsolar ratio of 0.02 at 66 m up to 5 % with frames of the empty target, 16 % without (`beam synth`).
 _CHANCE, _SAID, _SAID_SHARE = 1.0, 3.0, 0.3
 
 
