@@ -38,6 +38,7 @@ class FoundDots:
     contrast_dn (n,): Difference of dot and ground [DN].
     residual_dn: Usual noise of a pixel about the fitted dots [DN].
     n_coarse: Dots that no blurred disc fits: the last ones, with the centre of their outline.
+    shapes_px2 (n, 2, 2): Shape of each dot's ellipse; None where nobody measured it [px^2].
     """
 
     centers_px: FloatArray
@@ -46,6 +47,7 @@ class FoundDots:
     contrast_dn: FloatArray
     residual_dn: float
     n_coarse: int = 0
+    shapes_px2: FloatArray | None = None
 
     @property
     def spacing_px(self) -> float:
@@ -77,6 +79,7 @@ class FoundDots:
             self.contrast_dn[index],
             self.residual_dn,
             int(np.count_nonzero(index >= first_coarse)),
+            None if self.shapes_px2 is None else self.shapes_px2[index],
         )
 
     def renumbered(self, number: IntArray) -> "FoundDots":
@@ -127,6 +130,10 @@ def find_dots(image_dn: npt.NDArray[Any], region: BoolArray, polarity: Polarity)
         np.concatenate([[abs(one.contrast_dn) for one in fitted], np.full(n_coarse, np.nan)]),
         float(np.median([one.residual_dn for one in fitted])),
         n_coarse,
+        np.array(
+            [one.ellipse.shape_px2 for one in fitted]
+            + [one.shape_px2 for one, fine in zip(chosen, good, strict=True) if not fine]
+        ),
     )
 
 

@@ -54,15 +54,16 @@ def number_alike(views: Sequence[DotView], targets_m: FloatArray) -> tuple[IntAr
     plane = _plane(targets_m, views)
     every, views = views, [_thinned(view) for view in views]
     first = views[0]
-    spacing_m = _spacing(plane.places(first, 0.0), first.dots.number)
+    spacing_m = _spacing(plane.places(first), first.dots.number)
     depths = np.arange(-_MOST_DEPTH, _MOST_DEPTH + 1e-9, _DEPTH_STEP) * spacing_m
     turns = [np.eye(2, dtype=np.intp), *(_turn(plane, first, view) for view in views[1:])]
     best: dict[tuple[int, ...], float] = {}
+    sights_of = [plane.sights(view) for view in views]
     for depth in depths.tolist():
-        own = _Lattice.of(plane.places(first, depth), first.dots.number)
+        own = _Lattice.of(sights_of[0].places(depth), first.dots.number)
         shifts, misfit = [], (depth / spacing_m / _SIGMA_DEPTH) ** 2
-        for view, turn in zip(views[1:], turns[1:], strict=True):
-            away = np.median(own.number_at(plane.places(view, depth)) - view.dots.number @ turn.T, axis=0)
+        for view, turn, sight in zip(views[1:], turns[1:], sights_of[1:], strict=True):
+            away = np.median(own.number_at(sight.places(depth)) - view.dots.number @ turn.T, axis=0)
             whole = np.rint(away).astype(np.intp)
             misfit += float(np.sum((away - whole) ** 2)) / _SIGMA_PLACE**2
             shifts += whole.tolist()
@@ -169,13 +170,28 @@ class _Plane:
     middle_m: FloatArray
     axes: FloatArray
 
-    def places(self, view: DotView, depth_m: float) -> FloatArray:
-        """Return where the lines of sight of a photo's dots meet the plane moved by a depth, shape (n, 2) [m]."""
+    def sights(self, view: DotView) -> "_LinesOfSight":
+        """Return the lines of sight of a photo's dots, in the plane's axes."""
         world_from_cam = view.cam_from_world.inverse()
-        start = world_from_cam.translation_m - self.middle_m - depth_m * self.axes[2]
         rays = world_from_cam.rotate(view.camera.cast_rays(view.dots.centers_px))
-        along = -(start @ self.axes[2]) / (rays @ self.axes[2])
-        return np.asarray((start + along[:, None] * rays) @ self.axes[:2].T)
+        return _LinesOfSight(self.axes @ (world_from_cam.translation_m - self.middle_m), rays @ self.axes.T)
+
+    def places(self, view: DotView) -> FloatArray:
+        """Return where the lines of sight of a photo's dots meet the plane, shape (n, 2) [m]."""
+        return self.sights(view).places(0.0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _LinesOfSight:
+    """Lines of sight (n, 3) from one place (3,), in the axes of a plane through the origin."""
+
+    start_m: FloatArray
+    rays: FloatArray
+
+    def places(self, depth_m: float) -> FloatArray:
+        """Return where they meet the plane moved by a depth, shape (n, 2) [m]."""
+        along = (depth_m - self.start_m[2]) / self.rays[:, 2]
+        return np.asarray(self.start_m[:2] + along[:, None] * self.rays[:, :2])
 
 
 def _plane(points_m: FloatArray, views: Sequence[DotView]) -> _Plane:
@@ -184,15 +200,15 @@ def _plane(points_m: FloatArray, views: Sequence[DotView]) -> _Plane:
         raise EstimationError(f"{len(points_m)} targets around the field of dots; 3 are needed to find its plane")
     # Few points: all triples of at most 24 of them, judged by the median distance of all.
     spread = points_m[np.linspace(0, len(points_m) - 1, min(len(points_m), 24)).astype(int)]
-    best, normal, through = np.inf, np.zeros(3), points_m[0]
-    for a, b, c in combinations(range(len(spread)), 3):
-        across = np.cross(spread[b] - spread[a], spread[c] - spread[a])
-        length = float(np.linalg.norm(across))
-        if length < 1e-3 * float(np.ptp(points_m, axis=0).max()) ** 2:
-            continue
-        median = float(np.median(np.abs((points_m - spread[a]) @ across)) / length)
-        if median < best:
-            best, normal, through = median, across / length, spread[a]
+    a, b, c = spread[np.array(list(combinations(range(len(spread)), 3)))].transpose(1, 0, 2)
+    across = np.cross(b - a, c - a)
+    length = np.linalg.norm(across, axis=1)
+    on_line = length < 1e-3 * float(np.ptp(points_m, axis=0).max()) ** 2
+    normals = across / np.where(on_line, 1.0, length)[:, None]
+    heights = np.abs(normals @ points_m.T - np.einsum("ti,ti->t", normals, a)[:, None])
+    medians = np.where(on_line, np.inf, np.median(heights, axis=1))
+    chosen = int(np.argmin(medians))
+    best, normal, through = float(medians[chosen]), normals[chosen], a[chosen]
     if not np.isfinite(best):
         raise EstimationError("the targets around the field of dots are on a line; put some beside it")
     first = views[0].cam_from_world
@@ -214,7 +230,7 @@ def _turn(plane: _Plane, first: DotView, view: DotView) -> IntArray:
     by = []
     for one in (first, view):
         number = np.column_stack([np.ones(len(one.dots.number)), one.dots.number])
-        by.append(np.linalg.lstsq(number, plane.places(one, 0.0), rcond=None)[0][1:].T)
+        by.append(np.linalg.lstsq(number, plane.places(one), rcond=None)[0][1:].T)
     turn = np.linalg.solve(by[0], by[1])
     whole = np.rint(turn)
     if np.abs(turn - whole).max() > 0.3 or abs(float(np.linalg.det(whole)) - 1.0) > 1e-9:

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from photogrammetry.pipeline.inputs import build_search as build_search
     from photogrammetry.pipeline.measure import Options as Options
     from photogrammetry.pipeline.measure import run as run
+    from photogrammetry.pipeline.photos import MeasuredPhotos as MeasuredPhotos
     from photogrammetry.pipeline.photos import OnePhoto as OnePhoto
     from photogrammetry.pipeline.photos import collect_photos as collect_photos
     from photogrammetry.pipeline.photos import measure_photo as measure_photo

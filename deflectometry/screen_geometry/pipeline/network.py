@@ -26,11 +26,13 @@ from photogrammetry import pipeline as photogrammetry_pipeline
 from photogrammetry.bundle import BundleResult
 from photogrammetry.bundle import state as states
 from photogrammetry.keys import NetworkCameraSection, PhotogrammetryMeasurement
-from photogrammetry.pipeline import build_search, collect_photos, measure_photo
+from photogrammetry.pipeline import MeasuredPhotos, build_search, collect_photos, measure_photo
 from photogrammetry.start_values import StartValues
 
 #: A dot must be seen in so many photos to be measured with a check.
 _LEAST_PHOTOS = 2
+#: So many markers at the rims place a photo by their middles alone; of fewer the corners say how it is turned.
+_LEAST_MARKERS = 8
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -43,7 +45,7 @@ class Seen(ShortRepr):
     doubts: What is doubtful of the photos.
     """
 
-    targets: Any
+    targets: MeasuredPhotos
     dots: dict[str, FoundDots]
     lights: dict[str, IntArray]
     doubts: tuple[Doubt, ...]
@@ -136,15 +138,15 @@ def solve(measurement: ScreenMeasurement, seen: Seen, progress: Progress) -> Scr
     InputError: Tables that cannot be used.
     EstimationError: The photos do not hang together, or do not say which dot is which.
     """
-    network, model = measurement.network, measurement.model
-    alone = photogrammetry_pipeline.run(network, None, progress, measured=seen.targets)
-    if model.dots is None:
-        return _of_targets(measurement, alone, seen)
+    model = measurement.model
+    alone = photogrammetry_pipeline.run(measurement.network, None, progress, measured=seen.targets)
+    if model.display is not None:
+        names, u, v = _read_display(measurement.folder / model.display.file)
+        points = _with_middles(seen.targets, names, alone.solved.bundle)
+        again = alone if points is None else _again(measurement, alone, points, progress)
+        return _of_targets(measurement, again, seen, (names, u, v))
     names, numbers, origin, doubts = _numbered(measurement, seen, alone.solved.bundle)
-    points = _joined(seen.targets, names, numbers, seen.dots)
-    network, is_start = _with_found_cameras(network, alone.solved.bundle)
-    start = StartValues(_poses(alone.solved.bundle), {}) if is_start else None
-    joint = photogrammetry_pipeline.run(network, None, progress, measured=points, start=start)
+    joint = _again(measurement, alone, _joined(seen.targets, names, numbers, seen.dots), progress)
     bundle = joint.solved.bundle
     place = {name: k for k, name in enumerate(bundle.problem.observations.targets)}
     every = np.unique(np.concatenate(numbers), axis=0)
@@ -159,6 +161,67 @@ def solve(measurement: ScreenMeasurement, seen: Seen, progress: Progress) -> Scr
     found = _screen_points(measurement, bundle, index, u, v)
     own_frame = model.shape.frame == "screen"
     return ScreenNetwork(joint, chosen, found, origin, gathered, own_frame)
+
+
+def _again(
+    measurement: ScreenMeasurement, before: photogrammetry_pipeline.Result, points: MeasuredPhotos, progress: Progress
+) -> photogrammetry_pipeline.Result:
+    """Adjust other image points of the same photos, from their poses and cameras."""
+    network, is_start = _with_found_cameras(measurement.network, before.solved.bundle)
+    start = StartValues(_poses(before.solved.bundle), {}) if is_start else None
+    return photogrammetry_pipeline.run(network, None, progress, measured=points, start=start)
+
+
+def _with_middles(targets: MeasuredPhotos, names: Sequence[str], bundle: BundleResult) -> MeasuredPhotos | None:
+    """Return the image points with the middle of each whole marker of the display in the place of its corners.
+
+    names: What the display's table names; a name without a corner's number is a marker.
+    bundle: The network of the corners.
+    Returns: None where too few markers are whole: then their corners are needed.
+
+    The four corners of a marker in a photo share its four edges. An edge's line is known to s in its middle, to 2 s at
+    its ends, and there with a correlation of -1/2 between them: taken as independent, corners make the middle of a
+    marker, and with it all of the screen, twice as uncertain (in variance) as it is.
+    """
+    points, table = targets.points, bundle.problem.observations
+    listed = np.array(points.targets)[points.target_index]
+    photos = np.array(points.photos)[points.photo_index]
+    place = {name: k for k, name in enumerate(table.targets)}
+    row_of = {key: row for row, key in enumerate(zip(photos.tolist(), listed.tolist(), strict=True))}
+    found: list[tuple[str, str, FloatArray, FloatArray]] = []
+    for number, photo in enumerate(table.photos):
+        lens = bundle.state.cameras[int(bundle.problem.camera_index[number])]
+        for name in names:
+            corners = _corners(name)
+            if name in place or not all(one in place and (photo, one) in row_of for one in corners):
+                continue
+            rows = [row_of[photo, one] for one in corners]
+            # The mean of the corners, put right for perspective and lens. Where the diagonals meet would need no such
+            # correction, but turned edges move it: it has four times the variance.
+            xyz = bundle.cam_from_world[number].apply(bundle.state.points_m[[place[one] for one in corners]])
+            bent = lens.project(xyz.mean(axis=0, keepdims=True))[0] - lens.project(xyz).mean(axis=0)
+            pixel = points.pixels_px[rows].mean(axis=0) + bent
+            found.append((photo, name, pixel, points.covariance_px2[rows].sum(axis=0) / 32))
+    if len({one[1] for one in found}) < _LEAST_MARKERS:
+        return None
+    knowledge = bundle.problem
+    kept = {one for constraint in knowledge.constraints for one in constraint.targets}
+    kept |= {*knowledge.fixed, *knowledge.datum.targets, *names}
+    replaced = {corner for one in found for corner in _corners(one[1])} - kept
+    keep = ~np.isin(listed, sorted(replaced))
+    kinds = np.zeros(points.n, dtype=np.intp) if targets.kinds is None else targets.kinds
+    return replace(
+        targets,
+        points=ImagePoints.from_names(
+            [*photos[keep].tolist(), *(one[0] for one in found)],
+            [*listed[keep].tolist(), *(one[1] for one in found)],
+            np.concatenate([points.pixels_px[keep], [one[2] for one in found]]),
+            np.concatenate([points.covariance_px2[keep], [one[3] for one in found]]),
+        ),
+        ellipses_px2=np.concatenate([targets.ellipses_px2[keep], np.full((len(found), 2, 2), np.nan)]),
+        # Of the same kind as corners, with the ratio derived above: a few corners would not tell their own size.
+        kinds=np.concatenate([kinds[keep], np.full(len(found), int(kinds.max(initial=0)))]),
+    )
 
 
 def _with_found_cameras(
@@ -255,41 +318,57 @@ def _agreed(lit: dict[str, tuple[int, ...]], count: int) -> tuple[IntArray, tupl
     return places[best], (Doubt("light_beside_other_dot", text, {"photos_count": len(odd)}),)
 
 
-def _joined(targets: Any, names: Sequence[str], numbers: Sequence[IntArray], dots: dict[str, FoundDots]) -> Any:
+def _joined(
+    targets: MeasuredPhotos, names: Sequence[str], numbers: Sequence[IntArray], dots: dict[str, FoundDots]
+) -> MeasuredPhotos:
     """Return the image points of the targets and of the dots."""
     points: ImagePoints = targets.points
     photos = [points.photos[k] for k in points.photo_index.tolist()]
     labels = [points.targets[k] for k in points.target_index.tolist()]
     places, covariances = [points.pixels_px], [points.covariance_px2]
+    # The middle of a dot's ellipse is not the image of its centre: 0.005 px here, all dots of a photo to one side.
+    shapes = [targets.ellipses_px2]
     for name, number in zip(names, numbers, strict=True):
         labels += [_name(one) for one in number.tolist()]
         photos += [name] * len(number)
         places.append(dots[name].centers_px)
         covariances.append(dots[name].covariance_px2)
+        own = dots[name].shapes_px2
+        shapes.append(np.full((len(number), 2, 2), np.nan) if own is None else own)
     covariance = np.concatenate(covariances)
     joined = ImagePoints.from_names(
         photos, labels, np.concatenate(places), 0.5 * (covariance + np.swapaxes(covariance, 1, 2))
     )
     more = joined.n - points.n
     kinds = np.zeros(points.n, dtype=np.intp) if targets.kinds is None else targets.kinds
-    shapes = np.concatenate([targets.ellipses_px2, np.full((more, 2, 2), np.nan)])
     return replace(
         targets,
         points=joined,
-        ellipses_px2=shapes,
+        ellipses_px2=np.concatenate(shapes),
         kinds=np.concatenate([kinds, np.full(more, int(kinds.max(initial=0)) + 1)]),
     )
 
 
-def _of_targets(measurement: ScreenMeasurement, result: photogrammetry_pipeline.Result, seen: Seen) -> ScreenNetwork:
-    """Return the points of a display that coded targets at its rims mark."""
+def _of_targets(
+    measurement: ScreenMeasurement,
+    result: photogrammetry_pipeline.Result,
+    seen: Seen,
+    listed: tuple[list[str], FloatArray, FloatArray],
+) -> ScreenNetwork:
+    """Return the points of a display that coded targets at its rims mark.
+
+    listed: Names and fractions of the display's table.
+    """
     section = measurement.model.display
     if section is None:
         raise InputError("[display] is missing")
     bundle = result.solved.bundle
-    names, u, v = _read_display(measurement.folder / section.file)
+    names, u, v = listed
     place = {name: k for k, name in enumerate(bundle.problem.observations.targets)}
-    groups = [[place[one] for one in _parts(name) if one in place] for name in names]
+    # The middle of a marker itself, else its four corners.
+    groups = [
+        [place[name]] if name in place else [place[one] for one in _corners(name) if one in place] for name in names
+    ]
     whole = [
         len(group) in (1, 4) and len(group) == (4 if name not in place else 1)
         for name, group in zip(names, groups, strict=True)
@@ -328,8 +407,8 @@ def _of_targets(measurement: ScreenMeasurement, result: photogrammetry_pipeline.
     return ScreenNetwork(result, np.zeros((0, 2), dtype=np.intp), points, origin, gathered, own_frame)
 
 
-def _parts(name: str) -> list[str]:
-    return [name, *(f"{name}.{k}" for k in range(4))]
+def _corners(name: str) -> list[str]:
+    return [f"{name}.{k}" for k in range(4)]
 
 
 def _read_display(file: Path) -> tuple[list[str], FloatArray, FloatArray]:
