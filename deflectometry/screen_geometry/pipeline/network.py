@@ -25,14 +25,22 @@ from photogrammetry import ImagePoints
 from photogrammetry import pipeline as photogrammetry_pipeline
 from photogrammetry.bundle import BundleResult
 from photogrammetry.bundle import state as states
-from photogrammetry.keys import NetworkCameraSection, PhotogrammetryMeasurement
-from photogrammetry.pipeline import MeasuredPhotos, build_search, collect_photos, measure_photo
+from photogrammetry.detection import TargetSearch
+from photogrammetry.keys import NetworkCameraSection, PhotogrammetryMeasurement, TargetsSection
+from photogrammetry.pipeline import MeasuredPhotos, OnePhoto, build_search, collect_photos, measure_photo
 from photogrammetry.start_values import StartValues
 
 #: A dot must be seen in so many photos to be measured with a check.
 _LEAST_PHOTOS = 2
+#: Up to so many photos a camera that calibrates itself may be the reason why nothing fits: see the how-to.
+_FEW_PHOTOS = 4
 #: So many markers at the rims place a photo by their middles alone; of fewer the corners say how it is turned.
 _LEAST_MARKERS = 8
+
+
+#: Photos with fewer targets are looked at in a mirror, and are mirrored when that shows so many times more: codes are
+#: made to be told apart from their mirror images, so that hardly one is read by chance.
+_FEW_TARGETS, _MIRRORED = 16, 3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -61,7 +69,8 @@ def see(measurement: ScreenMeasurement, progress: Progress) -> Seen:
     if section is None:
         raise InputError("[targets] is missing")
     search = build_search(section, measurement.folder)
-    found, dots, lights, without = [], {}, {}, []
+    found: list[OnePhoto] = []
+    dots, lights, without = {}, {}, []
     with progress.stage("measure photos", len(measurement.photo_files)) as stage:
         for file in measurement.photo_files:
             image = read_image(file)
@@ -78,6 +87,7 @@ def see(measurement: ScreenMeasurement, progress: Progress) -> Seen:
                         if place is not None:
                             lights[file.name] = place
             stage.advance()
+    _refuse_mirrored(measurement, found, section, search)
     if model.dots is not None and len(dots) < _LEAST_PHOTOS:
         raise EstimationError(
             f"{len(dots)} of {len(found)} photos show the field of dots, {_LEAST_PHOTOS} are needed: "
@@ -88,6 +98,29 @@ def see(measurement: ScreenMeasurement, progress: Progress) -> Seen:
         text = f"{len(without)} of {len(found)} photos give no dots: {'; '.join(without)}"
         doubts = (Doubt("photos_without_dots", text, {"photos_count": len(without)}),)
     return Seen(collect_photos(found), dots, lights, doubts)
+
+
+def _refuse_mirrored(
+    measurement: ScreenMeasurement, found: Sequence[OnePhoto], section: TargetsSection, search: TargetSearch
+) -> None:
+    """Refuse photos in whose mirror images more targets are read than in themselves.
+
+    Only photos with few targets are looked at again. A code is read in mirrored form by chance, if at all.
+    """
+    counts = [len(one.detections.names) for one in found]
+    few = max(_FEW_TARGETS, max(counts, default=0) // 2)
+    mirrored = []
+    for file, count in zip(measurement.photo_files, counts, strict=True):
+        if count < few:
+            turned: Any = np.ascontiguousarray(read_image(file)[:, ::-1])
+            again = len(measure_photo(turned, file.name, section, search).detections.names)
+            if again > max(_MIRRORED * count, _FEW_TARGETS // 2):
+                mirrored.append(f"{file.name} ({again} targets when mirrored back, {count} as it is)")
+    if mirrored:
+        raise EstimationError(
+            f"{len(mirrored)} of {len(found)} photos are mirrored: {'; '.join(mirrored)}; give the photos as the "
+            "camera took them, not of a mirror image and not flipped"
+        )
 
 
 def _dots_of(image: npt.NDArray[Any], section: WallDotsSection) -> FoundDots:
@@ -139,9 +172,14 @@ def solve(measurement: ScreenMeasurement, seen: Seen, progress: Progress) -> Scr
     EstimationError: The photos do not hang together, or do not say which dot is which.
     """
     model = measurement.model
-    alone = photogrammetry_pipeline.run(measurement.network, None, progress, measured=seen.targets)
     if model.display is not None:
         names, u, v = _read_display(measurement.folder / model.display.file)
+        _refuse_other_table(model.display.file, names, seen.targets)
+    try:
+        alone = photogrammetry_pipeline.run(measurement.network, None, progress, measured=seen.targets)
+    except EstimationError as error:
+        raise _with_count_of_photos(measurement, error) from None
+    if model.display is not None:
         points = _with_middles(seen.targets, names, alone.solved.bundle)
         again = alone if points is None else _again(measurement, alone, points, progress)
         return _of_targets(measurement, again, seen, (names, u, v))
@@ -161,6 +199,31 @@ def solve(measurement: ScreenMeasurement, seen: Seen, progress: Progress) -> Scr
     found = _screen_points(measurement, bundle, index, u, v)
     own_frame = model.shape.frame == "screen"
     return ScreenNetwork(joint, chosen, found, origin, gathered, own_frame)
+
+
+def _refuse_other_table(file: str, names: Sequence[str], targets: MeasuredPhotos) -> None:
+    """Refuse a table of which the photos show fewer than three targets."""
+    shown = set(targets.points.targets)
+    missing = [name for name in names if name not in shown and not shown.issuperset(_corners(name))]
+    if len(names) - len(missing) < 3:
+        raise EstimationError(
+            f"{len(names) - len(missing)} of the {len(names)} targets of {file} are in the photos, 3 are needed; not "
+            f"there: {', '.join(missing[:8])}; is it the table of this screen?"
+        )
+
+
+def _with_count_of_photos(measurement: ScreenMeasurement, error: EstimationError) -> EstimationError:
+    """Say with a failed network that too few photos are there for cameras that calibrate themselves."""
+    count = len(measurement.photo_files)
+    free = [one.name for one in measurement.model.camera if "focal_px" in one.estimated]
+    if count > _FEW_PHOTOS or not free:
+        return error
+    told = EstimationError(
+        f"{error}; {count} photos are few for a camera that calibrates itself ({', '.join(free)}): take five to eight "
+        "from different sides, two of them turned by 90 degrees, or give its calibration (file or focal_px)"
+    )
+    told.pictures = error.pictures
+    return told
 
 
 def _again(

@@ -14,6 +14,7 @@ from deflectometry.screen_geometry.pipeline.geometry import Result
 from deflectometry.setup.dot_screen import DotScreen
 from heliogauge.errors import EstimationError, InputError
 from heliogauge.geometry.rigid import RigidTransform
+from heliogauge.images.photos import read_image, write_image
 from heliogauge.measurement.writer import write_measurement
 from heliogauge.validate import FloatArray
 
@@ -27,10 +28,10 @@ def _aligned(points_m: FloatArray, truth_m: FloatArray) -> RigidTransform:
 
 @pytest.mark.slow
 def test_display_by_markers_at_its_rims(tmp_path: Path) -> None:
-    """Three drawn sets: surface and measuring camera within their joint sigmas, the file says the same."""
+    """One drawn set: surface and measuring camera within their joint sigmas, the file says the same."""
     u, v = (one.ravel() for one in np.meshgrid(np.linspace(0, 1, 9), np.linspace(0, 1, 9)))
     squares = []
-    for seed in (1, 2):
+    for seed in (1,):
         drawn = write_screen_dataset(tmp_path / f"in{seed}", ScreenChoice("rims", seed))
         result = run(load_screen(tmp_path / f"in{seed}"))
         assert [one.form for one in result.tests] == ["plane", "bent", "free"]
@@ -49,8 +50,8 @@ def test_display_by_markers_at_its_rims(tmp_path: Path) -> None:
         assert float(np.sqrt(np.mean(ratio**2))) < 2.0
         # Both are far below what fringes resolve: 20 um at 2.6 m turn a normal by 4 urad.
         assert float(np.abs(found - place.apply(truth)).max()) < 2e-5
-    # Twelve numbers: beyond 2.2 with a chance of 1e-2.
-    assert np.mean(squares) < 2.2
+    # Six numbers: beyond 2.8 with a chance of 1e-2; ten sets are in test_screen_sigmas.
+    assert np.mean(squares) < 2.8
     result.write(tmp_path)
     again = read_screen(tmp_path)
     np.testing.assert_array_equal(again.screen.points_m(u, v), found)
@@ -151,14 +152,59 @@ def test_a_screen_without_scale_or_with_an_unknown_photo_is_refused(tmp_path: Pa
         load_screen(tmp_path)
 
 
-def test_photos_without_dots_are_named(tmp_path: Path) -> None:
-    drawn = write_screen_dataset(tmp_path / "in", ScreenChoice("rims", 3, n_photos=2))
-    assert len(drawn.scene.views) == 3
-    file = tmp_path / "in" / "measurement.toml"
+@pytest.fixture(scope="module")
+def three_photos(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two photos of a display and that of the measuring camera, drawn once."""
+    folder = tmp_path_factory.mktemp("rims") / "in"
+    assert len(write_screen_dataset(folder, ScreenChoice("rims", 3, n_photos=2)).scene.views) == 3
+    return folder
+
+
+def _changed(source: Path, folder: Path, *changes: tuple[str, str]) -> Path:
+    shutil.copytree(source, folder)
+    file = folder / "measurement.toml"
     text = file.read_text()
-    file.write_text(text.replace('[display]\nfile = "targets.csv"', '[dots]\ndots = "dark"'))
-    with pytest.raises(EstimationError, match=r"0 of 3 photos show the field of dots"):
-        run(load_screen(tmp_path / "in"))
+    for old, new in changes:
+        assert old in text
+        text = text.replace(old, new)
+    file.write_text(text)
+    return folder
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (('[display]\nfile = "targets.csv"', '[dots]\ndots = "dark"'), "0 of 3 photos show the field of dots"),
+        (("DICT_4X4_50", "DICT_6X6_50"), "none of 3 photos shows a target of the dictionary"),
+    ],
+    ids=["no dots", "other wall"],
+)
+def test_what_the_photos_do_not_show_is_said(
+    change: tuple[str, str], message: str, three_photos: Path, tmp_path: Path
+) -> None:
+    folder = _changed(three_photos, tmp_path / "in", change)
+    with pytest.raises((EstimationError, InputError), match=message):
+        run(load_screen(folder))
+
+
+@pytest.mark.slow
+def test_a_mirrored_photo_is_named(three_photos: Path, tmp_path: Path) -> None:
+    folder = _changed(three_photos, tmp_path / "in")
+    photo = folder / "photo_002.png"
+    write_image(photo, np.ascontiguousarray(read_image(photo)[:, ::-1]))
+    with pytest.raises(EstimationError, match=r"1 of 3 photos are mirrored: photo_002.png"):
+        run(load_screen(folder))
+
+
+@pytest.mark.slow
+def test_a_table_of_another_screen_is_refused(three_photos: Path, tmp_path: Path) -> None:
+    folder = _changed(three_photos, tmp_path / "in")
+    file = folder / "targets.csv"
+    rows = file.read_text().splitlines()
+    file.write_text("\n".join([rows[0], *(f"4{row}" for row in rows[1:])]) + "\n")
+    with pytest.raises(EstimationError, match=r"0 of the 14 targets of targets.csv are in the photos"):
+        run(load_screen(folder))
 
 
 def test_the_drawn_screen_is_what_its_truth_says() -> None:
