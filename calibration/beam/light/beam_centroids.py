@@ -1,6 +1,7 @@
 """Centroids of a beam by four methods, each with its influence function, so that one noise model gives all sigmas."""
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import NamedTuple
 
 import cv2
@@ -10,15 +11,17 @@ from calibration.beam.light.background import area_resized
 from heliogauge.adjust.robust_scale import robust_scale
 from heliogauge.adjust.small_fits import Descent, SmallFits, descend
 from heliogauge.errors import EstimationError
-from heliogauge.validate import BoolArray, FloatArray, IntArray
+from heliogauge.validate import BoolArray, FloatArray, IntArray, freeze
 
 __all__ = [
     "CENTROID_METHODS",
+    "Bell",
     "Centroid",
     "PixelNoise",
     "Spot",
+    "bell_again",
     "block_sums",
-    "centroid_covariance_px2",
+    "coarse_shape",
     "gaussian_centroid",
     "intensity_centroid",
     "pixel_noise",
@@ -64,20 +67,31 @@ class Spot:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Bell:
+    """An elliptic super-Gaussian.
+
+    parameters (7,): Height, centre, quadratic form, exponent.
+    values_dn (h, w): It, on the grid of `coarse_shape` [DN].
+    """
+
+    parameters: FloatArray
+    values_dn: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Centroid:
     """A position and how it depends on every pixel.
 
     position_px (2,): Column and row [px].
-    influence (2, h, w): Derivative of the position by each pixel's value, on a grid that covers the same target
-        [px/DN].
+    influence (2, h, w): Derivative of the position by each pixel's value, on the grid of `coarse_shape` [px/DN].
     exponent: Exponent of the super-Gaussian; NaN for other methods.
-    bell_dn (h, w): The bell that was fitted, on the grid of the influence; None for other methods [DN].
+    bell: The bell that was fitted; None for other methods.
     """
 
     position_px: FloatArray
     influence: FloatArray
     exponent: float = float("nan")
-    bell_dn: FloatArray | None = None
+    bell: Bell | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -133,6 +147,17 @@ def super_gaussian_centroid(spot: Spot) -> Centroid:
     return _fitted(spot, free_exponent=True)
 
 
+def bell_again(spot: Spot, before: Bell) -> Bell:
+    """Fit the super-Gaussian to a picture that hardly differs from one that it was fitted to.
+
+    before: That one's.
+    EstimationError: The fit does not converge.
+    """
+    pixels = _pixels(spot)
+    found = _descend(before.parameters, np.ones(7, dtype=np.bool_), pixels.counted_pixels).parameters
+    return Bell(found, _model(found, pixels.x, pixels.y)[0].reshape(before.values_dn.shape))
+
+
 def _weighted(spot: Spot, level_dn: float, ramp_dn: float) -> Centroid:
     """Centre of the light above a level of the smoothed picture, which a ramp makes a function of the pixels.
 
@@ -152,31 +177,54 @@ def _weighted(spot: Spot, level_dn: float, ramp_dn: float) -> Centroid:
     for arm in ((x - center[0])[None, :], (y - center[1])[:, None]):
         outline = cv2.GaussianBlur(slope * arm, (0, 0), max(spot.smoothing_px, 1e-3))
         parts.append(chosen / total * arm + np.asarray(outline, dtype=np.float64))
-    return Centroid(center, np.stack(parts))
+    shape = coarse_shape(spot.values_dn.shape)
+    return Centroid(center, _sums(np.stack(parts), shape).reshape(2, *shape))
 
 
 # --- fits -----------------------------------------------------------------------------------------------------------
 
 
+def coarse_shape(shape: tuple[int, ...]) -> tuple[int, int]:
+    """Return rows and columns of the grid on which a beam is fitted, and influences vary little from pixel to pixel."""
+    scale = max(1.0, max(shape) / _FIT_PX)
+    return max(4, round(shape[0] / scale)), max(4, round(shape[1] / scale))
+
+
+class _Pixels(NamedTuple):
+    """Columns, rows and values of all pixels of the coarse grid, flat; which of them count."""
+
+    x: FloatArray
+    y: FloatArray
+    values_dn: FloatArray
+    counted: BoolArray
+
+    @property
+    def counted_pixels(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Columns, rows and values of those that count."""
+        return self.x[self.counted], self.y[self.counted], self.values_dn[self.counted]
+
+
+def _pixels(spot: Spot) -> _Pixels:
+    shape = coarse_shape(spot.values_dn.shape)
+    counted = (area_resized(spot.usable.astype(np.float32), shape) > 0.99).ravel()
+    x, y = np.meshgrid(np.arange(shape[1], dtype=np.float64), np.arange(shape[0], dtype=np.float64))
+    return _Pixels(x.ravel(), y.ravel(), area_resized(spot.values_dn, shape).ravel(), counted)
+
+
 def _fitted(spot: Spot, *, free_exponent: bool) -> Centroid:
     height, width = spot.values_dn.shape
-    scale = max(1.0, max(height, width) / _FIT_PX)
-    shape = (max(4, round(height / scale)), max(4, round(width / scale)))
-    values = area_resized(spot.values_dn, shape)
-    counted = (area_resized(spot.usable.astype(np.float32), shape) > 0.99).ravel()
+    shape = coarse_shape(spot.values_dn.shape)
     stretch = np.array([width / shape[1], height / shape[0]])
-    columns, rows = np.meshgrid(np.arange(shape[1], dtype=np.float64), np.arange(shape[0], dtype=np.float64))
-    x, y, wanted = columns.ravel()[counted], rows.ravel()[counted], values.ravel()[counted]
-    start = _start(spot, shape)
+    pixels = _pixels(spot)
     free = np.array([True] * 6 + [free_exponent])
-    found, d_wanted = _descend(start, free, (x, y, wanted))
+    found, jacobian = _descend(_start(spot, shape), free, pixels.counted_pixels)
     if not (-0.5 <= found[1] <= shape[1] - 0.5 and -0.5 <= found[2] <= shape[0] - 0.5):
         raise EstimationError("the fitted beam's centre is not on the target")
-    influence = np.zeros((2, values.size))
-    influence[:, counted] = d_wanted
+    influence = np.zeros((2, pixels.x.size))
+    influence[:, pixels.counted] = _center_derivative(found, free, pixels.counted_pixels, jacobian)
     # Pixel centres of the coarser picture: outlines of both pictures coincide.
     position = (found[1:3] + 0.5) * stretch - 0.5
-    bell = _model(found, columns.ravel(), rows.ravel())[0].reshape(shape)
+    bell = Bell(found, _model(found, pixels.x, pixels.y)[0].reshape(shape))
     exponent = float(found[6]) if free_exponent else float("nan")
     return Centroid(position, influence.reshape(2, *shape) * stretch[:, None, None], exponent, bell)
 
@@ -196,7 +244,7 @@ def _start(spot: Spot, shape: tuple[int, int]) -> FloatArray:
 
 
 def _model(parameters: FloatArray, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Super-Gaussian: height, centre, quadratic form (xx, xy, yy), exponent; values and derivatives (m, 7)."""
+    """Super-Gaussian: height, centre, quadratic form (xx, xy, yy), exponent; values and derivatives (7, m)."""
     height, center_x, center_y, xx, xy, yy, exponent = parameters
     dx, dy = x - center_x, y - center_y
     form = np.maximum(xx * dx * dx + 2 * xy * dx * dy + yy * dy * dy, 1e-12)
@@ -213,8 +261,7 @@ def _model(parameters: FloatArray, x: FloatArray, y: FloatArray) -> tuple[FloatA
             d_form * 2 * dx * dy,
             d_form * dy * dy,
             -0.5 * values * power * np.log(form),
-        ],
-        axis=1,
+        ]
     )
     return values, derivatives
 
@@ -224,10 +271,15 @@ def _possible(p: FloatArray) -> bool:
     return bool(positive and _LEAST_EXPONENT <= p[6] <= _MOST_EXPONENT)
 
 
-def _descend(
-    start: FloatArray, free: BoolArray, pixels: tuple[FloatArray, FloatArray, FloatArray]
-) -> tuple[FloatArray, FloatArray]:
-    """Minimise the squares (Levenberg-Marquardt); return the parameters and the centre's derivative by each pixel."""
+class _Descended(NamedTuple):
+    """Parameters with the least squares, and the derivatives of the residuals by the free ones there."""
+
+    parameters: FloatArray
+    jacobian: FloatArray
+
+
+def _descend(start: FloatArray, free: BoolArray, pixels: tuple[FloatArray, FloatArray, FloatArray]) -> _Descended:
+    """Minimise the squares (Levenberg-Marquardt)."""
     x, y, wanted = pixels
 
     def at(values: FloatArray) -> FloatArray:
@@ -239,7 +291,7 @@ def _descend(
         if not rows.size:
             return np.empty((0, x.size)), np.empty((0, trial.shape[1], x.size))
         values, jacobian = _model(at(trial[0]), x, y)
-        return (wanted - values)[None], jacobian.T[free][None]
+        return (wanted - values)[None], jacobian[free][None]
 
     one, first = np.arange(1), start[free][None]
     residuals, jacobian = evaluate(one, first)
@@ -262,7 +314,7 @@ def _descend(
     )
     if not fit.settled[0]:
         raise EstimationError(f"the fit of the beam did not converge in {_DESCENT.most_steps} steps")
-    return at(fit.parameters[0]), _center_derivative(at(fit.parameters[0]), free, pixels, fit.jacobian[0])
+    return _Descended(at(fit.parameters[0]), fit.jacobian[0])
 
 
 def _center_derivative(
@@ -282,7 +334,7 @@ def _center_derivative(
             moved = found.copy()
             moved[name] += sign * step
             values, rows = _model(moved, x, y)
-            sides.append(rows[:, free].T @ (wanted - values))
+            sides.append(rows[free] @ (wanted - values))
         hessian[:, k] = (sides[1] - sides[0]) / (2 * step)
     scale = np.sqrt(np.abs(np.diag(hessian))) + 1e-300
     solved = np.linalg.solve((hessian + hessian.T) / 2 / scale[:, None] / scale, jacobian / scale[:, None])
@@ -354,37 +406,33 @@ def _block_variance(residuals: FloatArray, blocks: int) -> _Blocks:
     return _Blocks(float(np.mean((means if means.size else residuals) ** 2)), count, means.size)
 
 
-def centroid_covariance_px2(centroid: Centroid, noise: PixelNoise) -> FloatArray:
-    """Propagate the errors of the pixels into the covariance of a centroid.
+class Propagated(NamedTuple):
+    """Covariance of quantities, (k, k): of what is sure, and of the background's error by each size of its blocks."""
 
-    Shapes: result (2, 2).
-    """
-    return propagated(centroid.influence, noise)
+    covariance: FloatArray
+    by_blocks: list[FloatArray]
+
+    def of(self, chosen: slice) -> FloatArray:
+        """Return the covariance of some quantities of one unit, with the blocks that have the largest effect on it."""
+        largest = max((one[chosen, chosen] for one in self.by_blocks), key=np.trace)
+        return np.asarray(self.covariance[chosen, chosen] + largest)
 
 
-def propagated(influence: FloatArray, noise: PixelNoise) -> FloatArray:
-    """Propagate the errors of the pixels into the covariance of quantities of one unit.
+def propagated(influence: FloatArray, noise: PixelNoise) -> Propagated:
+    """Propagate the errors of the pixels into the covariance of quantities.
 
     influence (k, h, w): Derivative of each quantity by each pixel's value, on a grid that covers the same target.
-    Returns (k, k): Their covariance.
     """
-    shape = influence.shape[1:]
+    shape = (influence.shape[1], influence.shape[2])
     finer = noise.white_dn2.size / (shape[0] * shape[1])
-    white = area_resized(noise.white_dn2, (shape[0], shape[1])) / finer
+    white = area_resized(noise.white_dn2, shape) / finer
     flat = influence.reshape(len(influence), -1)
     covariance = (flat * white.ravel()) @ flat.T
-    covariance += max(_of_blocks(influence, noise), key=np.trace)
     coarse = noise.basis.shape[:2]
-    weights = _sums(influence, (min(coarse[0], shape[0]), min(coarse[1], shape[1])))
-    basis = np.stack(
-        [
-            area_resized(function, (min(coarse[0], shape[0]), min(coarse[1], shape[1]))).ravel()
-            for function in np.moveaxis(noise.basis, 2, 0)
-        ],
-        axis=1,
-    )
-    pull = weights @ basis
-    return np.asarray(covariance + pull @ noise.coefficients @ pull.T)
+    least = (min(coarse[0], shape[0]), min(coarse[1], shape[1]))
+    basis = np.stack([area_resized(function, least).ravel() for function in np.moveaxis(noise.basis, 2, 0)], axis=1)
+    pull = _sums(influence, least) @ basis
+    return Propagated(np.asarray(covariance + pull @ noise.coefficients @ pull.T), _of_blocks(influence, noise))
 
 
 def _of_blocks(influence: FloatArray, noise: PixelNoise) -> list[FloatArray]:
@@ -397,8 +445,17 @@ def _of_blocks(influence: FloatArray, noise: PixelNoise) -> list[FloatArray]:
 
 def _sums(influence: FloatArray, shape: tuple[int, int]) -> FloatArray:
     """Add up the influence in blocks, shape (k, blocks)."""
-    each = influence[0].size / (shape[0] * shape[1])
-    return np.stack([area_resized(part, shape).ravel() * each for part in influence])
+    down, across = _overlap(influence.shape[1], shape[0]), _overlap(influence.shape[2], shape[1])
+    return np.asarray((down @ influence @ across.T).reshape(len(influence), -1))
+
+
+@lru_cache(maxsize=64)
+def _overlap(pixels: int, blocks: int) -> FloatArray:
+    """Return the share of each pixel that lies in each of so many equal parts of a line, shape (blocks, pixels)."""
+    edges = np.arange(blocks + 1) * (pixels / blocks)
+    first = np.arange(pixels)
+    shared = np.minimum(first + 1, edges[1:, None]) - np.maximum(first, edges[:-1, None])
+    return np.asarray(freeze(np.maximum(shared, 0.0)))
 
 
 def block_sums(values: FloatArray) -> list[FloatArray]:

@@ -10,13 +10,15 @@ from calibration.beam.light.aureole import Aureole, find_aureole
 from calibration.beam.light.background import TargetSurface, area_resized, seams_of, taken_by_background
 from calibration.beam.light.beam_centroids import (
     CENTROID_METHODS,
+    Bell,
     Centroid,
     PixelNoise,
     Spot,
-    centroid_covariance_px2,
+    bell_again,
     gaussian_centroid,
     intensity_centroid,
     pixel_noise,
+    propagated,
     super_gaussian_centroid,
     threshold_centroid,
 )
@@ -320,13 +322,13 @@ def _measured(image: TargetImage, picture: _Picture, region: BeamRegion, setting
     noise = pixel_noise(
         picture.values_dn, spot.inside, free, (background.basis, background.cofactor, background.residuals_dn)
     )
-    estimates, centroids = {}, {}
+    centroids = {}
     for name, method in _METHODS.items():
         try:
             centroids[name] = method(spot)
-            estimates[name] = _estimate(image, picture, centroids[name], noise)
         except (EstimationError, np.linalg.LinAlgError):
             continue
+    estimates = _estimates(image, picture, centroids, noise)
     if settings.method not in estimates or "intensity" not in estimates:
         return no_beam(BeamFlag.NO_BEAM)
     axes = _axes(image, picture, spot, centroids["intensity"].position_px)
@@ -343,7 +345,7 @@ def _measured(image: TargetImage, picture: _Picture, region: BeamRegion, setting
     light = LightPicture(
         freeze(spot.values_dn), spot.inside, spot.usable & ~free, picture.saturated > 0, axes[0], axes[1]
     )
-    skirts = _skirts(centroids.get("super_gaussian"), region, spot)
+    skirts = _skirts(centroids["super_gaussian"].bell if "super_gaussian" in centroids else None, region, spot)
     try:
         size = beam_size(light, spot.smoothed_dn, skirts, noise, _aureole(region, skirts))
     except EstimationError:
@@ -367,22 +369,22 @@ def _measured(image: TargetImage, picture: _Picture, region: BeamRegion, setting
     )
 
 
-def _skirts(bell: Centroid | None, region: BeamRegion, spot: Spot) -> Skirts | None:
+def _skirts(bell: Bell | None, region: BeamRegion, spot: Spot) -> Skirts | None:
     """Continue the beam by its bell; the background is estimated without it, and the bell again above that."""
     shape = (spot.values_dn.shape[0], spot.values_dn.shape[1])
     coarse = (region.free.shape[0], region.free.shape[1])
     found: Skirts | None = None
     for _ in range(_SKIRT_ROUNDS):
-        if bell is None or bell.bell_dn is None:
+        if bell is None:
             break
-        fine = area_resized(bell.bell_dn, shape)
-        taken = taken_by_background(area_resized(bell.bell_dn, coarse), region.free, region.background)
+        fine = area_resized(bell.values_dn, shape)
+        taken = taken_by_background(area_resized(bell.values_dn, coarse), region.free, region.background)
         before, found = found, Skirts(fine, area_resized(taken, shape))
         moved = found.taken_dn if before is None else found.taken_dn - before.taken_dn
         if np.abs(moved).max() < _SKIRT_SETTLED * spot.peak_dn:
             break
         try:
-            bell = super_gaussian_centroid(replace(spot, values_dn=spot.values_dn + found.taken_dn))
+            bell = bell_again(replace(spot, values_dn=spot.values_dn + found.taken_dn), bell)
         except EstimationError:
             break
     return found
@@ -396,12 +398,20 @@ def _aureole(region: BeamRegion, skirts: Skirts | None) -> Aureole | None:
     return find_aureole(region.background, region.free, light, beyond) if light.any() else None
 
 
-def _estimate(image: TargetImage, picture: _Picture, centroid: Centroid, noise: PixelNoise) -> SpotEstimate:
-    pixel = (centroid.position_px + 0.5) * picture.stretch - 0.5
-    jacobian = image.jacobian(pixel) * picture.stretch
-    covariance = jacobian @ centroid_covariance_px2(centroid, noise) @ jacobian.T
-    place = image.points_m(pixel)
-    return SpotEstimate(freeze(place), freeze(covariance + image.covariance_m2(place)), centroid.exponent)
+def _estimates(
+    image: TargetImage, picture: _Picture, centroids: dict[str, Centroid], noise: PixelNoise
+) -> dict[str, SpotEstimate]:
+    if not centroids:
+        return {}
+    errors = propagated(np.concatenate([one.influence for one in centroids.values()]), noise)
+    found = {}
+    for number, (name, centroid) in enumerate(centroids.items()):
+        pixel = (centroid.position_px + 0.5) * picture.stretch - 0.5
+        jacobian = image.jacobian(pixel) * picture.stretch
+        covariance = jacobian @ errors.of(slice(2 * number, 2 * number + 2)) @ jacobian.T
+        place = image.points_m(pixel)
+        found[name] = SpotEstimate(freeze(place), freeze(covariance + image.covariance_m2(place)), centroid.exponent)
+    return found
 
 
 def _with_shape(method: str, estimates: dict[str, SpotEstimate], moments: BeamMoments) -> SpotEstimate:

@@ -13,9 +13,8 @@ import numpy as np
 
 from calibration.beam.light.aureole import Aureole
 from calibration.beam.light.background import area_resized
-from calibration.beam.light.beam_centroids import PixelNoise, propagated
+from calibration.beam.light.beam_centroids import PixelNoise, coarse_shape, propagated
 from calibration.beam.light.beam_moments import beam_moments
-from heliogauge.errors import EstimationError
 from heliogauge.validate import BoolArray, FloatArray, freeze
 
 __all__ = ["SHARES", "BeamSize", "LightPicture", "beam_size", "no_size"]
@@ -132,23 +131,25 @@ def beam_size(
     EstimationError: The light does not add up to a positive sum.
     """
     bare = np.where(picture.region, picture.values_dn, 0.0)
-    seen = _sizes(bare, picture)
-    whole, share = seen, 0.0
+    sizes = _sizes(bare, picture)
+    seen, share = sizes.values, 0.0
     if skirts is not None:
         light = np.where(picture.region, picture.values_dn + skirts.taken_dn, skirts.bell_dn)
-        whole = _sizes(light, picture)
-        share = float(np.clip(1 - seen[0] / whole[0], 0.0, 1.0))
+        sizes = _sizes(light, picture)
+        share = float(np.clip(1 - seen[0] / sizes.values[0], 0.0, 1.0))
         bare = light
-    influences = _influences(bare, picture, whole)
+    whole = sizes.values
+    influences = _influences(bare, picture, sizes)
     change = 0.5 * (whole - seen)
     limit = _LIMIT_SHARE * np.array([2.0, 2.0, 2.0, 2.0, 1.0, 1.0, 1.0]) * np.abs(whole)
     limit[2] = 2 * _LIMIT_SHARE * float(np.sqrt(max(whole[1] * whole[3], 0.0)))
-    moments = propagated(influences[1:4], noise) + np.outer(change[1:4], change[1:4]) + np.diag(limit[1:4] ** 2)
-    sigma = np.array([np.sqrt(float(propagated(one[None], noise)[0, 0])) for one in influences])
+    errors = propagated(influences, noise)
+    moments = errors.of(slice(1, 4)) + np.outer(change[1:4], change[1:4]) + np.diag(limit[1:4] ** 2)
+    sigma = np.sqrt([float(errors.of(slice(k, k + 1))[0, 0]) for k in range(whole.size)])
     sigma = np.hypot(np.hypot(sigma, change), limit)
     wider, aureole_share = np.zeros(whole.size), 0.0
     if aureole is not None and aureole.sigmas > _CHANCE:
-        with_it = _sizes(_with_aureole(picture, skirts, aureole), picture)
+        with_it = _sizes(_with_aureole(picture, skirts, aureole), picture).values
         wider, aureole_share = with_it - whole, float(1 - whole[0] / with_it[0])
     least = max(_SAID * float(sigma[5]), _SAID_SHARE * float(whole[5]))
     has_aureole = aureole is not None and aureole.sigmas > _SAID and bool(wider[5] > least)
@@ -181,49 +182,72 @@ def _with_aureole(picture: LightPicture, skirts: Skirts | None, aureole: Aureole
     return np.where(picture.region, picture.values_dn + taken, beyond)
 
 
-def _sizes(light: FloatArray, picture: LightPicture) -> FloatArray:
-    """Return total, xx, xy, yy and the diameters of `SHARES`."""
+def _sizes(light: FloatArray, picture: LightPicture) -> "_Sizes":
     moments = beam_moments(light, picture.x_m, picture.y_m)
     (xx, xy), (_, yy) = moments.covariance_m2
-    diameters = 2 * _radii(light, picture, moments.centroid_m).radius_m
-    return np.array([moments.total, xx, xy, yy, *diameters])
+    radii = _radii(light, picture, moments.centroid_m)
+    values = np.array([moments.total, xx, xy, yy, *(2 * radii.radius_m)])
+    return _Sizes(values, moments.centroid_m, radii)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Radii:
-    """Radii that hold `SHARES` of the light, what lies within each, and the light per metre of radius there."""
+    """Radii that hold `SHARES` of the light, and the share per metre of radius there."""
 
     radius_m: FloatArray
     per_m: FloatArray
-    distance_m: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Sizes:
+    """Total, xx, xy, yy and the diameters of `SHARES`, (7,); the centre; the radii."""
+
+    values: FloatArray
+    center_m: FloatArray
+    radii: _Radii
 
 
 def _radii(light: FloatArray, picture: LightPicture, center_m: FloatArray) -> _Radii:
-    distance = np.hypot(picture.x_m[None, :] - center_m[0], picture.y_m[:, None] - center_m[1])
+    x = (picture.x_m - center_m[0]).astype(np.float32)
+    y = (picture.y_m - center_m[1]).astype(np.float32)
     # A ring as wide as a pixel holds too few of them near the middle; radii that matter are tens of pixels.
     step = 0.5 * float(np.sqrt(picture.pixel_m2))
-    rings = np.bincount((distance / step).astype(np.intp).ravel(), weights=light.ravel())
+    number = (np.sqrt((x * x)[None, :] + (y * y)[:, None]) * np.float32(1 / step)).astype(np.intp)
+    rings = np.bincount(number.ravel(), weights=light.ravel())
     inside = np.concatenate([[0.0], np.cumsum(rings)]) / float(light.sum())
     outer = np.maximum.accumulate(inside)
     edges = step * np.arange(inside.size)
     radius = np.interp(SHARES, outer, edges)
     # The light between 10 % smaller and larger circles: smooth against pixels.
     near, far = np.interp(0.9 * radius, edges, outer), np.interp(1.1 * radius, edges, outer)
-    return _Radii(radius, (far - near) / (0.2 * radius), distance)
+    return _Radii(radius, (far - near) / (0.2 * radius))
 
 
-def _influences(light: FloatArray, picture: LightPicture, sizes: FloatArray) -> FloatArray:
-    """Return the derivatives of all sizes by each pixel's value, shape (7, h, w); 0 where no light is measured."""
-    total = float(light.sum())
-    if not total > 0:
-        raise EstimationError(f"the light of the beam adds up to {total:.4g} DN: it has no size")
-    moments = beam_moments(light, picture.x_m, picture.y_m)
-    dx = (picture.x_m - moments.centroid_m[0])[None, :]
-    dy = (picture.y_m - moments.centroid_m[1])[:, None]
-    radii = _radii(light, picture, moments.centroid_m)
-    parts = [np.full(light.shape, picture.pixel_m2)]
-    for product, mean in ((dx * dx, sizes[1]), (dx * dy, sizes[2]), (dy * dy, sizes[3])):
+def _influences(light: FloatArray, picture: LightPicture, sizes: _Sizes) -> FloatArray:
+    """Return the derivatives of all sizes by each pixel's value, shape (7, h, w); 0 where no light is measured.
+
+    They vary little from pixel to pixel, so the grid is coarse: each of its pixels is a mean of finer ones.
+    """
+    shape = coarse_shape(light.shape)
+    finer = light.size / (shape[0] * shape[1])
+    # Light adds up to as much over fewer pixels.
+    total = float(light.sum()) / finer
+    x, y = (
+        _means(axis, count) - middle
+        for axis, count, middle in zip((picture.x_m, picture.y_m), shape[::-1], sizes.center_m, strict=True)
+    )
+    dx, dy = x[None, :], y[:, None]
+    parts = [np.full(shape, picture.pixel_m2 * finer)]
+    for product, mean in ((dx * dx, sizes.values[1]), (dx * dy, sizes.values[2]), (dy * dy, sizes.values[3])):
         parts.append((product - mean) / total)
-    for share, radius, per_m in zip(SHARES, radii.radius_m, radii.per_m, strict=True):
-        parts.append(2 * (share - (radii.distance_m < radius)) / (total * per_m))
-    return np.stack([np.where(picture.region, one, 0.0) for one in parts])
+    distance, width = np.hypot(dx, dy), float(np.sqrt(picture.pixel_m2 * finer))
+    for share, radius, per_m in zip(SHARES, sizes.radii.radius_m, sizes.radii.per_m, strict=True):
+        within = np.clip(0.5 + (radius - distance) / width, 0.0, 1.0)
+        parts.append(2 * (share - within) / (total * per_m))
+    return np.stack(np.broadcast_arrays(*parts)) * area_resized(picture.region.astype(np.float32), shape)
+
+
+def _means(axis_m: FloatArray, count: int) -> FloatArray:
+    """Return the middles of so many equal parts of an axis [m]."""
+    step = float(axis_m[1] - axis_m[0])
+    return np.asarray(axis_m[0] + step * ((np.arange(count) + 0.5) * (axis_m.size / count) - 0.5))
