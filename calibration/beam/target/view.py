@@ -114,12 +114,18 @@ class _Layout(NamedTuple):
 
 
 class _Maps(NamedTuple):
-    """Column and row of each sample in a part of the camera's picture, and where that part begins [px]."""
+    """Column and row of each sample in a part of the camera's picture, and where that part begins [px].
+
+    Least and largest column and row of all samples, and whether each sample has a place.
+    """
 
     columns_px: npt.NDArray[np.float32]
     rows_px: npt.NDArray[np.float32]
     left_px: int
     top_px: int
+    least_px: tuple[float, float]
+    most_px: tuple[float, float]
+    are_finite: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -181,7 +187,10 @@ class Rectifier(ShortRepr):
         # Only the part of the picture around the target is converted and resampled.
         first = np.maximum(np.floor(np.nanmin(pixels.reshape(-1, 2), axis=0)).astype(int) - 2, 0)
         columns_px, rows_px = (np.ascontiguousarray(pixels[..., k] - np.float32(first[k])) for k in (0, 1))
-        return _Maps(columns_px, rows_px, int(first[0]), int(first[1]))
+        least = (float(np.nanmin(columns_px)), float(np.nanmin(rows_px)))
+        most = (float(np.nanmax(columns_px)), float(np.nanmax(rows_px)))
+        whole = bool(np.isfinite(columns_px).all() and np.isfinite(rows_px).all())
+        return _Maps(columns_px, rows_px, int(first[0]), int(first[1]), least, most, whole)
 
     def rectify(self, image_dn: npt.NDArray[np.generic], *, full_scale_dn: float | None = None) -> TargetImage:
         """Resample one picture.
@@ -194,16 +203,18 @@ class Rectifier(ShortRepr):
         if image_dn.ndim != 2:
             raise InputError(f"image: shape (height, width) is needed, not {image_dn.shape}; make colours grey first")
         scale = full_scale_dn or _full_scale(image_dn)
-        columns, rows, left, top = self._maps
-        right, low = int(np.nanmax(columns)) + left + 3, int(np.nanmax(rows)) + top + 3
+        columns, rows, left, top, least, most, whole = self._maps
+        right, low = int(most[0]) + left + 3, int(most[1]) + top + 3
         part = np.ascontiguousarray(image_dn[top : max(low, top), left : max(right, left)], dtype=np.float32)
         if min(part.shape) < 2:
             raise InputError("the target lies outside the picture; check the corners")
         finer = self._layout.finer
         how = cv2.INTER_LINEAR if finer > 1 else cv2.INTER_CUBIC
-        inside = (columns >= 0) & (rows >= 0) & (columns <= part.shape[1] - 1) & (rows <= part.shape[0] - 1)
         values = cv2.remap(part, columns, rows, how, borderMode=cv2.BORDER_REPLICATE)
-        values[~inside] = np.nan
+        last = (part.shape[1] - 1, part.shape[0] - 1)
+        if not (whole and min(least) >= 0 and most[0] <= last[0] and most[1] <= last[1]):
+            inside = (columns >= 0) & (rows >= 0) & (columns <= last[0]) & (rows <= last[1])
+            values[~inside] = np.nan
         if finer > 1:
             values = cv2.resize(values, self._layout[1::-1], interpolation=cv2.INTER_AREA)
         return TargetImage(np.asarray(values, dtype=np.float64), self.plane_from_pixel, scale, self.view)
