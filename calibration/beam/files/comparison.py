@@ -74,7 +74,8 @@ class Comparison(InstrumentResult):
         }
         if after is not None:
             numbers["least_correlation_fitted_ratio"] = float(min(one.correlation_fitted for one in rows))
-            numbers["largest_canting_rad"] = float(np.hypot(*after.canting_rad.T).max())
+            told = after.is_canting_told
+            numbers["largest_canting_rad"] = float(np.hypot(*after.canting_rad.T).max()) if told else None
             numbers["sigma_largest_canting_rad"] = float(after.sigma_canting_rad.max())
             numbers["curvature_per_m"] = after.curvature_1pm
             numbers["sigma_curvature_per_m"] = after.sigma_curvature_1pm
@@ -121,6 +122,7 @@ class Comparison(InstrumentResult):
                 "canting_y_mrad": 1e3 * after.canting_rad[:, 1],
                 "sigma_canting_x_mrad": 1e3 * after.sigma_canting_rad[:, 0],
                 "sigma_canting_y_mrad": 1e3 * after.sigma_canting_rad[:, 1],
+                "determined": [int(after.is_canting_told)] * len(centers),
             }
             write_table_csv(folder / CANTING_FILE, canting)
         if self.left_out:
@@ -160,10 +162,12 @@ class Comparison(InstrumentResult):
         ]
         after = self.after
         if after is not None:
+            sigma_mrad = 1e3 * float(after.sigma_canting_rad.max())
+            canting = f"not determined (sigma {sigma_mrad:.2f} mrad)"
+            if after.is_canting_told:
+                canting = f"up to {1e3 * float(np.hypot(*after.canting_rad.T).max()):.2f} \u00b1 {sigma_mrad:.2f} mrad"
             lines.append(
-                f"  fitted: correlation {numbers['least_correlation_fitted_ratio']:.4f}; canting up to "
-                f"{1e3 * float(numbers['largest_canting_rad'] or 0):.2f} \u00b1 "
-                f"{1e3 * float(numbers['sigma_largest_canting_rad'] or 0):.2f} mrad; slope error below "
-                f"{1e3 * after.slope_error_bound_rad:.2f} mrad (95 %)"
+                f"  fitted: correlation {numbers['least_correlation_fitted_ratio']:.4f}; canting {canting}; slope "
+                f"error below {1e3 * after.slope_error_bound_rad:.2f} mrad (95 %)"
             )
         return "\n".join(lines)

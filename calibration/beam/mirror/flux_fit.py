@@ -27,8 +27,13 @@ __all__ = ["FluxFit", "FluxPhoto", "MirrorStand", "aureole_ratio", "compare_as_i
 _MOST_STEPS = 25
 #: Widths of the blocks within which residuals are taken as alike, in discs of the sun; the largest effect counts.
 _BLOCKS = (0.5, 1.0, 1.5)
+#: Width of the smaller blocks that all have one variance, in discs of the sun: those of drawn mirrors reach so far.
+_SMALL_BLOCK = 0.25
 #: Change of a canting that ends the fit: a hundredth of what photos tell [rad].
 _SETTLED_RAD = 1e-6
+#: Sigma of a canting beyond which it is of no use: the beam of the facet is turned by twice as much, 0.93 mrad, a fifth
+#: of the sun's radius [rad].
+_TOLD_RAD = 0.1 * 4.65e-3
 #: Steps of the differences that stand for derivatives [rad, 1/m, rad].
 _STEP_RAD, _STEP_1PM, _STEP_SCATTER_RAD = 1e-4, 2e-4, 2e-4
 #: Least and largest scatter: below, the sun's disc hides it; beyond, it is no scatter [rad].
@@ -106,6 +111,11 @@ class FluxFit(ShortRepr):
     correlations: FloatArray
     steps: int
     covariance_canting: FloatArray
+
+    @property
+    def is_canting_told(self) -> bool:
+        """Whether the photos tell the canting: to a fifth of the sun's radius in the beam, RMS over the facets."""
+        return float(np.sqrt(np.mean(self.sigma_canting_rad**2))) < _TOLD_RAD
 
     @property
     def slope_error_bound_rad(self) -> float:
@@ -313,7 +323,9 @@ class _Fit:
                 basis, _ = np.linalg.qr(model)
                 part -= basis @ (basis.T @ part)
                 rows.append(weight * scale[0] * part)
-                blocks.append(np.stack([_blocks(photo, scene, width)[known] for width in _BLOCKS]) + first)
+                blocks.append(
+                    np.stack([_blocks(photo, scene, width)[known] for width in (*_BLOCKS, _SMALL_BLOCK)]) + first
+                )
                 first += int(blocks[-1].max()) + 1
         empty = np.zeros((0, 0))
         return _Linear(
@@ -371,7 +383,9 @@ class _Fit:
     def _result(self, linear: _Linear, steps: int) -> FluxFit:
         normal = linear.rows.T @ linear.rows
         self._refuse_undetermined(normal)
-        covariance = max((self._left_out(linear, normal, index) for index in linear.blocks), key=self._size)
+        covariance = max((self._left_out(linear, normal, index) for index in linear.blocks[:-1]), key=self._size)
+        # A few blocks span few directions: in the others that covariance is near zero, by chance.
+        covariance = covariance + _alike(linear, normal, linear.blocks[-1])
         state, half, globals_ = self._state, self._count - 1, self._globals
         nan = float("nan")
         cantings = np.zeros((2 * self._count, 2 * self._count))
@@ -398,6 +412,25 @@ class _Fit:
             steps,
             freeze(cantings),
         )
+
+
+def _alike(linear: _Linear, normal: FloatArray, index: IntArray) -> FloatArray:
+    """Return the covariance where the residuals of all blocks have one variance, and are alike within each.
+
+    A block counts for the variance with what it tells of the parameters; what the parameters took of the residuals is
+    given back.
+    """
+    order = np.argsort(index, kind="stable")
+    first = np.concatenate([[0], np.flatnonzero(np.diff(index[order])) + 1])
+    count = np.diff(np.append(first, index.size))
+    sums = np.add.reduceat(linear.rows[order], first)
+    means = np.add.reduceat(linear.residuals[order], first) / count
+    told = np.sum((sums / np.sqrt(np.diag(normal))) ** 2, axis=1)
+    blocks = float(told.sum() ** 2 / np.sum(told**2))
+    spare = max(blocks - normal.shape[0], 0.25 * blocks)
+    variance = float(told @ means**2 / told.sum()) * blocks / spare
+    inverse = np.linalg.inv(normal)
+    return np.asarray(variance * inverse @ (sums.T @ sums) @ inverse)
 
 
 def _blocks(photo: FluxPhoto, scene: Scene, suns: float) -> IntArray:

@@ -323,6 +323,23 @@ def _doubts(result: Comparison) -> list[Doubt]:
                 Severity.SERIOUS,
             )
         )
+    after = result.after
+    if after is not None and not after.is_canting_told:
+        facets = result.mirror.facets
+        wide_m = float(np.median([np.ptp(one.points_m[:, :2], axis=0).max() for one in facets]))
+        away_m = float(np.linalg.norm(result.photos[0].target.center_m - result.stand.position_m))
+        sun_m = 2 * _SUN_RADIUS_RAD * away_m
+        sigma_mrad = 1e3 * float(np.sqrt(np.mean(after.sigma_canting_rad**2)))
+        doubts.append(
+            Doubt(
+                "canting_not_determined",
+                f"the canting of {len(facets)} facets is not determined (sigma {sigma_mrad:.1f} mrad): the sun's "
+                f"picture of {sun_m:.2f} m on the target is as wide as {sun_m / wide_m:.1f} facets, so their pictures "
+                f"overlap in all {len(result.photos)} photos; more suns far apart, or fewer facets in the light at a "
+                f"time (cover the others)",
+                {"sigma_canting_rad": 1e-3 * sigma_mrad, "facets_count": len(facets)},
+            )
+        )
     if result.left_out:
         name, reason = next(iter(result.left_out.items()))
         doubts.append(
