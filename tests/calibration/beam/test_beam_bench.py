@@ -12,6 +12,7 @@ from calibration.beam.keys import load_beams
 from calibration.beam.light.beam_flags import BeamFlag
 from calibration.beam.light.beam_image import measure_beam
 from calibration.beam.light.flux_scale import Gauge, absolute_by_gauge, absolute_by_power
+from calibration.beam.mirror.flux_fit import FluxFit
 from calibration.beam.pipeline import compare
 from calibration.beam.pipeline.measure import run
 from data_synth.heliostats import BenchOptions, write_beam_dataset
@@ -152,3 +153,23 @@ def test_flux_of_a_measured_surface_is_that_of_the_photo(shared_data: Path) -> N
         compare.CompareOptions(options.surface, mount="azimuth-elevation", fit=False),
     )
     assert other.before.correlations.min() < result.before.correlations.min()
+
+
+def test_records_of_the_plant_are_measured_or_refused_with_a_reason(shared_data: Path) -> None:
+    """Five records of heliostat AA23 of the plant's own camera, with its labels."""
+    result = run(load_beams(shared_data / "csp" / "juelich_beam_images"))
+    assert len(result.photos.files) == 5
+    refused = result.beams.rejected
+    assert all(reason for reason, bad in zip(result.beams.reasons, refused, strict=True) if bad)
+    assert np.count_nonzero(~refused) >= 4
+    off = np.hypot(*result.offsets_m[~refused].T)
+    assert off.max() < 0.1
+    assert np.isfinite([one.sigma_diameters_m for one in result.beams.sizes]).all()
+
+
+def test_a_canting_that_photos_do_not_tell_is_named() -> None:
+    pair, none = np.zeros((2, 2)), np.zeros(0)
+    for sigma_rad, told in ((0.3e-3, True), (0.6e-3, False)):
+        sigma = np.full((2, 2), sigma_rad)
+        found = FluxFit(pair, sigma, 0.0, 0.0, 1e-3, 1e-4, pair, pair, (), none, none, 1, np.zeros((4, 4)))
+        assert found.is_canting_told == told
