@@ -15,6 +15,8 @@ _MAGNITUDE_SIGMA = 0.8
 #: Hypotheses whose leans differ by less than so many standard deviations are the same.
 _SAME = 4.0
 _ROUNDS = 8
+#: Points of light that propose leans: with a tenth of strange ones all of them are strange once in 10^12.
+_PROPOSING = 12
 #: Points of light farther than this from their star are not it: 1 of 10^7 Gaussian ones [sigma, of two axes].
 _TOO_FAR = 5.5
 
@@ -41,6 +43,19 @@ class FacetLight:
     sigma_px: FloatArray
     magnitude: FloatArray
 
+    def chosen(self, points: IntArray) -> "FacetLight":
+        """Return some of the points."""
+        return FacetLight(
+            self.facet,
+            self.photo[points],
+            self.places_px[points],
+            self.sights[points],
+            self.d_sight_d_px[points],
+            self.eye_m,
+            self.sigma_px[points],
+            self.magnitude[points],
+        )
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SkyOfFacet:
@@ -52,6 +67,14 @@ class SkyOfFacet:
     directions: Sequence[FloatArray]
     magnitude: Sequence[FloatArray]
     number: Sequence[IntArray]
+
+    def chosen(self, which: Sequence[IntArray]) -> "SkyOfFacet":
+        """Return some stars of each photo."""
+        return SkyOfFacet(
+            [one[some] for one, some in zip(self.directions, which, strict=True)],
+            [one[some] for one, some in zip(self.magnitude, which, strict=True)],
+            [one[some] for one, some in zip(self.number, which, strict=True)],
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -90,6 +113,14 @@ def seen_directions(light: FacetLight, values: FloatArray, sights: FloatArray | 
     normal = np.stack([-slope_x - more_x, -slope_y - more_y, np.ones(len(rays))], axis=1)
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     return np.asarray(rays - 2 * (rays * normal).sum(axis=1, keepdims=True) * normal)
+
+
+def sky_area(light: FacetLight) -> float:
+    """Return the solid angle of sky that a facet shows, by the design [sr]."""
+    corners = light.facet.corners_m - light.eye_m
+    seen = seen_directions(light, np.zeros(5), corners / np.linalg.norm(corners, axis=1, keepdims=True))
+    x, y = np.einsum("ij,nj->in", _across(seen.mean(axis=0)[None])[0], seen)
+    return 0.5 * abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1)))
 
 
 def _across(directions: FloatArray) -> FloatArray:
@@ -143,6 +174,9 @@ def identify(
     cover = cover + np.einsum("nik,k,njk->nij", by_lean[:, :, 2:], prior[2:] ** 2, by_lean[:, :, 2:])
     cover = cover + sky_sigma_rad**2 * np.eye(2)
     reach = 3.5 * float(prior[:2].max()) * float(np.linalg.norm(by_lean[:, :, :2], axis=(1, 2)).max())
+    # Of 40,000 stars above, those near any point of their photo: a few hundred.
+    closest = [(one @ base[light.photo == p].T).max(axis=1, initial=-1.0) for p, one in enumerate(sky.directions)]
+    sky = sky.chosen([np.flatnonzero(one > np.cos(min(reach, 0.3))) for one in closest])
     near = [np.flatnonzero(sky.directions[p] @ base[n] > np.cos(min(reach, 0.3))) for n, p in enumerate(light.photo)]
     offset = [
         np.einsum("ij,mj->mi", across[n], sky.directions[p][near[n]] - base[n]) for n, p in enumerate(light.photo)
@@ -157,19 +191,25 @@ def identify(
     # Strange points are anywhere in the window, of any brightness within five magnitudes.
     strange = _STRANGE / (np.pi * reach**2) / 5.0
     turn = np.linalg.inv(by_lean[:, :, :2])
-    leans = [offset[n] @ turn[n].T for n in range(light.photo.size)]
+    # The right lean puts most of the brightest points on stars: any of them proposes it.
+    leans = [offset[n] @ turn[n].T for n in np.argsort(light.magnitude)[:_PROPOSING]]
     candidates = np.concatenate(leans) if leans else np.zeros((0, 2))
     candidates = candidates[(np.abs(candidates) < 3.5 * prior[:2]).all(axis=1)]
     if not len(candidates):
         return None
 
+    # Whitened, a squared distance is a plain sum.
+    white = np.linalg.cholesky(inverse)
+    flat = [offset[n] @ white[n] for n in range(light.photo.size)]
+    by_white = np.einsum("nki,nkl->nil", white, by_lean[:, :, :2])
+
     def score(lean: FloatArray) -> FloatArray:
         """Return the logarithm of likelihood times prior of leans (k, 2)."""
         total = -0.5 * ((lean / prior[:2]) ** 2).sum(axis=1)
         for n in range(light.photo.size):
-            miss = offset[n][None] - (lean @ by_lean[n, :, :2].T)[:, None]
-            chance = np.exp(-0.5 * np.einsum("kmi,ij,kmj->km", miss, inverse[n], miss)) * brightness[n]
-            share = chance.sum(axis=1) * density[n] if miss.shape[1] else np.zeros(len(lean))
+            at = lean @ by_white[n].T
+            squares = (flat[n][:, 0] - at[:, :1]) ** 2 + (flat[n][:, 1] - at[:, 1:]) ** 2
+            share = np.exp(-0.5 * squares) @ brightness[n] * density[n]
             total = total + np.log(share + strange)
         return np.asarray(total)
 
@@ -225,6 +265,8 @@ def _adjust(
         normal, right = np.diag(1 / prior**2), (start - values) / prior**2
         star[:], residual[:] = -1, np.nan
         for n, photo in enumerate(light.photo):
+            if not len(sky.directions[photo]):
+                continue
             miss = np.einsum("ij,mj->mi", across[n], sky.directions[photo] - seen[n])
             ahead = sky.directions[photo] @ seen[n] > 0
             distance = np.where(ahead, np.einsum("mi,ij,mj->m", miss, wide_inverse[n], miss), np.inf)

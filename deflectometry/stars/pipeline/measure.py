@@ -26,7 +26,15 @@ from deflectometry.shape.assemble import assemble_maps
 from deflectometry.shape.facet_canting import CANTING_SIGN, FacetCanting, canting_of_facets, doubt_of_canting
 from deflectometry.shape.smooth_shape import Align, alignment_words
 from deflectometry.stars.facet_maps import lean_map
-from deflectometry.stars.facet_stars import FacetLight, Lean, SkyOfFacet, identify, linear_response, seen_directions
+from deflectometry.stars.facet_stars import (
+    FacetLight,
+    Lean,
+    SkyOfFacet,
+    identify,
+    linear_response,
+    seen_directions,
+    sky_area,
+)
 from deflectometry.stars.keys import StarsMeasurement
 from deflectometry.stars.sky import Catalogue, StarsAbove, parse_catalogue, stars_above
 from deflectometry.stars.spots import Spots, find_spots
@@ -34,7 +42,7 @@ from heliogauge.doubts import Doubt, Severity, gather_doubts
 from heliogauge.errors import EstimationError, InputError
 from heliogauge.files.extras import of_extra
 from heliogauge.geometry.rigid import RigidTransform
-from heliogauge.geometry.sun import Site, utc_times
+from heliogauge.geometry.sun import Site, sun_angles, utc_times
 from heliogauge.geometry.surfaces import Facet
 from heliogauge.images.photos import read_frames
 from heliogauge.results.folder import Summary, hash_files, write_slope_map, write_table_csv
@@ -55,6 +63,12 @@ _FEWEST_FACETS = 1
 _SKY_SIGMA_RAD = 1e-5
 #: The sky turns by so much in a second of time [rad].
 _TURN_PER_S = 7.292e-5
+#: With the sun higher than this no photo shows stars.
+_DAY_RAD = np.radians(-3.0)
+#: Facets on which other hours are tried.
+_TRIED, _TRIED_POINTS = 3, 8
+#: A count of stars is exceeded by chance by less than so many standard deviations.
+_CHANCE_SIGMAS = 5.0
 #: Nodes of a map along a facet.
 _NODES = 40
 
@@ -143,6 +157,7 @@ class _Night:
     times: tuple[np.datetime64, ...]
     site: Site
     catalogue: Catalogue
+    left_out: int
 
 
 def run(measurement: StarsMeasurement, options: Options | None = None, progress: Progress | None = None) -> StarsResult:
@@ -240,6 +255,8 @@ def _night(measurement: StarsMeasurement, catalogue: Catalogue) -> tuple[_Night,
             [find_spots(np.asarray(one, np.float64), region, frames.full_scale_dn) for one in frames.images_dn]
         )
     lights = [_light(camera, facet, found) for facet, found in zip(facets, spots, strict=True)]
+    found_count = sum(one.photo.size for one in lights)
+    lights = [_brightest(one, len(model.photo), catalogue) for one in lights]
     if not sum(one.photo.size for one in lights):
         raise EstimationError(
             "no point of light in any facet: the exposure is too short, the lens is not at infinity, or the facets "
@@ -254,8 +271,28 @@ def _night(measurement: StarsMeasurement, catalogue: Catalogue) -> tuple[_Night,
         model.site.pressure_hpa,
         model.site.temperature_c,
     )
-    night = _Night(facets, tuple(lights), frame, tuple(begin + half), site, catalogue)
+    night = _Night(
+        facets,
+        tuple(lights),
+        frame,
+        tuple(begin + half),
+        site,
+        catalogue,
+        found_count - sum(one.photo.size for one in lights),
+    )
     return _with_zero_point(night), camera
+
+
+def _brightest(light: FacetLight, photos: int, catalogue: Catalogue) -> FacetLight:
+    """Return no more points of light than stars of the catalogue can be in the facet, the brightest of each photo."""
+    expected = catalogue.number.size / (4 * np.pi) * sky_area(light)
+    # Towards the Milky Way there are twice as many.
+    most = int(2 * expected + _CHANCE_SIGMAS * np.sqrt(2 * expected)) + 5
+    kept = []
+    for photo in range(photos):
+        own = np.flatnonzero(light.photo == photo)
+        kept.append(own[np.argsort(light.magnitude[own], kind="stable")[:most]])
+    return light.chosen(np.concatenate(kept))
 
 
 def _region(camera: OrientedCamera, facet: Facet, shape: tuple[int, ...]) -> BoolArray:
@@ -309,7 +346,7 @@ def _with_zero_point(night: _Night) -> _Night:
     The whole sky over the horizon has the same stars per solid angle within a factor of two: 0.7 magnitudes.
     """
     above = _above(night, 0.0)
-    area = sum(_sky_area(one) for one in night.lights) * len(night.times)
+    area = sum(sky_area(one) for one in night.lights) * len(night.times)
     magnitudes = np.sort(np.concatenate([one.magnitude for one in above]))
     density = len(magnitudes) / (2 * np.pi * (1 - np.sin(np.radians(10.0))) * len(above))
     found = np.sort(np.concatenate([one.magnitude for one in night.lights]))
@@ -317,12 +354,6 @@ def _with_zero_point(night: _Night) -> _Night:
     typical = float(np.median(magnitudes[: max(int(share * magnitudes.size), 1)]))
     zero = typical - float(np.median(found))
     return replace(night, lights=tuple(replace(one, magnitude=one.magnitude + zero) for one in night.lights))
-
-
-def _sky_area(light: FacetLight) -> float:
-    """Return the solid angle of sky that a facet of its size shows were it flat [sr]."""
-    distance = float(np.linalg.norm(light.eye_m))
-    return light.facet.area_m2 * abs(float(light.eye_m[2])) / distance**3
 
 
 def _named(night: _Night, priors: tuple[FloatArray, FloatArray], hours: float) -> list[Lean | None]:
@@ -348,6 +379,24 @@ def _is_sure(one: Lean | None) -> bool:
     return one is not None and one.probability > _SURE and int(np.count_nonzero(one.star >= 0)) >= 1
 
 
+def _fits(night: _Night, priors: tuple[FloatArray, FloatArray], hours: float, sure: int) -> bool:
+    """Return whether the sky of so many hours later names the stars of many more facets.
+
+    Three facets with the most points are tried first: where none of them has a sure name, half of all have not.
+    """
+    shift = np.timedelta64(int(hours * 3_600_000), "ms")
+    if (sun_angles([one + shift for one in night.times], night.site)[1] > _DAY_RAD).any():
+        return False
+    most = sorted(night.lights, key=lambda one: -one.photo.size)[:_TRIED]
+    most = [one.chosen(np.argsort(one.magnitude)[:_TRIED_POINTS]) for one in most]
+    above = _above(night, hours)
+    tried = [identify(one, _sky_of(night, one.facet, above), np.zeros(5), priors[0], _SKY_SIGMA_RAD) for one in most]
+    if not any(_is_sure(one) for one in tried):
+        return False
+    named = sum(one is not None for one in _named(night, priors, hours))
+    return named > max(2 * sure, 0.5 * len(night.facets))
+
+
 def _refuse(night: _Night, priors: tuple[FloatArray, FloatArray], leans: Sequence[Lean | None]) -> None:
     """Say why stars cannot be named.
 
@@ -366,8 +415,10 @@ def _refuse(night: _Night, priors: tuple[FloatArray, FloatArray], leans: Sequenc
             "field (10 degrees and more) is in view; check mirror.normal and the camera's place"
         )
     sure = sum(one is not None for one in leans)
+    # One point alone fits some star at every hour.
+    several = any(one.photo.size > 1 for one in night.lights)
     for hours in sorted(range(-14, 15), key=abs):
-        if hours and sum(one is not None for one in _named(night, priors, hours)) > max(2 * sure, 0.5 * len(leans)):
+        if hours and several and _fits(night, priors, hours, sure):
             raise EstimationError(
                 f"the stars in the facets are those of {abs(hours)} h {'later' if hours > 0 else 'earlier'} than "
                 "stated: the times are in another zone; append the right offset to photo.time"
@@ -475,6 +526,13 @@ def _doubts(night: _Night, leans: Sequence[Lean | None]) -> Iterator[Doubt]:
             f"{' ...' if len(unknown) > 5 else ''}): too few, or no hypothesis is a thousand times likelier; "
             "more photos over the night move other stars into them",
             {"facets_count": len(unknown)},
+        )
+    if night.left_out:
+        yield Doubt(
+            "points_beyond_catalogue",
+            f"{night.left_out} points of light are more than the catalogue has stars in the facets: only the brightest "
+            "of each facet count; dew, lamps, noise, or an exposure that shows stars fainter than faintest_magnitude",
+            {"points_count": night.left_out},
         )
     strange = sum(int(np.count_nonzero(one.star < 0)) for one in leans if one is not None)
     if strange:

@@ -48,6 +48,9 @@ COMMANDS = FOR_ALL + [
     "deflectometry init",
     "deflectometry synth",
     "deflectometry measure",
+    "deflectometry plan",
+    "deflectometry compare",
+    "deflectometry screen geometry",
     "deflectometry import opencsp",
     "deflectometry import soltrace",
     "deflectometry import slopes",
@@ -184,7 +187,17 @@ def test_closed_sets_are_choices_in_the_help(words: str, option: str, choices: A
 
 
 def test_presets_that_are_choices_are_all_that_there_are() -> None:
-    assert get_args(synth.FringePreset) == (*FRINGE_PRESETS, "laser-scan", "gazing", "gazing-close", "stars")
+    assert get_args(synth.FringePreset) == (
+        *FRINGE_PRESETS,
+        "tower",
+        "laser-scan",
+        "gazing",
+        "gazing-close",
+        "stars",
+        "screen-dots",
+        "screen-rims",
+        "surface-scan",
+    )
     assert get_args(synth.TargetPreset) == tuple(targets._PRESETS)
     assert get_args(synth.BoardPreset) == boards._BOARDS
     assert get_args(synth.TroughPreset) == tuple(TROUGH_PRESETS)
