@@ -56,7 +56,7 @@ def test_facets_that_show_the_ground_are_refused(drawn: Path, tmp_path: Path) ->
     text = file.read_text()
     line = next(one for one in text.splitlines() if one.startswith("normal = "))
     file.write_text(text.replace(line, "normal = [0.0, -1.0, -0.1]"))
-    with pytest.raises(EstimationError, match="no star field"):
+    with pytest.raises(EstimationError, match="camera camera: point|no star"):
         run(load_stars(tmp_path / "night"))
 
 
