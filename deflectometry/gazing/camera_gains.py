@@ -6,7 +6,6 @@ from itertools import combinations, permutations
 
 import numpy as np
 
-from deflectometry.gazing.input_steps import GazingSigmas, input_steps
 from deflectometry.gazing.mirror_points import FEWEST_CAMERAS
 from deflectometry.gazing.node_slopes import (
     Brightness,
@@ -37,23 +36,15 @@ class Gains:
     """What each camera sees over what it should, as its logarithm.
 
     logarithm (c,): Adjusted.
-    shift_m (c, 2): By what each camera stands beside its stated place, across the sight, right and up.
-    covariance (3 c, 3 c): Of the logarithms, of all shifts right, of all shifts up; other inputs exact.
-    response (3 c, k): How far one sigma of each other input draws them (`input_steps`).
+    shift_m (c, 2): By what each camera stands beside its stated place, in x and y of the mirror.
+    covariance (3 c, 3 c): Of the logarithms, of all shifts in x, of all shifts in y.
     misfit (c,): RMS of each camera's residuals over their sigmas, the share that two slopes took away restored.
     """
 
     logarithm: FloatArray
     shift_m: FloatArray
     covariance: FloatArray
-    response: FloatArray
     misfit: FloatArray
-
-    @property
-    def sigma(self) -> FloatArray:
-        """Standard deviations of the logarithms, shape (c,)."""
-        variance = np.diag(self.covariance) + (self.response**2).sum(axis=1)
-        return np.asarray(np.sqrt(variance[: len(self.logarithm)]))
 
     @property
     def factors(self) -> FloatArray:
@@ -81,12 +72,12 @@ def spread_nodes(facets: Sequence[Brightness], count: int = _NODES) -> list[Brig
     return chosen
 
 
-def fit_gains(facets: Sequence[Brightness], profile: SunProfile, prior: FloatArray, sigmas: GazingSigmas) -> Gains:
+def fit_gains(facets: Sequence[Brightness], profile: SunProfile, prior: FloatArray, places: FloatArray) -> Gains:
     """Find gains and places of all cameras and the slopes of some nodes together.
 
     facets: Nodes of each facet, from `spread_nodes`.
     prior (c, c): Covariance of the logarithms before: of each camera's level, and of the reflectance.
-    sigmas: Of places and of the other inputs.
+    places (c, c): Covariance of each coordinate of the cameras' places against the mirror [m^2].
     Returns: Gains, and places across the sight.
 
     Two slopes leave of c brightnesses c - 2 that know gains and places: the slopes are eliminated from the normal
@@ -95,18 +86,16 @@ def fit_gains(facets: Sequence[Brightness], profile: SunProfile, prior: FloatArr
     """
     count = len(prior)
     # Exact places keep a hair of freedom, so that their covariance has an inverse.
-    loose = sigmas.places() + 1e-12 * np.eye(count)
+    loose = places + 1e-12 * np.eye(count)
     inverse_prior = np.zeros((3 * count, 3 * count))
     for first, one in ((0, prior), (count, loose), (2 * count, loose)):
         inverse_prior[first : first + count, first : first + count] = np.linalg.inv(one)
     values: FloatArray = np.zeros(3 * count)
     normal = inverse_prior
     squares, freedom = np.zeros(count), np.zeros(count)
-    drawn = np.zeros((3 * count, 0))
     for _ in range(_ROUNDS):
         normal, right = inverse_prior.copy(), -inverse_prior @ values
         squares, freedom = np.zeros(count), np.zeros(count)
-        pulls = []
         gains = np.exp(values[:count])
         for stated in facets:
             seen = stated.moved(values[count:].reshape(2, count).T)
@@ -124,10 +113,8 @@ def fit_gains(facets: Sequence[Brightness], profile: SunProfile, prior: FloatArr
             design = np.concatenate([_diagonal(one) for one in (model, by_place[..., 0], by_place[..., 1])], axis=2)
             weighted = np.einsum("n,nci,ncd->nid", share, design, kept)
             normal += np.einsum("nid,ndj->ij", weighted, design)
-            right += share @ _score(seen, found, profile, gains)
-            others = [one for _, one in input_steps(seen, found.slopes, profile, gains, sigmas)]
-            pulls.append(np.einsum("nid,kdn->ik", weighted, np.reshape(others, (len(others), count, -1))))
-        step, drawn = np.linalg.solve(normal, right), np.linalg.solve(normal, np.sum(pulls, axis=0))
+            right += np.einsum("nid,nd->i", weighted, residual)
+        step = np.linalg.solve(normal, right)
         # A twentieth of what is unknown: the next round would change nothing that matters.
         if (np.abs(step) < 0.05 * np.sqrt(np.diag(np.linalg.inv(normal)))).all():
             break
@@ -136,26 +123,8 @@ def fit_gains(facets: Sequence[Brightness], profile: SunProfile, prior: FloatArr
         values[:count],
         values[count:].reshape(2, count).T,
         np.asarray(np.linalg.inv(normal), dtype=np.float64),
-        np.asarray(drawn, dtype=np.float64),
         np.asarray(np.sqrt(squares / np.maximum(freedom, 1e-9))),
     )
-
-
-def _score(seen: Brightness, found: NodeSlopes, profile: SunProfile, gains: FloatArray) -> FloatArray:
-    """Return by how much gains and places would rather be higher, for each node, shape (n, 3 c).
-
-    The derivative of the likelihood over all slopes that a node may have (Fisher's identity): where the profile is
-    flat, residuals at its mean slope are not zero in the mean, and 400 nodes would draw the gains with them.
-    """
-    weight = np.nan_to_num(1.0 / seen.sigma**2).T
-    total = np.zeros((seen.x_m.size, 3 * len(gains)))
-    points = found.spread()
-    for slopes in points:
-        model = (gains[:, None] * expected(seen, slopes, profile)).T
-        weighted = weight * np.where(weight > 0, np.nan_to_num(seen.value.T) - model, 0.0)
-        by_place = _d_light_d_place(seen, slopes, profile, gains)
-        total += np.concatenate([one * weighted for one in (model, by_place[..., 0], by_place[..., 1])], axis=1)
-    return total / len(points)
 
 
 def _diagonal(values: FloatArray) -> FloatArray:
@@ -212,7 +181,7 @@ def contradicting_camera(found: Gains, prior: FloatArray) -> LeftOutCamera | Non
         return None
     number = int(wrong[0])
     gain = float(found.factors[number])
-    return LeftOutCamera(number, gain, gain * float(found.sigma[number]))
+    return LeftOutCamera(number, gain, gain * float(np.sqrt(found.covariance[number, number])))
 
 
 def refuse_exchanged(

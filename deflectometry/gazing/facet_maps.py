@@ -1,12 +1,11 @@
 """The slope map of each facet from its nodes, with what all nodes have in common."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from deflectometry.gazing.camera_gains import Gains
-from deflectometry.gazing.input_steps import GazingSigmas, input_steps
+from deflectometry.gazing.camera_gains import Gains, slope_design
 from deflectometry.gazing.mirror_points import FacetGrid
 from deflectometry.gazing.node_slopes import Brightness, NodeSlopes, d_expected_d_deviation, deviations, expected
 from deflectometry.gazing.sun_profile import SunProfile
@@ -26,6 +25,21 @@ _LIT_SIGMAS = 4.0
 _WORTH_SAYING = 0.005
 #: Chi-square that chance exceeds once in a million nodes.
 _CHANCE = 1e-6
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GazingSigmas:
+    """Standard deviations of what is known of the set-up.
+
+    eyes_m (c,), mirror_m: Of each coordinate of each camera's place, and of the mirror's.
+    sun_rad: Of the sun's direction, each way.
+    sun_scale: Of the scale of the sun's profile.
+    """
+
+    eyes_m: FloatArray
+    mirror_m: float = 0.0
+    sun_rad: float = 0.0
+    sun_scale: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,10 +69,9 @@ def common_modes(facet: SolvedFacet, profile: SunProfile, gains: Gains, sigmas: 
     some = seen.chosen(few)
     solved = NodeSlopes(found.slopes[few], found.covariance[few], found.misfit[few])
     weight = np.nan_to_num(1.0 / some.sigma**2).T
-    # Change of the mean slope for a change of each camera's light: the covariance of both over what is possible.
-    spread = solved.spread()
-    light = np.stack([gains.factors[:, None] * expected(some, one, profile) for one in spread])
-    gain_of_light = np.einsum("kni,kcn,nc->nic", spread - solved.slopes, light, weight) / len(spread)
+    design = slope_design(some, solved.slopes, profile, gains.factors)
+    # Change of the slopes for a change of each camera's light: the covariance also knows what flat profiles leave.
+    gain_of_light = np.einsum("nij,ncj,nc->nic", solved.covariance, design, weight)
     moved = list(_moved(some, solved.slopes, profile, gains, sigmas))
     if not moved:
         return CommonModes((), np.zeros((0, 2, 10)), center, scale)
@@ -82,20 +95,28 @@ def _moved(
     light = gains.factors[:, None] * expected(seen, slopes, profile)
     steep = d_expected_d_deviation(seen, slopes, profile) * gains.factors[:, None, None]
     off = deviations(seen, slopes)
-    count = len(gains.logarithm)
 
-    def of_cameras(step: FloatArray) -> FloatArray:
-        """Return what gains and places that are a step off (3 c,) do."""
-        moved = seen.moved(step[count:].reshape(2, count).T)
+    def through(moved: Brightness) -> FloatArray:
         change = (deviations(moved, slopes) - off).mean(axis=2)
-        return np.asarray(step[:count, None] * light + (steep * change).sum(axis=2))
+        return np.asarray((steep * change).sum(axis=2))
 
+    count = len(gains.logarithm)
     for step in principal_steps(gains.covariance):
-        yield "brightness levels and places", of_cameras(step)
-    # Inputs that were not adjusted draw gains and places with them: what those explain is not left for the slopes.
-    steps = input_steps(seen, slopes, profile, gains.factors, sigmas)
-    for (source, change), drawn in zip(steps, gains.response.T, strict=True):
-        yield source, change - of_cameras(drawn)
+        shift = step[count:].reshape(2, count).T
+        yield "brightness levels and places", step[:count, None] * light + through(seen.moved(shift))
+    along = np.array([0.0, 0.0, 1.0])
+    for camera, sigma in enumerate(sigmas.eyes_m):
+        eyes = seen.eyes_m.copy()
+        eyes[camera] += np.hypot(sigma, sigmas.mirror_m) * along
+        yield "distance", through(replace(seen, eyes_m=eyes))
+    if sigmas.sun_rad > 0:
+        across = np.linalg.svd(seen.sun[None])[2][1:]
+        for one in across:
+            sun = seen.sun + sigmas.sun_rad * one
+            # The components across the sun change by the sun's own turn: the basis itself hardly does.
+            yield "sun direction", through(replace(seen, sun=sun / np.linalg.norm(sun)))
+    if sigmas.sun_scale > 0:
+        yield "sun profile", -sigmas.sun_scale * (steep * off.mean(axis=2)).sum(axis=2)
 
 
 def _is_lit(seen: Brightness) -> BoolArray:

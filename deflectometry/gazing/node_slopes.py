@@ -56,12 +56,8 @@ class Brightness:
         )
 
     def moved(self, shift_m: FloatArray) -> "Brightness":
-        """Return the same with cameras elsewhere by shifts across the sight, right and up (c, 2) [m]."""
-        sight = self.eyes_m.mean(axis=0)
-        sight = sight / np.linalg.norm(sight)
-        right = np.array([1.0, 0.0, 0.0]) - sight[0] * sight
-        right /= np.linalg.norm(right)
-        return replace(self, eyes_m=self.eyes_m + shift_m @ np.stack([right, np.cross(sight, right)]))
+        """Return the same with cameras elsewhere by shifts in x and y (c, 2) [m]."""
+        return replace(self, eyes_m=self.eyes_m + np.pad(shift_m, ((0, 0), (0, 1))))
 
     def with_value(self, value: FloatArray) -> "Brightness":
         """Return the same points with other light (c, n)."""
@@ -95,16 +91,6 @@ class NodeSlopes:
     slopes: FloatArray
     covariance: FloatArray
     misfit: FloatArray
-
-    def spread(self) -> FloatArray:
-        """Return four slopes of each node whose mean and covariance are the node's, shape (4, n, 2).
-
-        Means over them count what the profile's curvature does within what the brightness leaves possible (cubature of
-        third degree).
-        """
-        values, axes = np.linalg.eigh(self.covariance)
-        steps = np.sqrt(2 * np.maximum(values, 0.0))[:, None] * axes
-        return np.stack([self.slopes + sign * steps[:, :, axis] for axis in (0, 1) for sign in (1, -1)])
 
 
 def start_slopes(seen: Brightness) -> FloatArray:

@@ -23,12 +23,10 @@ class SunProfile:
 
     angle_rad (n,): Ascending angles from the centre, the first 0 [rad].
     relative (n,): Radiance there, 1 in the middle.
-    noise (k, n): What k independent sources of noise do to it, one sigma each; none where it counts as exact.
     """
 
     angle_rad: FloatArray
     relative: FloatArray
-    noise: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
     _values: FloatArray = field(init=False, repr=False)
     _slopes: FloatArray = field(init=False, repr=False)
 
@@ -133,24 +131,7 @@ def measure_sun(light: FloatArray, focal_px: float, what: str) -> SunImage:
     relative = mean / level
     at = np.bincount(ring[used], distance[used]) / count
     at[0], relative[0] = 0.0, relative[:3] @ count[:3] / count[:3].sum()
-    noise = _noise_of(distance[used], part[used] / level, at, relative)
-    return SunImage(SunProfile(np.arctan(at / focal_px), relative, noise), level, sigma, radius)
-
-
-#: Parts of the profile whose noise counts as independent: finer noise no camera's light adds up.
-_NOISE_PARTS = 12
-
-
-def _noise_of(distance_px: FloatArray, relative: FloatArray, at_px: FloatArray, profile: FloatArray) -> FloatArray:
-    """Return what the pixels' noise leaves of the profile, part by part, shape (k, n)."""
-    squares = (relative - np.interp(distance_px, at_px, profile)) ** 2
-    knots = np.linspace(0.0, at_px[-1], _NOISE_PARTS)
-    found = []
-    for hat in np.eye(_NOISE_PARTS):
-        weight = np.interp(distance_px, knots, hat)
-        sigma = float(np.sqrt((weight**2 * squares).sum()) / weight.sum())
-        found.append(sigma * np.interp(at_px, knots, hat))
-    return np.array(found)
+    return SunImage(SunProfile(np.arctan(at / focal_px), relative), level, sigma, radius)
 
 
 #: Sectors of the disc, and what one may differ from the others: limb darkening is the same all round.

@@ -8,7 +8,7 @@ import numpy as np
 from deflectometry.field.keys import FieldCameraSection, HeliostatSection
 from deflectometry.field.placement import OrientedCamera, field_from_mirror, normal_between, orient_camera
 from deflectometry.frames.image_file_checks import check_size
-from deflectometry.gazing.input_steps import GazingSigmas
+from deflectometry.gazing.facet_maps import GazingSigmas
 from deflectometry.gazing.keys import GazingCameraSection, GazingMeasurement, SunCameraSection
 from deflectometry.gazing.photometry import Exposure, Light, flat_response, light_of, mean_dark
 from deflectometry.gazing.sun_profile import SunImage, measure_sun

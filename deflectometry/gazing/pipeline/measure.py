@@ -104,7 +104,8 @@ def run(
             )
         refuse_exchanged(names, some, of_sun.profile, prior)
         sigmas = gazing_sigmas(measurement, list(range(len(cameras))))
-        gains = fit_gains(some, of_sun.profile, prior, sigmas)
+        places = np.diag(sigmas.eyes_m**2) + sigmas.mirror_m**2
+        gains = fit_gains(some, of_sun.profile, prior, places)
         left_out = contradicting_camera(gains, prior)
         chosen = [number for number in range(len(cameras)) if left_out is None or number != left_out.number]
         if left_out is not None and options.strict:
@@ -112,8 +113,8 @@ def run(
         kept = np.array(chosen)
         if left_out is not None:
             prior = prior[np.ix_(kept, kept)]
-            sigmas = gazing_sigmas(measurement, chosen)
-            gains = fit_gains([one.of_cameras(kept) for one in some], of_sun.profile, prior, sigmas)
+            places = places[np.ix_(kept, kept)]
+            gains = fit_gains([one.of_cameras(kept) for one in some], of_sun.profile, prior, places)
         _refuse_impossible_gains([names[number] for number in chosen], gains, prior)
     with progress.stage("slopes", steps=len(facets)) as stage:
         solved = []
@@ -125,6 +126,7 @@ def run(
     with progress.stage("maps"):
         factor = misfit_factor(solved)
         solved = [_scaled(one, factor) for one in solved]
+        sigmas = gazing_sigmas(measurement, chosen)
         frame = "facet frame: x across, y up, seen from the front, z out of the mirror [m]"
         largest = 1e-3 * model.evaluation.largest_sigma_mrad
         as_nominal = {}
@@ -263,7 +265,7 @@ def _turned(slope_map: SlopeMap, pointing: Pointing) -> SlopeMap:
 def _camera_rows(
     cameras: Sequence[GazingCamera], chosen: Sequence[int], gains: Gains, left_out: LeftOutCamera | None
 ) -> Iterator[CameraRow]:
-    sigma = gains.sigma
+    sigma = np.sqrt(np.diag(gains.covariance))
     for number, one in enumerate(cameras):
         if number in chosen:
             place = chosen.index(number)

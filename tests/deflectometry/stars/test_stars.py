@@ -51,12 +51,12 @@ def test_wrong_time_zone_is_named(drawn: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_facets_that_show_the_ground_are_refused(drawn: Path, tmp_path: Path) -> None:
+def test_normal_that_contradicts_the_corners_is_refused(drawn: Path, tmp_path: Path) -> None:
     file = shutil.copytree(drawn, tmp_path / "night") / "measurement.toml"
     text = file.read_text()
     line = next(one for one in text.splitlines() if one.startswith("normal = "))
     file.write_text(text.replace(line, "normal = [0.0, -1.0, -0.1]"))
-    with pytest.raises(EstimationError, match="camera camera: point|no star"):
+    with pytest.raises(EstimationError, match="camera camera: point"):
         run(load_stars(tmp_path / "night"))
 
 
