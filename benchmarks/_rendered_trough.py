@@ -29,6 +29,8 @@ TUBE_SIDES, TUBE_STEP_M = 256, 0.02
 DICTIONARY = "aicon-12"
 #: Surfaces that a path may meet, and how far along its own direction it starts from each [m].
 MOST_SURFACES, STEP_OFF_M = 13, 1e-4
+#: Counts changes of the paths, so that photos of former ones are not taken for those of now.
+PATHS = 2
 
 
 @dataclass(frozen=True)
@@ -76,7 +78,7 @@ class Scene:
     @property
     def key(self) -> str:
         """Name of the scene by its content."""
-        return hashlib.sha256(json.dumps(asdict(self), sort_keys=True).encode()).hexdigest()[:12]
+        return hashlib.sha256(json.dumps([asdict(self), PATHS], sort_keys=True).encode()).hexdigest()[:12]
 
     @property
     def panel_edges_m(self) -> tuple[np.ndarray, np.ndarray]:
@@ -311,10 +313,12 @@ def exact_paths() -> Any:
         """Paths from the camera to the sky."""
 
         def sample(self, scene, sampler, ray, medium=None, active=True):
-            def going(active, ray, light, share, depth):
+            def going(active, ray, light, share, depth, sampler):
                 return active
 
-            def go_on(active, ray, light, share, depth):
+            # The sampler belongs to the loop's state: otherwise each surface draws the same number, and light that the
+            # first face of the glass lets through is thrown back by no other one.
+            def go_on(active, ray, light, share, depth, sampler):
                 met = scene.ray_intersect(ray, active)
                 light = light + dr.select(active, share * met.emitter(scene).eval(met, active), 0.0)
                 inside = active & met.is_valid()
@@ -324,9 +328,9 @@ def exact_paths() -> Any:
                 way = met.to_world(drawn.wo)
                 further = mi.Ray3f(met.p + STEP_OFF_M * way, way)
                 share = dr.select(onward, share * weight, 0.0)
-                return onward & (dr.max(share) > 0), further, light, share, depth + 1
+                return onward & (dr.max(share) > 0), further, light, share, depth + 1, sampler
 
-            start = (mi.Bool(active), mi.Ray3f(ray.o, ray.d), mi.Spectrum(0.0), mi.Spectrum(1.0), mi.UInt32(0))
+            start = (mi.Bool(active), mi.Ray3f(ray.o, ray.d), mi.Spectrum(0.0), mi.Spectrum(1.0), mi.UInt32(0), sampler)
             light = dr.while_loop(start, going, go_on)[2]
             return light, mi.Bool(True), []
 
