@@ -17,7 +17,7 @@ _CLIPPED_SHARE = 0.1
 _SPARSE_SHARE, _GOOD_STEP_M = 0.6, 0.2
 #: From further away no camera flies across; a collector that turns before it measures 0.8 of its mirror in steps of
 #: 0.125 deg, 0.2 in steps of 0.38 deg.
-_FAR_M, _GOOD_TURN_DEG = 42.0, 0.125
+FAR_M, _GOOD_TURN_DEG = 42.0, 0.125
 #: Edges of targets foretell the scatter of centres to a factor of 1.3 (`photogrammetry.centers.edge_noise`); where it
 #: is so many times larger something moved. Slopes of troughs are wanted to a tenth of a milliradian [rad].
 _SCATTER_FACTOR, _WANTED_RAD = 3.0, 1e-4
@@ -80,7 +80,7 @@ def sparse_doubt(measured_share: float, eyes_m: FloatArray) -> Doubt | None:
     steps = np.diff(np.sort(eyes_m[:, 0]))
     usual = float(np.median(steps)) if steps.size else 0.0
     remedy = "look at reflection_edges.csv for why edges were refused"
-    if np.median(np.linalg.norm(eyes_m, axis=1)) > _FAR_M:
+    if np.median(np.linalg.norm(eyes_m, axis=1)) > FAR_M:
         remedy = f"let the collector turn by {_GOOD_TURN_DEG:g} deg or less from photo to photo"
     elif usual > _GOOD_STEP_M:
         remedy = f"take photos at most {_GOOD_STEP_M:g} m apart across the trough"

@@ -24,6 +24,7 @@ from observer.pipeline.target_list import CheckedList
 from observer.pipeline.tone import Encodings
 from observer.product.longitudinal import incidence_doubt
 from observer.selection.edge_refusal import unchecked_doubt
+from observer.slopes.edge_gaps import gaps_doubt
 from observer.slopes.shape_share import shape_doubt
 from observer.trough.collector import Collector
 from observer.trough.visibility import coverage_doubt, seeable_shares
@@ -52,6 +53,7 @@ def judge(
     # A camera that is proven wrong, or a few photos, contradict right dimensions.
     with_sizes = not is_camera_wrong(camera) and sparse is None
     usual_sigma = float(np.median(slope_map.sigma_slope()[0][slope_map.valid]))
+    own_sigma = np.sqrt(reflector.errors.random[..., 0, 0][slope_map.valid])
     return gather_doubts(
         inputs.doubts,
         listed.doubts,
@@ -59,6 +61,7 @@ def judge(
         panels_doubt(reflector.roughness, inputs.collector),
         heights_doubt(reflector) if with_sizes else None,
         sparse,
+        gaps_doubt(reflector.gaps, reflector.roughness, own_sigma, eyes),
         missing_photos_doubt([file.name for file in inputs.survey.photo_files]),
         None if _is_mixed(encodings) else _sizes_doubt(cameras, listed.first),
         design_doubts(cameras, mirror, inputs.collector, with_sizes=with_sizes, encoding_is_clear=not encodings.doubts),

@@ -15,6 +15,7 @@ from observer.selection.shadows import confirmed_edges, pulled_curves
 from observer.selection.two_sided import agreed_by_both, cells_of
 from observer.slopes.along_variance import find_along
 from observer.slopes.common_unknowns import CommonUnknowns, common_unknowns, glass_widening_rad
+from observer.slopes.edge_gaps import EdgeGaps, edge_gaps
 from observer.slopes.joint_solution import SlopeErrors, find_roughness, solve_jointly
 from observer.slopes.mirror_surface import at_points, beside_chord, heights, on_surface
 from observer.slopes.pose_modes import Photos, pose_derivatives, pose_scatter, reduce_to_modes
@@ -107,6 +108,13 @@ class Reflector:
             alike=self.alike,
         )
 
+    @cached_property
+    def gaps(self) -> EdgeGaps:
+        """What lies between the edges of one row and panel, and how many edges the others foretell."""
+        _, predicted = _residuals(self.lines, self.grid, self.errors)
+        confirmed = predicted < _MOST_INFORMATIVE_LEVERAGE * self.lines.sigma_rad**2
+        return edge_gaps(self.lines, self.grid, confirmed)
+
     @property
     def alike(self) -> FloatArray:
         """Correlation of the rows' slope errors, shape (r, r)."""
@@ -193,6 +201,14 @@ def solve_reflector(
         whole, change = _next_surface(present, errors, _near_edges(used, grid), roughness, expected, grid)
         present = replace(whole, height_m=none[..., 0]) if shaped is False else whole
     usable, unknowns = fate == EdgeFate.USED, nominal.unknowns
+    # Which edges are the tube's is settled; what smoothness says of cameras and roughness, all rows do not say anew.
+    alike = row_likeness(errors.slopes[..., 0], _near_edges(used, grid), grid, expected.y_m)
+    lines, _ = _in_round(_lines(nominal, expected, present, grid), nominal, noise, 0.0)
+    used = lines.chosen(usable & np.isfinite(lines.misfit_rad))
+    if used.row.size:
+        roughness = find_roughness(used, grid, prior, unknowns.covariance, any_order=True, alike=alike)
+        errors = solve_jointly(used, grid, roughness, unknowns.covariance, with_shares=None, alike=alike)
+        whole, change = _next_surface(present, errors, _near_edges(used, grid), roughness, expected, grid)
     flat = replace(whole, height_m=none[..., 0])
     both = tuple(_lines(nominal, expected, surface, grid) for surface in (whole, flat))
     share = _estimate_shape(nominal, both, usable, noise, grid, roughness)
@@ -205,7 +221,7 @@ def solve_reflector(
     shadows = has_shadows(edges, fate, expected.y_m) or bool(expected.goes_either_way(photos.eyes_m).any())
     if shadows:
         fate, errors, roughness, agreed = _refuse_shadows(
-            lines, edges, fate, errors, roughness, unknowns.covariance, grid
+            lines, edges, fate, errors, roughness, unknowns.covariance, grid, alike
         )
         keep &= fate == EdgeFate.USED
     if not keep.any():
@@ -224,6 +240,7 @@ def solve_reflector(
         looks_like=lambda rows, columns: unknowns.place_as_slope(expected, expected.y_m[rows], grid.x_m[columns]),
         # From far away nothing but the mirror's own shape says where the tube is, and that is one for a panel's rows.
         most_rows=len(expected.collector.panel_edges_y_m) - 1 if far.any() else None,
+        alike=alike,
     )
     absorber = unknowns.moved(expected.absorber, errors.common, errors.covariance_common)
     return Reflector(
@@ -280,6 +297,7 @@ def _refuse_shadows(
     roughness: Roughness,
     covariance: FloatArray,
     grid: RowGrid,
+    alike: FloatArray,
 ) -> _WithoutShadows:
     """Refuse edges that shadows may have made."""
     fate = fate.copy()
@@ -291,7 +309,7 @@ def _refuse_shadows(
         fate[some] = EdgeFate.ONE_SIDED
         return _WithoutShadows(fate, errors, roughness, np.zeros((grid.n_rows, grid.x_m.size), dtype=bool))
     # Edges of shadows made the mirror look rough; with its own roughness more of its edges confirm each other.
-    roughness = find_roughness(lines.chosen(keep), grid, roughness, covariance)
+    roughness = find_roughness(lines.chosen(keep), grid, roughness, covariance, alike=alike)
     errors = solve_jointly(lines.chosen(keep), grid, roughness, covariance, with_shares=None)
     pulled = _is_pulled(lines, keep, edges, errors, grid)
     fate[pulled] = EdgeFate.BESIDE
