@@ -79,7 +79,7 @@ def gaps_doubt(found: EdgeGaps, roughness: Roughness, own_sigma_rad: FloatArray,
         "slopes_rest_on_smoothness",
         f"photos some {apart} apart leave up to {found.gap_m:.2f} m between edges of the reflection: slopes there rest "
         f"on how smooth the mirror is beside (+- {1e3 * usual:.2f} mrad), and {100 * found.confirmed_share:.0f} % of "
-        "the edges are confirmed by others. A wave or dent between edges is not seen, a wrong edge perhaps not noticed; "
+        "the edges are confirmed by others. A wave or dent between edges is not seen, a wrong one not noticed; "
         f"for {1e3 * _WANTED_RAD:g} mrad {remedy}",
         {
             "usual_step_m": step,
