@@ -6,14 +6,16 @@ from typing import Literal
 import cv2
 import numpy as np
 
-from data_synth.fringes.presets import FULL_CAMERA, preset_scene
+from data_synth.fringes.presets import FULL_CAMERA, ensemble_scene, preset_scene
 from data_synth.fringes.scene import FringeScene
-from heliogauge.errors import InputError
+from data_synth.optics.mirror import SyntheticFacet
 from heliogauge.short_repr import ShortRepr
 from heliogauge.validate import Float32Array, FloatArray
 
 #: Rays along each side of a pixel: a dot of 4 px is then crossed by 300 of them, its centre right to 0.003 px.
 _RAYS = 6
+#: Light beside the mirror.
+_BESIDE = 0.02
 #: Rows of pixels that are traced at once.
 _ROWS = 24
 
@@ -62,13 +64,34 @@ class DotTruth:
 def dot_scene(preset: str, origin: Literal["light", "unmarked"]) -> DotScene:
     """Return a ready scene by the name of its fringe scene, with a camera that resolves dots.
 
-    InputError: No such preset, or one of several facets.
+    InputError: No such preset.
     """
+    if preset == "ensemble":
+        return _ensemble(origin)
     scene = preset_scene(preset)
-    if len(scene.facets) > 1:
-        raise InputError(f"preset {preset!r} has {len(scene.facets)} facets; dots are drawn in one")
     scene = replace(scene, bench=replace(scene.bench, camera=FULL_CAMERA.scaled(0.5)))
     return DotScene(scene, marked=origin == "light")
+
+
+def _ensemble(origin: Literal["light", "unmarked"]) -> DotScene:
+    """Return six facets of 0.4 m and dots so near to each other that each shows 18 x 18 of them."""
+    scene = ensemble_scene(columns=3, rows=2, camera=FULL_CAMERA)
+    wall, pitch_m = scene.bench.wall, 0.045
+    columns, rows = (int(one / pitch_m) - 1 for one in (wall.width_m, wall.height_m))
+    # The middle of the wall may be seen between facets: the light is where one of them shows it.
+    center = scene.bench.project_outline(scene.facets[-2]).mean(axis=0)
+    seen = scene.bench.trace(scene.facets[-2], center[:1], center[1:])
+    column = (seen.u.item() - 0.5) * wall.width_m / pitch_m + 0.5 * (columns - 1)
+    row = (seen.v.item() - 0.5) * wall.height_m / pitch_m + 0.5 * (rows - 1)
+    return DotScene(
+        scene,
+        pitch_m,
+        radius_m=0.011,
+        count=(columns, rows),
+        origin=(round(column), round(row)),
+        marked=origin == "light",
+        blur_sigma_px=0.8,
+    )
 
 
 def place_dots(dots: DotScene, rng: np.random.Generator) -> DotTruth:
@@ -88,8 +111,18 @@ def photo_light(dots: DotScene, truth: DotTruth) -> Float32Array:
 
     Returns (h, w): Light on the pixels, 1 for a fully reflected white wall.
     """
-    scene = dots.scene
-    facet, camera = scene.facets[0], scene.bench.camera
+    camera = dots.scene.bench.camera
+    image = np.full((camera.height_px, camera.width_px), _BESIDE, dtype=np.float32)
+    for facet in dots.scene.facets:
+        at, seen = _facet_light(dots, truth, facet)
+        # Gaps are wider than the blur: what is beside a facet is as dark as the rest.
+        image[at] = np.maximum(image[at], seen)
+    return image
+
+
+def _facet_light(dots: DotScene, truth: DotTruth, facet: SyntheticFacet) -> tuple[tuple[slice, slice], Float32Array]:
+    """Return the part of the photo that one facet is in: its rows and columns, and the light on them."""
+    scene, camera = dots.scene, dots.scene.bench.camera
     outline = scene.bench.project_outline(facet)
     low = np.maximum(np.floor(outline.min(axis=0)) - 4, 0).astype(int)
     high = np.minimum(np.ceil(outline.max(axis=0)) + 5, (camera.width_px, camera.height_px)).astype(int)
@@ -100,13 +133,12 @@ def photo_light(dots: DotScene, truth: DotTruth) -> Float32Array:
         y = (np.arange(top, min(top + _ROWS, high[1]))[:, None] + fine).ravel()
         seen = scene.bench.trace(facet, *np.meshgrid(x, y))
         light = _wall_light(dots, truth, seen.u, seen.v)
-        light = np.where(facet.contains(seen.points_m[..., 0], seen.points_m[..., 1]), light, 0.02)
+        light = np.where(facet.contains(seen.points_m[..., 0], seen.points_m[..., 1]), light, _BESIDE)
         parts.append(light.astype(np.float32))
     window = cv2.GaussianBlur(np.concatenate(parts), (0, 0), dots.blur_sigma_px * _RAYS)
     height, width = high[1] - low[1], high[0] - low[0]
-    image = np.full((camera.height_px, camera.width_px), 0.02, dtype=np.float32)
-    image[low[1] : high[1], low[0] : high[0]] = window.reshape(height, _RAYS, width, _RAYS).mean(axis=(1, 3))
-    return image
+    at = slice(low[1], high[1]), slice(low[0], high[0])
+    return at, np.asarray(window.reshape(height, _RAYS, width, _RAYS).mean(axis=(1, 3)), dtype=np.float32)
 
 
 def _wall_light(dots: DotScene, truth: DotTruth, u: FloatArray, v: FloatArray) -> FloatArray:

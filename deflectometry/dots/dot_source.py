@@ -25,12 +25,12 @@ class DotSource(ShortRepr):
     """The dots of a photo with their places in the pattern.
 
     image (h, w): The mirror without the dots: its ground [DN].
-    dots: The dots, numbered as in the table; None before they are.
+    dots: The dots, numbered as in the table: those of each lattice, where facets show several; None before they are.
     screen: The field of dots.
     """
 
     image: Float32Array
-    dots: FoundDots | None
+    dots: tuple[FoundDots, ...] | None
     screen: DotScreen
 
     @property
@@ -53,39 +53,56 @@ class DotSource(ShortRepr):
             raise EstimationError(
                 "which dots are seen follows from the mirror's pose, and that from outline_m; give [mirror] outline_m"
             )
-        rows, columns = self.screen.shape
-        places = np.full((rows, columns, 2), np.nan)
-        covariance = np.full((rows, columns, 2, 2), np.nan)
-        contrast = np.full((rows, columns), np.nan, dtype=np.float32)
-        column, row = self.dots.number[:, 0] - self.screen.first[0], self.screen.first[1] - self.dots.number[:, 1]
-        there = (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
-        at = row[there], column[there]
-        places[at], covariance[at] = self.dots.centers_px[there], self.dots.covariance_px2[there]
-        contrast[at] = self.dots.contrast_dn[there]
-        measured = np.isfinite(places[..., 0]) & np.isfinite(self.screen.xyz_m[..., 0])
-        grid = LatticeGrid(_bridged(places))
-        sigma_u, sigma_v = _sigma_of_fractions(grid.places_px, covariance)
-        v, u = np.meshgrid(np.linspace(0.0, 1.0, rows), np.linspace(0.0, 1.0, columns), indexing="ij")
+        # Facets may show the same dots: then each lattice has rows of its own, with an empty one below.
+        blocks = len(self.dots)
+        rows, columns = self._block
+        places = np.full((blocks, rows, columns, 2), np.nan)
+        covariance = np.full((blocks, rows, columns, 2, 2), np.nan)
+        contrast = np.full((blocks, rows, columns), np.nan, dtype=np.float32)
+        listed = np.zeros((rows, columns), dtype=np.bool_)
+        listed[: self.screen.shape[0]] = np.isfinite(self.screen.xyz_m[..., 0])
+        for block, dots in enumerate(self.dots):
+            column, row = dots.number[:, 0] - self.screen.first[0], self.screen.first[1] - dots.number[:, 1]
+            there = (column >= 0) & (column < columns) & (row >= 0) & (row < self.screen.shape[0])
+            at = block, row[there], column[there]
+            places[at], covariance[at] = dots.centers_px[there], dots.covariance_px2[there]
+            contrast[at] = dots.contrast_dn[there]
+        measured = (np.isfinite(places[..., 0]) & listed).reshape(-1, columns)
+        bridged = np.concatenate([_bridged(one) for one in places])
+        grid = LatticeGrid(bridged, blocks)
+        steps = 1.0 / (columns - 1), 1.0 / (self.screen.shape[0] - 1)
+        sigma_u, sigma_v = (
+            k * one for k, one in zip(steps, _sigma_of_steps(bridged, np.concatenate(covariance)), strict=True)
+        )
+        # The empty row lies beyond the field: nothing is measured there.
+        v, u = np.meshgrid(np.minimum(np.arange(rows) * steps[1], 1.0), np.arange(columns) * steps[0], indexing="ij")
+        u, v = np.tile(u, (blocks, 1)), np.tile(v, (blocks, 1))
         # What is not known of a dot's own place counts as if it were seen beside it.
-        own = self.screen.sigma_at(u, v)[..., :2] / self.screen.spacing_m / (columns - 1, rows - 1)
+        own = self.screen.sigma_at(u, v)[..., :2] / self.screen.spacing_m * steps
         sigma_u, sigma_v = np.hypot(sigma_u, own[..., 0]), np.hypot(sigma_v, own[..., 1])
         flags = np.where(measured, 0, int(SampleFlag.NOT_SEEN)).astype(np.uint32)
         maps = [np.where(measured, one, np.nan) for one in (u, v, sigma_u, sigma_v)]
-        noise = NoiseModel(max(self.dots.residual_dn, 1e-6))
+        noise = NoiseModel(max(1e-6, *(one.residual_dn for one in self.dots)))
         return ScreenMap(
             freeze(maps[0]),
             freeze(maps[1]),
             freeze(maps[2].astype(np.float32)),
             freeze(maps[3].astype(np.float32)),
-            freeze(contrast),
+            freeze(np.concatenate(contrast)),
             freeze(flags),
             noise,
             grid=grid,
         )
 
+    @property
+    def _block(self) -> tuple[int, int]:
+        """Rows and columns of one lattice."""
+        rows, columns = self.screen.shape
+        return (rows if self.dots is None or len(self.dots) == 1 else rows + 1), columns
+
     def display_edge(self, screen_map: ScreenMap, region: BoolArray, margin_px: float) -> DisplayEdge:
         """Say at which edges of the field the mirror shows its outermost dots; no dot is flagged, each is whole."""
-        seen = region & (screen_map.flags == 0)
+        seen = (region & (screen_map.flags == 0)).reshape(-1, *self._block).any(axis=0)[: self.screen.shape[0]]
         lines = {"left": seen[:, 0], "right": seen[:, -1], "upper": seen[0], "lower": seen[-1]}
         share = _LEAST_LINE * float(np.sqrt(float(np.count_nonzero(seen))))
         names = tuple(name for name, line in lines.items() if np.count_nonzero(line) > share)
@@ -102,9 +119,14 @@ class DotSource(ShortRepr):
             image = np.ascontiguousarray(self.image[:: signs[1], :: signs[0]])
             dots = None
             if self.dots is not None:
-                turned = np.where(np.array(signs) < 0, size - self.dots.centers_px, self.dots.centers_px)
-                covariance = self.dots.covariance_px2 * np.outer(signs, signs)
-                dots = replace(self.dots, centers_px=turned, covariance_px2=covariance)
+                dots = tuple(
+                    replace(
+                        one,
+                        centers_px=np.where(np.array(signs) < 0, size - one.centers_px, one.centers_px),
+                        covariance_px2=one.covariance_px2 * np.outer(signs, signs),
+                    )
+                    for one in self.dots
+                )
             yield words, replace(self, image=image, dots=dots)
 
 
@@ -119,8 +141,8 @@ def _bridged(places_px: FloatArray) -> FloatArray:
     return np.where(gap, bridged, places_px)
 
 
-def _sigma_of_fractions(places_px: FloatArray, covariance_px2: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the standard deviations of u and v, each of shape (rows, columns).
+def _sigma_of_steps(places_px: FloatArray, covariance_px2: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the standard deviations of column and row, each of shape (rows, columns).
 
     Shapes: places_px (rows, columns, 2), covariance_px2 (rows, columns, 2, 2).
     """
@@ -139,8 +161,7 @@ def _sigma_of_fractions(places_px: FloatArray, covariance_px2: FloatArray) -> tu
     # At the end of a row that has but one neighbour across, those of the usual dot.
     usual = np.nanmedian(own, axis=(0, 1))
     own = np.where(np.isfinite(own), own, usual)
-    rows, columns = places_px.shape[:2]
-    return np.sqrt(own[..., 0]) / (columns - 1), np.sqrt(own[..., 1]) / (rows - 1)
+    return np.sqrt(own[..., 0]), np.sqrt(own[..., 1])
 
 
 def _steps(places_px: FloatArray, axis: int) -> FloatArray:

@@ -17,7 +17,7 @@ from photogrammetry.targets import Polarity
 #: Dots in a mirror are small and may be drawn out: nothing that the finder can see is left out beforehand.
 _SMALLEST_PX, _LARGEST_PX, _LEAST_CONTRAST_DN, _MOST_TILT_RAD = 3.0, 60.0, 8.0, 1.3
 #: Fewer dots than this have no lattice: a row and a column of five with what is between them.
-_FEWEST = 25
+FEWEST_DOTS = 25
 #: Neighbours that may be the next ones of a lattice, and those whose usual steps hold around a dot.
 _NEXT, _AROUND = 8, 24
 #: Rounds in which the steps follow the lattice found with them; further ones change nothing on the photos tried.
@@ -96,22 +96,60 @@ def find_dots(image_dn: npt.NDArray[Any], region: BoolArray, polarity: Polarity)
 
     Dots that the search leaves out (small, beside dust) are measured where the lattice expects them.
     """
+    (dots,) = _find(image_dn, region, polarity, several=False)
+    return dots
+
+
+def find_lattices(image_dn: npt.NDArray[Any], region: BoolArray, polarity: Polarity) -> tuple[FoundDots, ...]:
+    """Find the dots that several facets show: every lattice of 25 dots and more, the largest first.
+
+    EstimationError: Too few dots, or dots that are not in rows and columns.
+
+    Shapes are those of `find_dots`. Columns run alike in all of them; each counts from a dot of its own.
+    """
+    return _find(image_dn, region, polarity, several=True)
+
+
+def _find(image_dn: npt.NDArray[Any], region: BoolArray, polarity: Polarity, *, several: bool) -> tuple[FoundDots, ...]:
     limits = SearchLimits(_SMALLEST_PX, _LARGEST_PX, _LEAST_CONTRAST_DN, _MOST_TILT_RAD, (polarity,))
     starts = [one.ellipse for one in find_candidates(image_dn, limits) if _sees(region, one.ellipse.center_px)]
-    if len(starts) < _FEWEST:
+    if len(starts) < FEWEST_DOTS:
         raise EstimationError(
-            f"the mirror shows {len(starts)} dots, fewer than {_FEWEST}; check exposure and focus, that the pattern is "
-            f"seen in the mirror, and whether its dots are {polarity.value.split('-')[0]}"
+            f"the mirror shows {len(starts)} dots, fewer than {FEWEST_DOTS}; check exposure and focus, that the "
+            f"pattern is seen in the mirror, and whether its dots are {polarity.value.split('-')[0]}"
         )
     places = np.array([one.center_px for one in starts])
-    number = index_lattice(places)
-    on_lattice = number[:, 0] != _NO_NUMBER
+    number, lattice = index_lattices(places)
+    of_each = [lattice == one for one in range(lattice.max() + 1)] if several else [_largest(lattice)]
+    return tuple(_measured(image_dn, starts, number, each) for each in of_each)
+
+
+def _largest(lattice: IntArray) -> BoolArray:
+    """Return which dots are on the largest lattice.
+
+    EstimationError: It has less than half of the dots.
+    """
+    largest = lattice == 0
+    usual = int(np.count_nonzero(largest))
+    if usual < len(lattice) // 2:
+        raise EstimationError(
+            f"of {len(lattice)} dots only {usual} are in rows and columns of one lattice; check focus and that the "
+            "pattern's dots, not other spots, are seen in the mirror"
+        )
+    return np.asarray(largest)
+
+
+def _measured(
+    image_dn: npt.NDArray[Any], starts: Sequence[Ellipse], number: IntArray, on_lattice: BoolArray
+) -> FoundDots:
+    """Measure the dots of one lattice, those too that only the lattice expects."""
+    places = np.array([one.center_px for one in starts])
     chosen = [one for one, there in zip(starts, on_lattice, strict=True) if there]
     places, number = places[on_lattice], number[on_lattice]
     first = measure_centers(image_dn, chosen)
     good = np.array([isinstance(one, TargetCenter) for one in first])
     fitted = [one for one in first if isinstance(one, TargetCenter)]
-    if len(fitted) < _FEWEST:
+    if len(fitted) < FEWEST_DOTS:
         raise EstimationError(
             f"of {len(chosen)} dots only {len(fitted)} have a centre; check focus and exposure: dots need 4 px and more"
         )
@@ -147,11 +185,22 @@ _NO_NUMBER = np.iinfo(np.intp).min
 
 
 def index_lattice(places_px: FloatArray) -> IntArray:
-    """Give dots their columns and rows.
+    """Give dots their columns and rows on the largest connected lattice.
 
     Shapes: places_px (n, 2).
-    Returns (n, 2): Column and row of the largest connected lattice; the smallest whole number where a dot is not on it.
-    EstimationError: No lattice, or one that contradicts itself.
+    Returns (n, 2): Column and row; the smallest whole number where a dot is not on the lattice.
+    EstimationError: No lattice with half of the dots.
+    """
+    number, lattice = index_lattices(places_px)
+    return np.where(_largest(lattice)[:, None], number, _NO_NUMBER)
+
+
+def index_lattices(places_px: FloatArray) -> tuple[IntArray, IntArray]:
+    """Give dots their columns and rows on each connected lattice.
+
+    Shapes: places_px (n, 2).
+    Returns (n, 2), (n,): Column and row, and the number of the lattice, 0 for the largest; -1 for a dot on none.
+    EstimationError: No lattice.
 
     Two dots are next to each other where each is the other's best for a step: so a missing dot or dust breaks single
     links, never the numbers. The steps are those around each dot, which follow the lattice from place to place; the
@@ -207,19 +256,13 @@ def _steps_around(places_px: FloatArray, near: IntArray, links: IntArray, before
     return steps
 
 
-def _numbered(links: IntArray) -> IntArray:
-    """Give the largest group of linked dots their numbers; one that two ways give two numbers has none.
+def _numbered(links: IntArray) -> tuple[IntArray, IntArray]:
+    """Give linked dots their numbers, and their lattice; a dot that two ways give two numbers is on none.
 
     A wrong link closes no cell of four dots, so cells come first: dots of cells that share a link are one patch. The
     links between two patches then vote on how they belong together, the most votes first.
     """
     number, group = _patches(links)
-    usual = int(np.bincount(group).max())
-    if usual < max(_FEWEST, len(links) // 2):
-        raise EstimationError(
-            f"of {len(links)} dots only {usual} are in rows and columns of one lattice; check focus and that the "
-            "pattern's dots, not other spots, are seen in the mirror"
-        )
     start, direction = np.nonzero(links >= 0)
     end = links[start, direction]
     while True:
@@ -234,13 +277,23 @@ def _numbered(links: IntArray) -> IntArray:
         moved = group == joined
         number[moved] += by
         group[moved] = keep
-    largest = int(np.argmax(np.bincount(group)))
-    on_lattice = group == largest
     holds = (number[end] - number[start] == _STEPS[direction]).all(axis=1)
     agreeing, contradicting = (np.bincount(start[which], minlength=len(links)) for which in (holds, ~holds))
-    on_lattice &= agreeing > contradicting
-    number[~on_lattice | _shared(number, on_lattice)] = _NO_NUMBER
-    return number
+    lattice = np.full(len(links), -1)
+    counts = np.bincount(group)
+    found = 0
+    for one in np.argsort(-counts, kind="stable")[: np.count_nonzero(counts >= FEWEST_DOTS)].tolist():
+        on_lattice = (group == one) & (agreeing > contradicting)
+        on_lattice &= ~_shared(number, on_lattice)
+        if np.count_nonzero(on_lattice) >= FEWEST_DOTS:
+            lattice[on_lattice] = found
+            found += 1
+    if not found:
+        raise EstimationError(
+            f"of {len(links)} dots only {counts.max()} are in rows and columns of one lattice; check focus and that "
+            "the pattern's dots, not other spots, are seen in the mirror"
+        )
+    return number, lattice
 
 
 def _patches(links: IntArray) -> tuple[IntArray, IntArray]:

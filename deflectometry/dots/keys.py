@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from deflectometry.keys import BenchMeasurement, BenchModel, DotFieldSection
 from heliogauge.errors import InputError
@@ -29,11 +29,18 @@ class DotPatternSection(Section):
         "unmarked",
         description="Whether a point light stands beside dot (0, 0); without, the geometry decides, with its odds.",
     )
-    known_dot: KnownDotSection | None = Field(None, description="A dot whose place in the photo is known.")
+    known_dot: tuple[KnownDotSection, ...] = Field(
+        (), description="A dot whose place in the photo is known; of several facets one for each, as a list of tables."
+    )
+
+    @field_validator("known_dot", mode="before")
+    @classmethod
+    def _one_is_a_list(cls, value: object) -> object:
+        return (value,) if isinstance(value, dict) else value
 
     @model_validator(mode="after")
     def _one_origin(self) -> Self:
-        if self.origin == "light" and self.known_dot is not None:
+        if self.origin == "light" and self.known_dot:
             raise ValueError('origin = "light" and [pattern.known_dot] are both given; leave one')
         return self
 
@@ -93,8 +100,4 @@ def load_dots(folder: Path) -> DotsMeasurement:
         raise InputError(f"{file}: {', '.join(missing)}: there is no such file in {folder}")
     if model.screen.response_file is not None:
         raise InputError(f"{file}: screen.response_file is for fringes; leave it out")
-    if model.mirror.facet:
-        raise InputError(
-            f"{file}: [[mirror.facet]]: dots are measured one facet at a time; give the outline_m of the facet"
-        )
     return DotsMeasurement(folder, model)

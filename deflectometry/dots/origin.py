@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import product
 
 import numpy as np
 import numpy.typing as npt
@@ -17,6 +16,7 @@ from deflectometry.shape.smooth_shape import slopes_at
 from heliogauge.adjust.robust_scale import robust_scale
 from heliogauge.doubts import Doubt
 from heliogauge.errors import EstimationError
+from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.geometry.surfaces import Facet
 from heliogauge.short_repr import ShortRepr
 from heliogauge.validate import BoolArray, Float32Array, FloatArray, IntArray
@@ -33,8 +33,20 @@ _LEAST_ODDS = 1e-6
 _SURE = 0.99
 #: Sigmas of the photo's ground from which a spot is a light, and how far a light must stand out of the next spot.
 _LIGHT_SIGMAS, _LIGHT_RATIO = 10.0, 1.5
+#: How much brighter one facet may show the light than another: dust, blur and the place between pixels make less.
+_SAME_LIGHT = 3.0
 #: Dots that give the mean slopes of a hypothesis: 500 give them twenty times better than one.
 _SPREAD = 500
+#: Dots in the middle of a facet that tell its tilt in advance, and sigmas of the tilt beyond which a place is none
+#: (at 8 its odds are 1e-14), or adds nothing to the odds of a turn (a hundredth at 3).
+_MIDDLE, _EXCLUDED, _ROUGHLY = 5, 8.0, 3.0
+#: Gradient of slopes by which facets may be off their design all alike, 1 sigma [rad/m] (those of f = 150 m for 100 m),
+#: and how much larger than the curl the gradients of a set-up that is off may be, 1 sigma.
+_SHAPE_PER_M, _SETUP_OF_CURL = 2e-3, 3.0
+
+
+#: Numbers of a dot in the table (2,), and its place in the photo (2,) [px].
+KnownDot = tuple[IntArray, FloatArray]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -44,30 +56,37 @@ class PlacedDots(ShortRepr):
     dots: The dots as numbered in the table.
     probability: Of the place that was chosen.
     sigma_shift (2,): Standard deviations of column and row that all dots share, over all hypotheses.
-    doubt: Where the place is open.
     """
 
     dots: FoundDots
     probability: float
     sigma_shift: FloatArray
-    doubt: Doubt | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Sight:
-    """What the dots are seen with: camera and field, the mirror's pose and its facet."""
+class Sight(ShortRepr):
+    """One lattice of dots and what it is seen with: camera and field, the mirror's pose and its facet.
 
+    dots: Numbered by the photo's lattice.
+    known: Numbers (2,) of one dot in the table and its place in the photo [px]; None where nobody says it.
+    on_facet (n,): Which of the dots the facet shows; None for all.
+    name: What the lattice is called in words.
+    """
+
+    dots: FoundDots
     setup: Setup
     screen: DotScreen
     pose: UncertainPose
     facet: Facet
+    known: KnownDot | None = None
+    on_facet: BoolArray | None = None
+    name: str = ""
 
 
-def place_dots(dots: FoundDots, sight: Sight, known: tuple[IntArray, FloatArray] | None) -> PlacedDots:
-    """Decide which dots of the pattern these are.
+def place_dots(sights: Sequence[Sight]) -> tuple[PlacedDots, ...]:
+    """Decide which dots of the pattern these are, lattice by lattice.
 
-    dots: Numbered by the photo's lattice.
-    known: Numbers (2,) of one dot in the table and its place in the photo [px]; None where nobody says it.
+    sights: The lattices; facets may show one of their own each.
     Returns: The dots, numbered as in the table. An open place is a doubt with a share in the sigmas, not an error: it
         turns the mirror's normal, which the alignment takes out.
     EstimationError: No hypothesis shows dots that there are, or two turns of the lattice are equally likely.
@@ -75,75 +94,184 @@ def place_dots(dots: FoundDots, sight: Sight, known: tuple[IntArray, FloatArray]
     The odds of a hypothesis (a turn or mirror image of the lattice, 8 in all, and a whole number of columns and rows)
     are those of the slopes that it gives: their mean tilt against the design within the sigma of the pose and 3 mrad of
     mounting; curvatures, twist and curl within 10 mrad at the rim, which no solar mirror exceeds; and of each dot that
-    would not be in the table.
+    would not be in the table. All lattices have the same turn. Facets are judged against those that are placed already
+    (3 mrad of canting each), the surest first; a known dot leaves no hypothesis but its own.
     """
-    found = [one for turn in TURNS for one in _of_turn(dots, sight, turn, known)]
-    if not found:
+    found = [[_of_turn(one, turn, _ROUGHLY) for turn in TURNS] for one in sights]
+    for one, by_turn in zip(sights, found, strict=True):
+        if not any(by_turn):
+            raise EstimationError(
+                f"{one.name + ': ' if one.name else ''}no place in the table of the dots fits what is seen: the mirror "
+                "shows more columns or rows than it has, or [pattern.known_dot] is none of them; check screen.file"
+            )
+    frames = [_TiltFrame.of(one) for one in sights]
+    of_turn = np.zeros(len(TURNS))
+    for frame, by_turn in zip(frames, found, strict=True):
+        of_turn += [np.logaddexp.reduce(frame.log_odds(one)) if one else -np.inf for one in by_turn]
+    if not np.isfinite(of_turn).any():
+        raise EstimationError("the facets show the dots in different turns; check the places of the facets")
+    share = _shares(of_turn)
+    if share.max() < _SURE:
+        first, second = np.argsort(share)[:-3:-1]
         raise EstimationError(
-            "no place in the table of the dots fits what is seen: the mirror shows more columns or rows than it has, "
-            "or [pattern.known_dot] is none of them; check screen.file"
-        )
-    weight = np.array([one.log_odds for one in found])
-    weight = np.exp(weight - weight.max())
-    weight /= weight.sum()
-    best = found[int(np.argmax(weight))]
-    of_turn = np.array([weight[[one.turn is turn for one in found]].sum() for turn in TURNS])
-    if of_turn.max() < _SURE:
-        first, second = np.argsort(of_turn)[:-3:-1]
-        raise EstimationError(
-            f"two turns of the field of dots fit equally well ({of_turn[first]:.2f} : {of_turn[second]:.2f}); give "
+            f"two turns of the field of dots fit equally well ({share[first]:.2f} : {share[second]:.2f}); give "
             "[pattern.known_dot], outline_m and the pose of the screen"
         )
-    shifts = np.array([one.shift for one in found])
-    off = shifts - best.shift
-    sigma = np.sqrt(np.einsum("n,ni->i", weight * (weight > _LEAST_ODDS), off.astype(np.float64) ** 2))
-    probability = float(weight.max())
-    doubt = None
-    if probability < _SURE:
-        doubt = Doubt(
-            "dot_origin_open",
-            f"which dots are seen is not decided: the likeliest place has a probability of {probability:.2g}, the "
-            f"others are {sigma[0]:.1f} columns and {sigma[1]:.1f} rows off it (RMS); the orientation of the mirror is "
-            "as uncertain as that, its shape hardly; mark dot (0, 0) (origin of [pattern]) or give [pattern.known_dot]",
-            {"place_probability": probability, "columns_off_count": float(sigma[0]), "rows_off_count": float(sigma[1])},
-        )
-    return PlacedDots(dots.renumbered(dots.number @ best.turn.T + best.shift), probability, sigma, doubt)
+    turn = TURNS[int(np.argmax(share))]
+    hypotheses = [_of_turn(one, turn, _EXCLUDED) for one in sights]
+    gradient = np.mean(
+        [frame.gradient(max(one, key=lambda k: k.log_odds).fit) for frame, one in zip(frames, hypotheses, strict=True)],
+        axis=0,
+    )
+    surest = [float(_shares(frame.log_odds(one)).max()) for frame, one in zip(frames, hypotheses, strict=True)]
+    placed: dict[int, PlacedDots] = {}
+    before: list[tuple[FloatArray, FloatArray]] = []
+    shared = np.zeros(2)
+    for k in sorted(range(len(sights)), key=lambda k: (sights[k].known is None, -surest[k])):
+        weight = _shares(frames[k].log_odds(hypotheses[k], before, gradient))
+        best = hypotheses[k][int(np.argmax(weight))]
+        off = np.array([one.shift - best.shift for one in hypotheses[k]], dtype=np.float64)
+        own = np.sqrt(np.einsum("n,ni->i", weight * (weight > _LEAST_ODDS), off**2))
+        # What the first lattice leaves open, those placed after it share.
+        sigma = own if sights[k].known is not None else np.hypot(own, shared)
+        shared = own if not before else shared
+        before.append((frames[k].place_m, frames[k].tilt(best.fit)))
+        numbers = sights[k].dots.number @ turn.T + best.shift
+        placed[k] = PlacedDots(sights[k].dots.renumbered(numbers), float(weight.max()), sigma)
+    return tuple(placed[k] for k in range(len(sights)))
+
+
+def doubt_of_places(placed: Sequence[PlacedDots], sights: Sequence[Sight]) -> Doubt | None:
+    """Return a doubt where the place of dots in the pattern is open."""
+    opened = [k for k, one in enumerate(placed) if one.probability < _SURE]
+    if not opened:
+        return None
+    worst = min(opened, key=lambda k: placed[k].probability)
+    probability, sigma = placed[worst].probability, placed[worst].sigma_shift
+    several = len(placed) > 1
+    where = f" in {', '.join(sights[k].name for k in opened)}" if several else ""
+    apart_m = float(
+        np.linalg.norm((sights[0].setup.cam_from_screen.inverse() @ sights[0].pose.cam_from_mirror).translation_m)
+    )
+    off_mrad = 500.0 * float(np.linalg.norm(sigma * sights[worst].screen.spacing_m)) / apart_m
+    turned = "its shape hardly"
+    if several:
+        turned = f"and the canting of these facets with it ({off_mrad:.2g} mrad beyond its sigma), their shape hardly"
+    return Doubt(
+        "dot_origin_open",
+        f"which dots are seen{where} is not decided: the likeliest place has a probability of {probability:.2g}, the "
+        f"others are {sigma[0]:.1f} columns and {sigma[1]:.1f} rows off it (RMS); the orientation of the mirror is "
+        f"as uncertain as that, {turned}; mark dot (0, 0) (origin of [pattern]) or give [pattern.known_dot]"
+        f"{' for each facet' if several else ''}",
+        {"place_probability": probability, "columns_off_count": float(sigma[0]), "rows_off_count": float(sigma[1])},
+    )
+
+
+def _shares(log_odds: FloatArray) -> FloatArray:
+    weight = np.exp(log_odds - log_odds.max())
+    return np.asarray(weight / weight.sum())
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Hypothesis:
-    """Numbers in the table = turn @ numbers in the photo + shift."""
+    """Numbers in the table = turn @ numbers in the photo + shift; the slopes that it gives, linear over the facet.
 
-    turn: IntArray
+    log_odds: Of their gradients alone.
+    fit (3, 2): Mean tilt off the design, and its change along x and y, in the facet's frame [rad, rad/m].
+    """
+
     shift: IntArray
     log_odds: float
+    fit: FloatArray
 
 
-def _of_turn(
-    dots: FoundDots, sight: Sight, turn: IntArray, known: tuple[IntArray, FloatArray] | None
-) -> list[_Hypothesis]:
-    """Return the hypotheses of one turn of the lattice."""
+@dataclass(frozen=True, slots=True, eq=False)
+class _TiltFrame:
+    """How a facet stands in the mirror, and what is known of its tilt before it is measured.
+
+    place_m (2,): Its middle in the mirror's frame [m].
+    turn (2, 2): Turns slopes of the facet into those of the mirror.
+    covariance (2, 2): Of its tilt, by the pose and the mounting, in the mirror's frame [rad^2].
+    is_known: Whether a dot is known: then the tilt follows, whatever it is.
+    """
+
+    place_m: FloatArray
+    turn: FloatArray
+    covariance: FloatArray
+    is_known: bool
+
+    @classmethod
+    def of(cls, sight: Sight) -> "_TiltFrame":
+        own = sight.facet.ensemble_from_facet
+        # A turn of the mirror about its y axis by a changes dz/dx by -a, about its x axis dz/dy by a.
+        by_turn = np.array([[0.0, -1.0], [1.0, 0.0]]) @ sight.pose.cam_from_mirror.rotation.T[:2]
+        covariance = by_turn @ sight.pose.covariance[:3, :3] @ by_turn.T + _MOUNTING_RAD**2 * np.eye(2)
+        middle = own.apply(np.append(sight.facet.reference_point_m, 0.0))[:2]
+        return cls(middle, own.rotation[:2, :2], covariance, sight.known is not None)
+
+    def tilt(self, fit: FloatArray) -> FloatArray:
+        """Return a mean tilt (2,) in the mirror's frame."""
+        return np.asarray(self.turn @ fit[0])
+
+    def gradient(self, fit: FloatArray) -> FloatArray:
+        """Return how slopes change from place to place (2, 2), in the mirror's frame: d slope / d place."""
+        return np.asarray(self.turn @ fit[1:].T @ self.turn.T)
+
+    def log_odds(
+        self,
+        hypotheses: Sequence[_Hypothesis],
+        before: Sequence[tuple[FloatArray, FloatArray]] = (),
+        gradient: FloatArray | None = None,
+    ) -> FloatArray:
+        """Return the log odds of hypotheses (n,), up to a constant.
+
+        before: Places and tilts of the facets that are placed already.
+        gradient (2, 2): How slopes change from place to place within the facets. A pose of the field that is off
+            changes them from facet to facet likewise, curvatures that are not the design's do not. No surface has
+            curl: what there is of it tells how large the share of the set-up may be.
+        """
+        odds = np.array([one.log_odds for one in hypotheses])
+        if self.is_known:
+            return odds
+        mean, covariance = np.zeros(2), self.covariance
+        if before and gradient is not None:
+            apart = np.array([self.place_m - place for place, _ in before])
+            setup = (_SETUP_OF_CURL * 0.5 * (gradient[0, 1] - gradient[1, 0])) ** 2
+            share = setup / (setup + _SHAPE_PER_M**2)
+            told = np.array([tilt for _, tilt in before]) + share * apart @ gradient.T
+            weight = 1.0 / (_MOUNTING_RAD**2 + share * _SHAPE_PER_M**2 * np.sum(apart**2, axis=1))
+            mean = weight @ told / weight.sum()
+            covariance = (1.0 / weight.sum() + _MOUNTING_RAD**2) * np.eye(2)
+        off = np.array([self.tilt(one.fit) for one in hypotheses]) - mean
+        return np.asarray(odds - 0.5 * np.einsum("ni,ni->n", off, np.linalg.solve(covariance, off.T).T))
+
+
+def _of_turn(sight: Sight, turn: IntArray, within: float) -> list[_Hypothesis]:
+    """Return the hypotheses of one turn of a lattice that are within so many sigmas of tilt of the best one."""
+    dots = sight.dots
     number = dots.number @ turn.T
     low, high = number.min(axis=0), number.max(axis=0)
     rows, columns = sight.screen.shape
     first = np.array([sight.screen.first[0], sight.screen.first[1] - rows + 1])
     last = np.array([sight.screen.first[0] + columns - 1, sight.screen.first[1]])
-    if known is not None:
-        shifts = [known[0] - turn @ number_at(dots, known[1])]
+    on_facet = np.flatnonzero(np.ones(len(number), dtype=np.bool_) if sight.on_facet is None else sight.on_facet)
+    chosen = on_facet[spread_indices(len(on_facet), _SPREAD)]
+    slopes = _Slopes.of(dots.centers_px[chosen], sight)
+    if sight.known is not None:
+        shifts = np.array([sight.known[0] - turn @ number_at(dots, sight.known[1])])
     else:
         # A line of the lattice that is beyond the table is of specks; more than a few are none.
         slack = 2
-        ranges = [range(first[k] - low[k] - slack, last[k] - high[k] + slack + 1) for k in range(2)]
-        shifts = [np.array(one) for one in product(*ranges)]
-    chosen = spread_indices(len(number), _SPREAD)
-    slopes = _Slopes.of(dots.centers_px[chosen], sight)
+        ranges = [np.arange(first[k] - low[k] - slack, last[k] - high[k] + slack + 1) for k in range(2)]
+        shifts = np.stack(np.meshgrid(*ranges, indexing="ij"), axis=-1).reshape(-1, 2)
+        shifts = shifts[slopes.may_be(sight, number[chosen], shifts, within)]
     found = []
     for shift in shifts:
         there = sight.screen.has(*(number + shift).T)
         if np.count_nonzero(there) > 0.5 * len(number):
-            odds = slopes.log_odds(sight.screen.places_m(*(number[chosen] + shift).T))
+            odds, fit = slopes.judged(sight.screen.places_m(*(number[chosen] + shift).T))
             odds += np.count_nonzero(~there) * float(np.log(_FALSE_DOT))
-            found.append(_Hypothesis(turn, np.asarray(shift), odds))
+            found.append(_Hypothesis(shift, odds, fit))
     return found
 
 
@@ -166,49 +294,57 @@ def number_at(dots: FoundDots, place_px: FloatArray) -> IntArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Slopes:
-    """Odds of the slopes that dots give at their places on the mirror.
+    """The slopes that dots give at their places on the mirror.
 
     points_m (3, n), camera_m (3,): Where the dots are seen on the design, and the camera, in the facet's frame [m].
+    facet_from_screen: Place of the field in that frame.
     design (2, n): Slopes of the design there.
     terms (n, 3): 1 and the position about the reference point.
-    covariance_tilt (2, 2): Of the mean slopes, by the pose and the mounting.
     sigma_per_m: Of curvatures, twist and curl.
     """
 
-    sight: Sight
     points_m: FloatArray
     camera_m: FloatArray
+    facet_from_screen: RigidTransform
     design: FloatArray
     terms: FloatArray
-    covariance_tilt: FloatArray
     sigma_per_m: float
 
     @classmethod
     def of(cls, places_px: FloatArray, sight: Sight) -> "_Slopes":
-        cam_from_facet = sight.pose.cam_from_mirror @ sight.facet.ensemble_from_facet
-        facet_from_cam = cam_from_facet.inverse()
+        facet_from_cam = (sight.pose.cam_from_mirror @ sight.facet.ensemble_from_facet).inverse()
         camera = facet_from_cam.translation_m
         rays = facet_from_cam.rotate(sight.setup.camera.cast_rays(places_px))
         points = camera + sight.facet.design.intersect(camera, rays)[:, None] * rays
         place = points[:, :2] - sight.facet.reference_point_m
-        # A turn of the mirror about its y axis by a changes dz/dx by -a, about its x axis dz/dy by a.
-        by_turn = np.array([[0.0, -1.0], [1.0, 0.0]]) @ cam_from_facet.rotation.T[:2]
-        covariance = by_turn @ sight.pose.covariance[:3, :3] @ by_turn.T + _MOUNTING_RAD**2 * np.eye(2)
         half_m = 0.5 * float(np.ptp(sight.facet.outline_m, axis=0).max())
         design = np.stack(sight.facet.design.gradient(points[:, 0], points[:, 1]))
         terms = np.column_stack([np.ones(len(place)), place])
-        return cls(sight, points.T, camera, design, terms, covariance, _GROSS_RAD / half_m)
+        facet_from_screen = facet_from_cam @ sight.setup.cam_from_screen
+        return cls(points.T, camera, facet_from_screen, design, terms, _GROSS_RAD / half_m)
 
-    def log_odds(self, places_m: FloatArray) -> float:
-        """Return the log of the probability density of what these places of the dots give."""
-        facet_from_cam = (self.sight.pose.cam_from_mirror @ self.sight.facet.ensemble_from_facet).inverse()
-        screen = facet_from_cam.apply(self.sight.setup.cam_from_screen.apply(places_m)).T
+    def may_be(self, sight: Sight, number: IntArray, shifts: IntArray, within: float) -> BoolArray:
+        """Return which shifts (k, 2) the dots in the middle do not exclude by their tilt."""
+        middle = np.argsort(np.linalg.norm(self.terms[:, 1:], axis=1))[:_MIDDLE]
+        tilts = []
+        for k in middle:
+            screen = self.facet_from_screen.apply(sight.screen.places_m(*(number[k] + shifts).T)).T
+            points = np.repeat(self.points_m[:, k : k + 1], len(shifts), axis=1)
+            tilts.append(np.stack(slopes_at(points, self.camera_m, screen), axis=1) - self.design[:, k])
+        known = np.isfinite(np.array(tilts)[..., 0]).any(axis=0)
+        tilt = np.full((len(shifts), 2), np.inf)
+        tilt[known] = np.nanmedian(np.array(tilts)[:, known], axis=0)
+        size = np.linalg.norm(tilt, axis=1)
+        turn_rad = float(np.sqrt(_MOUNTING_RAD**2 + np.linalg.eigvalsh(sight.pose.covariance[:3, :3]).max()))
+        return np.asarray(size < size.min() + within * turn_rad)
+
+    def judged(self, places_m: FloatArray) -> tuple[float, FloatArray]:
+        """Return the log odds of the gradients that these places of the dots give, and mean tilt and gradients."""
+        screen = self.facet_from_screen.apply(places_m).T
         error = np.stack(slopes_at(self.points_m, self.camera_m, screen)) - self.design
         usable = np.isfinite(error).all(axis=0)
         fit = np.linalg.lstsq(self.terms[usable], error[:, usable].T, rcond=None)[0]
-        tilt, gradient = fit[0], fit[1:]
-        by_tilt = float(tilt @ np.linalg.solve(self.covariance_tilt, tilt))
-        return -0.5 * (by_tilt + float(np.sum(gradient**2)) / self.sigma_per_m**2)
+        return -0.5 * float(np.sum(fit[1:] ** 2)) / self.sigma_per_m**2, np.asarray(fit, dtype=np.float64)
 
 
 def find_light(image_dn: npt.NDArray[np.generic], ground_dn: Float32Array, region: BoolArray) -> FloatArray:
@@ -219,32 +355,56 @@ def find_light(image_dn: npt.NDArray[np.generic], ground_dn: Float32Array, regio
     Returns (2,): Its centre in the photo [px].
     EstimationError: No spot stands out, or several do.
     """
-    above = np.where(region, image_dn.astype(np.float32) - ground_dn, 0.0)
-    sigma = robust_scale(above[region], centred=False)
-    spots = _spots(above, _LIGHT_SIGMAS * sigma)
-    if not spots:
+    return next(place for place in find_lights(image_dn, ground_dn, (region,)) if place is not None)
+
+
+def find_lights(
+    image_dn: npt.NDArray[np.generic], ground_dn: Float32Array, regions: Sequence[BoolArray]
+) -> list[FloatArray | None]:
+    """Find the light in each facet that shows it, one in each at most.
+
+    regions: Pixels (h, w) that see one facet, or several of one surface.
+    Returns: Its centre (2,) in each region [px], None where a region shows none: a spot of less than a third of the
+        brightest region's is another one.
+    EstimationError: No spot stands out anywhere, or several do in one region.
+    """
+    of_each = []
+    for region in regions:
+        above = np.where(region, image_dn.astype(np.float32) - ground_dn, 0.0)
+        sigma = robust_scale(above[region], centred=False)
+        of_each.append(sorted(_spots(above, region, _LIGHT_SIGMAS * sigma), key=lambda one: -one[0]))
+    brightest = max((spots[0][0] for spots in of_each if spots), default=0.0)
+    if not brightest:
         raise EstimationError(
             "no spot brighter than the ground is seen in the mirror: is there a light at dot (0, 0)? If not, origin = "
             '"unmarked"'
         )
-    (brightest, place), *others = sorted(spots, key=lambda one: -one[0])
-    if others and others[0][0] * _LIGHT_RATIO > brightest:
-        raise EstimationError(
-            f"{len(spots)} spots in the mirror may be the light at dot (0, 0), such as at ({place[0]:.0f}, "
-            f"{place[1]:.0f}) and ({others[0][1][0]:.0f}, {others[0][1][1]:.0f}) px; cover the others, or give "
-            "[pattern.known_dot]"
-        )
-    return place
+    places: list[FloatArray | None] = []
+    for spots in of_each:
+        bright = [one for one in spots if one[0] * _SAME_LIGHT > brightest]
+        if len(bright) > 1 and bright[1][0] * _LIGHT_RATIO > bright[0][0]:
+            first, second = (one[1] for one in bright[:2])
+            raise EstimationError(
+                f"{len(spots)} spots in the mirror may be the light at dot (0, 0), such as at ({first[0]:.0f}, "
+                f"{first[1]:.0f}) and ({second[0]:.0f}, {second[1]:.0f}) px; cover the others, or give "
+                "[pattern.known_dot]"
+            )
+        places.append(bright[0][1] if bright else None)
+    return places
 
 
-def _spots(above_dn: Float32Array, limit_dn: float) -> Sequence[tuple[float, FloatArray]]:
-    """Return light (sum above the ground) and centre of each connected spot above a limit."""
+def _spots(above_dn: Float32Array, region: BoolArray, limit_dn: float) -> Sequence[tuple[float, FloatArray]]:
+    """Return light (sum above the ground) and centre of each connected spot above a limit, within a region (h, w)."""
     import cv2
 
     count, label = cv2.connectedComponents((above_dn > limit_dn).astype(np.uint8), connectivity=8)
+    inner = cv2.erode(region.astype(np.uint8), np.ones((3, 3), dtype=np.uint8), borderValue=0)
     found = []
     for spot in range(1, count):
         row, column = np.nonzero(label == spot)
+        # The ground is not known in the corners of a mirror, which therefore look bright.
+        if not inner[row, column].all():
+            continue
         light = above_dn[row, column].astype(np.float64)
         place = np.array([column @ light, row @ light]) / light.sum()
         found.append((float(light.sum()), place))

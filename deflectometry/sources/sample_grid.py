@@ -61,9 +61,11 @@ class LatticeGrid:
     """Samples in rows and columns that are nearly straight in the image.
 
     places_px (rows, columns, 2): Where each sample is in the image; NaN where there is none [px].
+    n_blocks: How many lattices stand below each other, each with as many rows: nothing is between them.
     """
 
     places_px: FloatArray
+    n_blocks: int = 1
     _inverse: list[Any] = field(init=False, repr=False, default_factory=list)
 
     def __post_init__(self) -> None:
@@ -89,10 +91,17 @@ class LatticeGrid:
         if not self._inverse:
             from scipy.interpolate import CloughTocher2DInterpolator
 
-            row, column = np.nonzero(np.isfinite(self.places_px[..., 0]))
-            index = np.stack([column, row], axis=-1).astype(np.float64)
-            self._inverse.append(CloughTocher2DInterpolator(self.places_px[row, column], index))
-        return np.asarray(np.nan_to_num(self._inverse[0](pixels_px), nan=_BEYOND))
+            all_rows, all_columns = np.nonzero(np.isfinite(self.places_px[..., 0]))
+            block = all_rows // (self.places_px.shape[0] // self.n_blocks)
+            for one in np.unique(block):
+                row, column = all_rows[block == one], all_columns[block == one]
+                index = np.stack([column, row], axis=-1).astype(np.float64)
+                self._inverse.append(CloughTocher2DInterpolator(self.places_px[row, column], index))
+        found = np.asarray(self._inverse[0](pixels_px))
+        for inverse in self._inverse[1:]:
+            beyond = np.isnan(found[..., 0])
+            found[beyond] = inverse(pixels_px[beyond])
+        return np.asarray(np.nan_to_num(found, nan=_BEYOND))
 
     def of_image(self, image: npt.NDArray[_Value], beyond: Any) -> npt.NDArray[_Value]:
         """Return the image's value at the pixel nearest to each sample."""

@@ -1,6 +1,6 @@
 """A photo of dots seen in a mirror to results: the stages follow each other in `run`."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -8,10 +8,11 @@ import numpy as np
 import numpy.typing as npt
 
 from deflectometry.dots.dot_source import DotSource
-from deflectometry.dots.found_dots import FoundDots, find_dots
+from deflectometry.dots.facet_lattices import FacetLattice, lattices_of_facets
+from deflectometry.dots.found_dots import FoundDots, find_dots, find_lattices
 from deflectometry.dots.ground import POLARITIES, ground_of_dots, without_dots
 from deflectometry.dots.keys import DotPatternSection, DotsMeasurement
-from deflectometry.dots.origin import PlacedDots, Sight, find_light, place_dots
+from deflectometry.dots.origin import KnownDot, PlacedDots, Sight, doubt_of_places, find_lights, place_dots
 from deflectometry.frames.image_file_checks import check_compression, check_size
 from deflectometry.pipeline.assess import SourceMeasurement, measure_source
 from deflectometry.pipeline.choices import Options, build_choices
@@ -26,7 +27,7 @@ from heliogauge.errors import FailurePicture, InputError, showing
 from heliogauge.images.photos import read_frames
 from heliogauge.measurement.load import MEASUREMENT_FILE
 from heliogauge.running.progress import Progress, SilentProgress
-from heliogauge.validate import BoolArray, Float32Array, IntArray
+from heliogauge.validate import BoolArray, Float32Array
 
 #: Share of the mirror with dots below which a part of it has none: around a mirror with 40 dots across, half a
 #: dot's distance along the edges is 5 %, and as much may be lost to clips.
@@ -74,19 +75,45 @@ def run(measurement: DotsMeasurement, options: Options | None = None, progress: 
     pattern = measurement.model.pattern
     polarity = POLARITIES[pattern.dots]
     with progress.stage("find dots"), showing(lambda: _pictures(photo)):
-        everywhere = find_dots(photo, np.ones(photo.shape, dtype=np.bool_), polarity)
-        ground = ground_of_dots(photo, everywhere, polarity)
-        source = DotSource(without_dots(photo, ground, everywhere), None, screen)
+        whole = np.ones(photo.shape, dtype=np.bool_)
+        several = len(mirror.facets) > 1
+        found = find_lattices(photo, whole, polarity) if several else (find_dots(photo, whole, polarity),)
+        ground = ground_of_dots(photo, found[0], polarity)
+        image = photo
+        for one in found:
+            image = without_dots(image, ground, one)
+        source = DotSource(np.asarray(image, dtype=np.float32), None, screen)
     with progress.stage("place in the pattern"), showing(lambda: _pictures(photo)):
         located = find_pose(source, setup, mirror)
         masks = mirror_masks(setup.camera, located.outline_pose, located.facets, margin_px=located.margin_px)
-        known = _known_dot(pattern, photo, ground, masks.facet_index >= 0)
-        placed = place_dots(everywhere, Sight(setup, screen, located.pose, located.facets[0]), known)
+        lattices: tuple[FacetLattice, ...]
+        if several:
+            lattices = lattices_of_facets(found, masks.facet_index, located.margin_px)
+        else:
+            lattices = (FacetLattice(found[0], (0,), np.ones(len(found[0].number), dtype=np.bool_)),)
+        known = _known_dots(pattern, photo, ground, lattices, masks.facet_index)
+        sights = [
+            Sight(
+                one.dots,
+                setup,
+                screen,
+                located.pose,
+                located.facets[one.facets[0]],
+                dot,
+                one.on_first,
+                ", ".join(f"facet {located.facets[k].name}" for k in one.facets) if several else "",
+            )
+            for one, dot in zip(lattices, known, strict=True)
+        ]
+        placed = place_dots(sights)
     rows, columns = screen.shape
-    setup = replace(setup, sigma_shift=placed.sigma_shift / (columns - 1, rows - 1))
+    # Every lattice may be off by itself; the most uncertain one stands for all.
+    shift = np.max([one.sigma_shift for one in placed], axis=0)
+    setup = replace(setup, sigma_shift=shift / (columns - 1, rows - 1))
+    dots = tuple(one.dots for one in placed)
     ready = SourceMeasurement(
         measurement,
-        replace(source, dots=placed.dots),
+        replace(source, dots=dots),
         setup,
         mirror,
         build_choices(measurement, options),
@@ -96,36 +123,59 @@ def run(measurement: DotsMeasurement, options: Options | None = None, progress: 
         gather_doubts(
             frames.doubts,
             check_compression([measurement.model.photo]),
-            placed.doubt,
-            _coarse(placed.dots),
-            _missing(placed.dots, masks.facet_index >= 0),
+            doubt_of_places(placed, sights),
+            _coarse(dots),
+            _missing(dots, masks.facet_index >= 0),
         ),
     )
     return measure_source(ready, progress)
 
 
-def _known_dot(
-    pattern: DotPatternSection, photo: npt.NDArray[Any], ground: Float32Array, region: npt.NDArray[np.bool_]
-) -> tuple[IntArray, npt.NDArray[np.float64]] | None:
-    """Return the numbers of a dot in the table and its place in the photo, where the pattern says one."""
-    if pattern.known_dot is not None:
-        known = pattern.known_dot
-        return np.array([known.column, known.row]), np.array(known.image_px)
-    if pattern.origin == "light":
-        return np.zeros(2, dtype=np.intp), find_light(photo, ground, region)
-    return None
+def _known_dots(
+    pattern: DotPatternSection,
+    photo: npt.NDArray[Any],
+    ground: Float32Array,
+    lattices: Sequence[FacetLattice],
+    facet_index: npt.NDArray[np.int16],
+) -> list[KnownDot | None]:
+    """Return for each lattice the numbers of a dot in the table and its place in the photo, where the pattern says one.
+
+    InputError: A dot that is said to be where no facet shows dots.
+    EstimationError: The light at dot (0, 0) is not seen, or not for certain.
+    """
+    if pattern.known_dot:
+        known: list[KnownDot | None] = [None] * len(lattices)
+        for dot in pattern.known_dot:
+            place = np.array(dot.image_px)
+            shown = [k for k, one in enumerate(lattices) if len(lattices) == 1 or one.shows(place)]
+            if not shown:
+                raise InputError(
+                    f"[pattern.known_dot] image_px = ({place[0]:g}, {place[1]:g}): no facet shows dots around there"
+                )
+            known[shown[0]] = (np.array([dot.column, dot.row]), place)
+        return known
+    if pattern.origin != "light":
+        return [None] * len(lattices)
+    origin = np.zeros(2, dtype=np.intp)
+    regions = [np.isin(facet_index, one.facets) for one in lattices] if len(lattices) > 1 else [facet_index >= 0]
+    return [None if place is None else (origin, place) for place in find_lights(photo, ground, regions)]
 
 
-def _words(placed: PlacedDots, pattern: DotPatternSection, screen: DotScreen) -> str:
-    by = "known dot" if pattern.known_dot is not None else "light at dot (0, 0)"
-    if pattern.known_dot is None and pattern.origin != "light":
-        by = f"likeliest place, probability {placed.probability:.3g}"
-    return f"{len(placed.dots.number)} {pattern.dots} dots of a {screen.describe()}, placed by the {by}"
+def _words(placed: Sequence[PlacedDots], pattern: DotPatternSection, screen: DotScreen) -> str:
+    by = "known dot" if pattern.known_dot else "light at dot (0, 0)"
+    probability = min(one.probability for one in placed)
+    if not pattern.known_dot and pattern.origin != "light":
+        by = f"likeliest place, probability {probability:.3g}"
+    elif probability < 1.0:
+        by += f" and, where a facet shows none, by the likeliest place, probability {probability:.3g}"
+    several = "" if len(placed) == 1 else f" in {len(placed)} lattices"
+    count = sum(len(one.dots.number) for one in placed)
+    return f"{count} {pattern.dots} dots of a {screen.describe()}{several}, placed by the {by}"
 
 
-def _coarse(dots: FoundDots) -> Doubt | None:
+def _coarse(dots: Sequence[FoundDots]) -> Doubt | None:
     """Return a doubt where more than a tenth of the dots has the centre of an outline only."""
-    share = dots.n_coarse / len(dots.number)
+    share = sum(one.n_coarse for one in dots) / sum(len(one.number) for one in dots)
     if share <= 0.1:
         return None
     return Doubt(
@@ -136,14 +186,17 @@ def _coarse(dots: FoundDots) -> Doubt | None:
     )
 
 
-def _missing(dots: FoundDots, region: BoolArray) -> Doubt | None:
+def _missing(dots: Sequence[FoundDots], region: BoolArray) -> Doubt | None:
     """Return a doubt where a part of the mirror shows no dots.
 
     region (h, w): Pixels that see the mirror.
     """
-    place = np.rint(dots.centers_px).astype(np.intp)
-    on_mirror = region[np.clip(place[:, 1], 0, region.shape[0] - 1), np.clip(place[:, 0], 0, region.shape[1] - 1)]
-    share = float(np.count_nonzero(on_mirror)) * dots.cell_px2 / max(float(np.count_nonzero(region)), 1.0)
+    covered = 0.0
+    for one in dots:
+        place = np.rint(one.centers_px).astype(np.intp)
+        on_mirror = region[np.clip(place[:, 1], 0, region.shape[0] - 1), np.clip(place[:, 0], 0, region.shape[1] - 1)]
+        covered += float(np.count_nonzero(on_mirror)) * one.cell_px2
+    share = covered / max(float(np.count_nonzero(region)), 1.0)
     if share > _DOTTED_SHARE:
         return None
     return Doubt(
