@@ -29,6 +29,7 @@ FringePreset = Literal[
     "gazing",
     "gazing-close",
     "stars",
+    "overlay",
     "screen-dots",
     "screen-rims",
     "surface-scan",
@@ -121,6 +122,13 @@ def deflectometry(
         from data_synth.stars import write_stars
 
         write_stars(folder, seed=seed, force=force)
+        if not quiet:
+            print(folder)
+        return
+    if preset == "overlay":
+        from data_synth.reflections import write_overlay
+
+        write_overlay(folder, seed=seed, force=force)
         if not quiet:
             print(folder)
         return

@@ -14,6 +14,7 @@ from data_synth.heliostats import (
     write_heliostat_dataset,
 )
 from data_synth.lasers import write_laser_scan, write_surface_scan
+from data_synth.reflections import write_overlay
 from data_synth.screens import ScreenChoice, write_screen_dataset
 from data_synth.sky import gazing_preset, write_gazing
 from data_synth.stars import write_stars
@@ -39,6 +40,9 @@ def deflectometry(
         return
     if preset == "stars":
         write_stars(folder, seed=seed, force=force)
+        return
+    if preset == "overlay":
+        write_overlay(folder, seed=seed, force=force)
         return
     if preset in ("gazing", "gazing-close"):
         write_gazing(folder, gazing_preset(preset, seed), seed, force=force)

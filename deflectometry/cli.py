@@ -84,6 +84,22 @@ def measure_command(
             as_json=as_json,
         )
         return
+    if kind == "overlay":
+        if (align, grid_step_mm, remove) != (None, None, None):
+            raise InputError(f"{folder}: an overlay has no map to align, grid or take something out of; leave it out")
+        from deflectometry.overlay.keys import load_overlay
+        from deflectometry.overlay.pipeline.measure import run as run_overlay
+
+        deliver(
+            out,
+            lambda: run_overlay(load_overlay(folder), progress),
+            progress,
+            force=force,
+            quiet=quiet,
+            report=not no_report,
+            as_json=as_json,
+        )
+        return
     from deflectometry.pipeline.choices import Options
     from deflectometry.pipeline.measure import run
     from deflectometry.shape.smooth_shape import Align

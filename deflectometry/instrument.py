@@ -106,6 +106,16 @@ INSTRUMENT = Instrument(
             options="deflectometry.pipeline.choices:Options",
         ),
         Kind(
+            name="overlay",
+            model="deflectometry.overlay.keys:OverlayModel",
+            load="deflectometry.overlay.keys:load_overlay",
+            template="deflectometry.overlay:template_overlay.toml",
+            command="deflectometry measure",
+            init_option="--overlay",
+            init_help="For photos of a bright source that the facets of a heliostat show (theoretical overlay).",
+            run="deflectometry.overlay.pipeline.measure:run",
+        ),
+        Kind(
             name="backward-gazing-plan",
             model="deflectometry.gazing.planning.keys:GazingPlanModel",
             load="deflectometry.gazing.planning.keys:load_gazing_plan",
@@ -128,6 +138,7 @@ INSTRUMENT = Instrument(
         "backward-gazing": "deflectometry.report:report_gazing.ipynb",
         "screen-geometry": "deflectometry.screen_geometry:report.ipynb",
         "stars": "deflectometry.report:report_stars.ipynb",
+        "overlay": "deflectometry.report:report_overlay.ipynb",
         "backward-gazing-plan": "deflectometry.report:report_gazing_plan.ipynb",
     },
 )

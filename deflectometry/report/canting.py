@@ -1,6 +1,8 @@
 """Canting of the facets of an ensemble, and what each mount is to be moved: a map with arrows, and two tables."""
 
 import html
+from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 
@@ -9,8 +11,7 @@ from heliogauge.geometry.surfaces import Facet, plane
 from heliogauge.reporting.html import Html, join
 from heliogauge.reporting.look import nice_ceiling
 from heliogauge.reporting.notation import number_text
-from heliogauge.reporting.results import Results
-from heliogauge.results.folder import read_table_csv
+from heliogauge.results.folder import Summary, read_table_csv
 from heliogauge.validate import FloatArray
 from heliogauge.view.maps import MapLayer, MapMark, MapRegions, MapView
 from heliogauge.view.tables import TableColumn, TableView
@@ -25,7 +26,19 @@ _COMPONENTS = ("canting_x_rad", "canting_y_rad")
 Columns = dict[str, list[str]]
 
 
-def canting_section(results: Results) -> Html:
+class FolderAndSummary(Protocol):
+    """Results of any kind that have a canting."""
+
+    @property
+    def folder(self) -> Path:
+        """Where they are."""
+
+    @property
+    def summary(self) -> Summary:
+        """Headline numbers and outlines."""
+
+
+def canting_section(results: FolderAndSummary) -> Html:
     """Return map and tables of the canting; nothing for a mirror of one facet."""
     if not (results.folder / CANTING_FILE).exists():
         return Html("")
@@ -40,7 +53,7 @@ def canting_section(results: Results) -> Html:
     return join(Html(head), canting_view(results, columns, mounts), *tables)
 
 
-def canting_view(results: Results, columns: Columns, mounts: Columns) -> MapView:
+def canting_view(results: FolderAndSummary, columns: Columns, mounts: Columns) -> MapView:
     """Return the canting of each facet as a map with arrows, the mounts with their moves on it.
 
     columns, mounts: ``canting.csv`` and ``mounts.csv``; no mounts: empty.

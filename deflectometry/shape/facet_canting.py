@@ -69,11 +69,11 @@ def canting_of_facets(
         share = 0.0 if slope_map is None else slope_map.measured_share
         canted = canting(slope_map) if slope_map is not None and share >= LEAST_SHARE else None
         places = mounts_m.get(facet.name, np.zeros((0, 2)))
-        found.append(FacetCanting(facet, share, canted, places, _moves(facet, canted, places)))
+        found.append(FacetCanting(facet, share, canted, places, moves_of_facet(facet, canted, places)))
     return tuple(found)
 
 
-def _moves(facet: Facet, canted: Canting | None, mounts_m: FloatArray) -> Moves:
+def moves_of_facet(facet: Facet, canted: Canting | None, mounts_m: FloatArray) -> Moves:
     """Return the moves that take the canting back; the facet turns about the middle of its mounts."""
     count = len(mounts_m)
     if canted is None or not count:

@@ -1,0 +1,155 @@
+"""What makes the turns of facets doubtful: exchanged facets, a source elsewhere, places that contradict each other."""
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from deflectometry.overlay.joint_turns import JointTurns
+from deflectometry.overlay.source_image import Source
+from heliogauge.doubts import Doubt, Severity
+from heliogauge.geometry.surfaces import Facet
+from heliogauge.validate import FloatArray
+
+#: Points that fit so badly by chance once in a hundred photos.
+_UNLIKELY = 0.01
+#: A mount is rarely out by more; the bright spot may be something else, or the facet another one.
+_FAR_RAD = 0.03
+#: Of a normal distribution 6e-5 is beyond: one false alarm in some thousand surveyed places.
+_SURE_SIGMAS = 4.0
+#: No facet of a heliostat is wavier (spec C-03, V-41: slope errors of 0.5 to 2 mrad, here of means over edges).
+_WAVIEST_RAD = 1e-3
+#: Numbers that check each other; with fewer the wave is known to worse than half of itself, 1 / sqrt(2 n).
+_FEWEST_CHECKS = 6.0
+#: Exchanged facets have at least halved turns once they are put back.
+_BETTER = 0.5
+
+
+def doubts_of_turns(
+    facets: Sequence[Facet], source: Source, found: JointTurns, names: Sequence[str], sigma_m: float
+) -> Iterator[Doubt]:
+    """Yield what a user should know before a mount is moved.
+
+    names: Of the photos.
+    sigma_m: As stated for the source's middle [m].
+    """
+    unlikely = [name for name, one in zip(names, found.stations, strict=True) if one.probability < _UNLIKELY]
+    if unlikely:
+        worst = max(one.residual_px for one in found.stations)
+        yield Doubt(
+            "points_misfit_photo",
+            f"points of known place are up to {worst:.2f} px RMS off in {', '.join(unlikely)}, more than sigma_px "
+            "makes: their sigma was enlarged by as much",
+            {"residual_px": worst, "photos_count": len(unlikely)},
+        )
+    strange = [n for n, one in enumerate(found.place_misfits) if one > _SURE_SIGMAS]
+    if strange:
+        yield Doubt(
+            "place_contradicted",
+            f"the surveyed place (place_m) of the camera of {', '.join(names[n] for n in strange)} is "
+            f"{max(found.place_misfits[strange]):.0f} sigma off from what points and reflections say: check it, and "
+            "that the photo belongs to it",
+            {"photos_count": len(strange)},
+        )
+    missing = [facet.name for facet, known in zip(facets, found.known, strict=True) if not known]
+    if missing:
+        yield Doubt(
+            "facet_without_image",
+            f"no photo shows enough of the source's edge in facet {', '.join(missing)}: it is turned too far, the "
+            "source fills it or is hidden; the overlay shows where its image should be. Other "
+            "photos may show it",
+            {"facets_count": len(missing)},
+        )
+    yield from _exchanged_or_far(facets, found)
+    yield from _common(source, found)
+    if found.wave_rad > _WAVIEST_RAD:
+        yield Doubt(
+            "photos_contradict",
+            f"turns of one facet differ by {1e3 * found.wave_rad:.2f} mrad from photo to photo, more than waves of a "
+            "facet make: is a photo mirrored or of another heliostat, is the focal length the facets', and do distance "
+            "and size of the source hold? The sigmas contain the difference",
+            {"difference_rad": found.wave_rad},
+        )
+    if found.redundancy < _FEWEST_CHECKS:
+        yield Doubt(
+            "waves_unknown",
+            "too few photos check each other: how wavy the facets are is not known, and sigmas of turns contain the "
+            "noise of the pixels but hardly the waves; take three photos from different places",
+            {"checks": found.redundancy},
+        )
+    if sigma_m == 0:
+        yield Doubt(
+            "source_place_exact",
+            "no sigma is given for the place of the source ([source] sigma_center_mm): it counts as exact, and the "
+            "sigma of how the heliostat as a whole points is too small",
+            severity=Severity.NOTE,
+        )
+
+
+def _normals(facets: Sequence[Facet], turns_rad: FloatArray) -> FloatArray:
+    """Return the normals at the reference points in the heliostat's frame, shape (k, 3)."""
+    found = []
+    for facet, turn in zip(facets, turns_rad, strict=True):
+        slope_x, slope_y = facet.design.gradient(*facet.reference_point_m)
+        normal = np.array([-slope_x - turn[0], -slope_y - turn[1], 1.0])
+        found.append(facet.ensemble_from_facet.rotate(normal / np.linalg.norm(normal)))
+    return np.array(found)
+
+
+def _exchanged_or_far(facets: Sequence[Facet], found: JointTurns) -> Iterator[Doubt]:
+    """Name pairs of facets that fit each other's design, and facets that are far from theirs."""
+    measured, design = _normals(facets, found.turns_rad), _normals(facets, np.zeros_like(found.turns_rad))
+    mean = np.nanmean(found.turns_rad, axis=0)
+    own = np.linalg.norm(found.turns_rad - np.nanmedian(found.turns_rad, axis=0), axis=1)
+    typical = float(np.nanmedian(own))
+    pairs: list[tuple[int, int]] = []
+    for i in range(len(facets)):
+        for j in range(i):
+            apart = np.linalg.norm(design[i] - design[j])
+            crossed = max(np.linalg.norm(measured[i] - design[j]), np.linalg.norm(measured[j] - design[i]))
+            straight = min(np.linalg.norm(measured[i] - design[i]), np.linalg.norm(measured[j] - design[j]))
+            if straight > 5 * typical and crossed < _BETTER * apart and crossed < _BETTER * straight:
+                pairs.append((j, i))
+    if pairs:
+        texts = [f"{facets[i].name} and {facets[j].name}" for i, j in pairs]
+        yield Doubt(
+            "facets_exchanged",
+            f"facets {'; '.join(texts)} point where the other one should: their rotations in measurement.toml are "
+            "exchanged; move no mount before that is clear",
+            {"pairs_count": len(pairs)},
+        )
+    taken = {n for pair in pairs for n in pair}
+    far = [
+        facet.name
+        for n, (facet, turn) in enumerate(zip(facets, found.turns_rad, strict=True))
+        if np.linalg.norm(turn - mean) > _FAR_RAD and n not in taken
+    ]
+    if far:
+        yield Doubt(
+            "facet_turned_far",
+            f"facet {', '.join(far)} is turned by more than {1e3 * _FAR_RAD:.0f} mrad against the others: is the "
+            "bright spot in it the source, and are position and rotation of the facet those of the design?",
+            {"facets_count": len(far)},
+        )
+
+
+def _common(source: Source, found: JointTurns) -> Iterator[Doubt]:
+    """Say that all facets are off alike, and where the source would have to be for that."""
+    known = found.known
+    rows = np.repeat(known, 2)
+    share = np.kron(np.ones(int(known.sum())) / known.sum(), np.eye(2))
+    mean = np.mean(found.turns_rad[known], axis=0)
+    covariance = share @ found.covariance[np.ix_(rows, rows)] @ share.T
+    spread = np.std(found.turns_rad[known], axis=0, ddof=1) if known.sum() > 1 else np.zeros(2)
+    # Facets that scatter by so much have a mean that is off by a root of their number less.
+    variance = covariance + np.diag(spread**2) / known.sum()
+    off = float(np.sqrt(mean @ np.linalg.solve(variance, mean)))
+    if off > _SURE_SIGMAS:
+        distance = float(np.linalg.norm(source.heliostat_from_source.translation_m))
+        angle = float(np.linalg.norm(mean))
+        yield Doubt(
+            "all_facets_alike",
+            f"all facets are turned alike, by {1e3 * angle:.2f} mrad: the heliostat as a whole points elsewhere, or "
+            f"the source stood {2e3 * angle * distance:.0f} mm from where center_m says; photos cannot tell "
+            "these apart. Moves of mounts do not contain it",
+            {"mean_turn_rad": angle, "source_shift_m": 2 * angle * distance},
+        )

@@ -1,0 +1,1 @@
+"""The stages of an overlay, in a row in `measure`."""
