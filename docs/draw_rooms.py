@@ -36,6 +36,7 @@ METHOD = {
         "field",
         "gazing",
         "stars",
+        "overlay",
         "scans",
         "pose",
         "shape",
@@ -70,6 +71,7 @@ METHOD = {
         "lasers",
         "sky",
         "stars",
+        "reflections",
         "screens",
     ),
     "heliogauge": (

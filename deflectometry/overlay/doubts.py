@@ -10,18 +10,22 @@ from heliogauge.doubts import Doubt, Severity
 from heliogauge.geometry.surfaces import Facet
 from heliogauge.validate import FloatArray
 
-#: Points that fit so badly by chance once in a hundred photos.
+#: What happens by chance once in a hundred measurements.
 _UNLIKELY = 0.01
 #: A mount is rarely out by more; the bright spot may be something else, or the facet another one.
 _FAR_RAD = 0.03
 #: Of a normal distribution 6e-5 is beyond: one false alarm in some thousand surveyed places.
 _SURE_SIGMAS = 4.0
+#: With fewer the scatter of their turns says nothing of their mean.
+_FEWEST_FACETS = 4
 #: No facet of a heliostat is wavier (spec C-03, V-41: slope errors of 0.5 to 2 mrad, here of means over edges).
 _WAVIEST_RAD = 1e-3
 #: Numbers that check each other; with fewer the wave is known to worse than half of itself, 1 / sqrt(2 n).
 _FEWEST_CHECKS = 6.0
 #: Exchanged facets have at least halved turns once they are put back.
 _BETTER = 0.5
+#: And point much further from their design than the others typically do.
+_UNUSUAL = 5.0
 
 
 def doubts_of_turns(
@@ -45,8 +49,8 @@ def doubts_of_turns(
     if strange:
         yield Doubt(
             "place_contradicted",
-            f"the surveyed place (place_m) of the camera of {', '.join(names[n] for n in strange)} is "
-            f"{max(found.place_misfits[strange]):.0f} sigma off from what points and reflections say: check it, and "
+            f"all facets in {', '.join(names[n] for n in strange)} are off alike against the other photos, by "
+            f"{max(found.place_misfits[strange]):.0f} sigma: check the surveyed place (place_m) of its camera, and "
             "that the photo belongs to it",
             {"photos_count": len(strange)},
         )
@@ -100,14 +104,15 @@ def _exchanged_or_far(facets: Sequence[Facet], found: JointTurns) -> Iterator[Do
     measured, design = _normals(facets, found.turns_rad), _normals(facets, np.zeros_like(found.turns_rad))
     mean = np.nanmean(found.turns_rad, axis=0)
     own = np.linalg.norm(found.turns_rad - np.nanmedian(found.turns_rad, axis=0), axis=1)
-    typical = float(np.nanmedian(own))
     pairs: list[tuple[int, int]] = []
     for i in range(len(facets)):
         for j in range(i):
             apart = np.linalg.norm(design[i] - design[j])
             crossed = max(np.linalg.norm(measured[i] - design[j]), np.linalg.norm(measured[j] - design[i]))
             straight = min(np.linalg.norm(measured[i] - design[i]), np.linalg.norm(measured[j] - design[j]))
-            if straight > 5 * typical and crossed < _BETTER * apart and crossed < _BETTER * straight:
+            others = np.delete(own, [i, j])
+            typical = float(np.nanmedian(others)) if np.isfinite(others).any() else 0.0
+            if straight > _UNUSUAL * typical and crossed < _BETTER * apart and crossed < _BETTER * straight:
                 pairs.append((j, i))
     if pairs:
         texts = [f"{facets[i].name} and {facets[j].name}" for i, j in pairs]
@@ -139,11 +144,14 @@ def _common(source: Source, found: JointTurns) -> Iterator[Doubt]:
     share = np.kron(np.ones(int(known.sum())) / known.sum(), np.eye(2))
     mean = np.mean(found.turns_rad[known], axis=0)
     covariance = share @ found.covariance[np.ix_(rows, rows)] @ share.T
-    spread = np.std(found.turns_rad[known], axis=0, ddof=1) if known.sum() > 1 else np.zeros(2)
-    # Facets that scatter by so much have a mean that is off by a root of their number less.
-    variance = covariance + np.diag(spread**2) / known.sum()
-    off = float(np.sqrt(mean @ np.linalg.solve(variance, mean)))
-    if off > _SURE_SIGMAS:
+    count = int(known.sum())
+    if count < _FEWEST_FACETS:
+        return
+    # Facets that scatter by so much have a mean that is off by a root of their number less: Hotelling's test.
+    variance = covariance + np.cov(found.turns_rad[known].T) / count
+    statistic = float(mean @ np.linalg.solve(variance, mean)) * (count - 2) / (2 * (count - 1))
+    # Of two and count - 2 degrees of freedom it is beyond x with this probability.
+    if (1 + 2 * statistic / (count - 2)) ** (-0.5 * (count - 2)) < _UNLIKELY:
         distance = float(np.linalg.norm(source.heliostat_from_source.translation_m))
         angle = float(np.linalg.norm(mean))
         yield Doubt(

@@ -21,6 +21,8 @@ _TURN_STEP, _SHIFT_STEP = 1e-6, 1e-4
 #: The light is fitted again with the cameras where the adjustment put them.
 _ROUNDS = 2
 _BISECTIONS = 50
+#: Of a photo that shows edges in one direction only.
+_WORST_CONDITION = 1e3
 
 Views = Callable[[Facet, Sequence[Station]], list[FacetView]]
 
@@ -37,7 +39,7 @@ class JointTurns:
     wave_rad: By how much one photo's turn of a facet is off beyond its pixels, from the photos' differences [rad].
     redundancy: How many numbers of the photos check each other; the wave is as sure as these are many.
     seen_in: Numbers of the photos that show the source in each facet.
-    place_misfits: Surveyed place of each camera against the others, in sigmas; NaN where there is none.
+    place_misfits: What all facets in one photo are off alike, in sigmas; NaN where its camera was not surveyed.
     """
 
     turns_rad: FloatArray
@@ -132,6 +134,7 @@ def adjust(
     weight = equations.jacobian[:, count:] / np.sqrt(equations.variance + wave**2)[:, None]
     random[rows] = np.sqrt(np.diag(np.linalg.inv(weight.T @ weight)))
     reflections = share[len(equations.prior_residual) :]
+    rest = leftover[len(equations.prior_residual) :] * np.sqrt(equations.variance + wave**2)
     return JointTurns(
         values,
         total,
@@ -141,7 +144,7 @@ def adjust(
         wave,
         float(reflections.sum()),
         tuple(tuple(one.view.photo for one in seen[k]) if k in own else () for k in range(len(facets))),
-        _misfits(moved, leftover, share),
+        _misfits(moved, moved_source, equations, rest, float(reflections.sum())),
     )
 
 
@@ -262,13 +265,34 @@ def _wave(equations: _Equations) -> float:
     return float(np.exp(high))
 
 
-def _misfits(stations: Sequence[Station], leftover: FloatArray, share: FloatArray) -> FloatArray:
-    """Return the largest misfit of a coordinate of each surveyed place, in sigmas of the misfit."""
-    found, row = np.full(len(stations), np.nan), 0
-    for number, station in enumerate(stations):
-        row += 2 * len(station.points_m)
-        if station.place_m is not None:
-            part = slice(row, row + 3)
-            found[number] = float(np.max(np.abs(leftover[part]) / np.sqrt(np.maximum(share[part], 1e-12))))
-            row += 3
+def _misfits(
+    stations: Sequence[Station], source: Source, equations: _Equations, rest_rad: FloatArray, redundancy: float
+) -> FloatArray:
+    """Return what all facets in one photo are off alike, against their scatter and the survey, in sigmas.
+
+    rest_rad: What the adjustment left of each reflection [rad]. A camera that stood elsewhere turns all facets of its
+    photo alike, by its shift over twice its distance.
+    """
+    found, scatter = np.full(len(stations), np.nan), 0.0
+    alike = []
+    for number in range(len(stations)):
+        rows = np.abs(equations.jacobian[:, 6 * number : 6 * number + 6]).sum(axis=1) > 0
+        if not rows.any():
+            alike.append((np.zeros((0, 2)), np.zeros(2)))
+            continue
+        directions = equations.jacobian[rows, 6 * len(stations) + 3 :].reshape(int(rows.sum()), -1, 2).sum(axis=1)
+        common = np.linalg.lstsq(directions, rest_rad[rows], rcond=None)[0]
+        scatter += float(np.sum((rest_rad[rows] - directions @ common) ** 2))
+        alike.append((directions, common))
+    freedom = redundancy - 2 * len(stations)
+    if freedom < 1:
+        return found
+    for number, ((directions, common), station) in enumerate(zip(alike, stations, strict=True)):
+        products = directions.T @ directions
+        if station.place_m is None or not len(directions) or np.linalg.cond(products) > _WORST_CONDITION:
+            continue
+        distance = np.linalg.norm(station.cam_from_heliostat.inverse().translation_m)
+        by_survey = (station.sigma_place_m / (2 * distance)) ** 2
+        variance = scatter / freedom * np.linalg.inv(products) + by_survey * np.eye(2)
+        found[number] = float(np.sqrt(common @ np.linalg.solve(variance, common)))
     return found

@@ -119,7 +119,7 @@ def cameras(folder: Path) -> TableView:
         ("y_m", "y [m]", "{:.3f}"),
         ("z_m", "z [m]", "{:.3f}"),
         ("points_residual_px", "points off, RMS [px]", "{:.2f}"),
-        ("place_misfit_sigmas", "surveyed place off, in sigmas", "{:.1f}"),
+        ("place_misfit_sigmas", "all facets off alike, in sigmas", "{:.1f}"),
     ):
         values = [float(one) if one else float("nan") for one in columns[key]]
         shown.append(TableColumn(label, ["\u2013" if np.isnan(one) else form.format(one) for one in values], values))

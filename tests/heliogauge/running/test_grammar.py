@@ -194,6 +194,7 @@ def test_presets_that_are_choices_are_all_that_there_are() -> None:
         "gazing",
         "gazing-close",
         "stars",
+        "overlay",
         "screen-dots",
         "screen-rims",
         "surface-scan",

@@ -1,0 +1,147 @@
+"""Theoretical overlay: turns with sigma from drawn photos, and photos that do not fit what is stated."""
+
+import csv
+import json
+import tomllib
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from data_synth.reflections import ReflectionScene, write_overlay
+from deflectometry.overlay.keys import load_overlay
+from deflectometry.overlay.pipeline.measure import run
+from deflectometry.overlay.pipeline.result import OverlayResult
+from heliogauge.errors import EstimationError
+from heliogauge.measurement.writer import write_measurement
+
+SMALL = ReflectionScene(columns=2, rows=2, focal_px=3500.0, width_px=300, height_px=300)
+EXACT = replace(SMALL, wave_sigma_rad=0.0, noise_dn=0.7, sigma_point_px=1e-3, sigma_place_m=1e-6, tilt_sigma_rad=1e-3)
+
+
+def measured(folder: Path, scene: ReflectionScene, seed: int) -> tuple[OverlayResult, np.ndarray]:
+    """Return a result and its errors."""
+    write_overlay(folder, scene, seed)
+    result = run(load_overlay(folder))
+    return result, result.turns.turns_rad - np.array(json.loads((folder / "truth.json").read_text())["turn_rad"])
+
+
+@pytest.mark.slow
+def test_turns_of_exact_inputs_are_exact(tmp_path: Path) -> None:
+    # What is left are the rays of a pixel: an edge along a row is seen to half of the distance between two of them.
+    _, errors = measured(tmp_path / "exact", replace(EXACT, subpixels=16), 0)
+    assert np.sqrt(np.mean(errors**2)) < 1e-6
+
+
+@pytest.mark.slow
+def test_sigmas_are_the_scatter(tmp_path: Path) -> None:
+    total, rms, freedom = 0.0, [], 0
+    for seed in range(10):
+        result, errors = measured(tmp_path / str(seed), replace(SMALL, subpixels=3), seed)
+        flat = errors.ravel()
+        total += float(flat @ np.linalg.solve(result.turns.covariance, flat))
+        freedom += flat.size
+        rms.append(np.mean(errors**2))
+        moves = [one.moves for one in result.cantings()]
+        assert all(np.isfinite(one.move_m).all() and (one.sigma_m > 0).all() for one in moves)
+    low, high = chi2.ppf([0.005, 0.995], freedom) / freedom
+    assert low < total / freedom < high
+    assert np.sqrt(np.mean(rms)) < 1e-4
+
+
+@pytest.fixture(scope="module")
+def drawn(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("overlay") / "drawn"
+    write_overlay(folder, replace(SMALL, subpixels=2), 1)
+    return folder
+
+
+def changed(drawn: Path, folder: Path, change: Callable[[dict[str, Any]], None]) -> Path:
+    """Copy a measurement with other content of measurement.toml."""
+    folder.mkdir()
+    for file in drawn.iterdir():
+        (folder / file.name).write_bytes(file.read_bytes())
+    content = tomllib.loads((drawn / "measurement.toml").read_text())
+    change(content)
+    write_measurement(folder, content)
+    return folder
+
+
+def doubts(folder: Path) -> set[str]:
+    return {one.code for one in run(load_overlay(folder)).doubts}
+
+
+def test_dark_photos_show_no_source(drawn: Path, tmp_path: Path) -> None:
+    folder = changed(drawn, tmp_path / "dark", lambda content: None)
+    for file in folder.glob("photo_*.png"):
+        cv2.imwrite(str(file), np.full((300, 300), 12, np.uint8))
+    with pytest.raises(EstimationError, match="no facet shows the source"):
+        run(load_overlay(folder))
+
+
+def test_mirrored_points_are_refused(drawn: Path, tmp_path: Path) -> None:
+    folder = changed(drawn, tmp_path / "mirrored", lambda content: None)
+    rows = list(csv.DictReader((folder / "points.csv").read_text().splitlines()))
+    for row in rows:
+        row["x_px"] = str(299 - float(row["x_px"]))
+    with (folder / "points.csv").open("w", newline="") as file:
+        writer = csv.DictWriter(file, rows[0].keys())
+        writer.writeheader()
+        writer.writerows(rows)
+    with pytest.raises(EstimationError, match=r"photo photo_1\.png.*(mirrored|points of this photo)"):
+        run(load_overlay(folder))
+
+
+@pytest.mark.slow
+def test_exchanged_facets_are_named(drawn: Path, tmp_path: Path) -> None:
+    def exchange(content: dict[str, Any]) -> None:
+        first, last = content["mirror"]["facet"][0], content["mirror"]["facet"][3]
+        key = "rotation_vector_rad"
+        first[key], last[key] = last[key], first[key]
+
+    folder = changed(drawn, tmp_path / "exchanged", exchange)
+    found = [one for one in run(load_overlay(folder)).doubts if one.code == "facets_exchanged"]
+    assert found
+    assert "11 and 22" in found[0].text
+
+
+@pytest.mark.slow
+def test_source_elsewhere_turns_all_facets_alike(drawn: Path, tmp_path: Path) -> None:
+    assert "all_facets_alike" not in doubts(drawn)
+
+    def shift(content: dict[str, Any]) -> None:
+        content["source"]["center_m"] = [0.6, 0.0, 40.0]
+
+    folder = changed(drawn, tmp_path / "elsewhere", shift)
+    result = run(load_overlay(folder))
+    (found,) = [one for one in result.doubts if one.code == "all_facets_alike"]
+    assert found.numbers["source_shift_m"] == pytest.approx(0.6, abs=0.15)
+
+
+@pytest.mark.slow
+def test_camera_that_stood_elsewhere_is_named(drawn: Path, tmp_path: Path) -> None:
+    def shift(content: dict[str, Any]) -> None:
+        content["photo"][1]["place_m"][0] += 0.1
+
+    assert "place_contradicted" in doubts(changed(drawn, tmp_path / "elsewhere", shift))
+
+
+@pytest.mark.slow
+def test_without_a_survey_the_heliostat_as_a_whole_is_less_sure(drawn: Path, tmp_path: Path) -> None:
+    def forget(content: dict[str, Any]) -> None:
+        for photo in content["photo"]:
+            del photo["place_m"], photo["sigma_place_mm"]
+
+    folder = changed(drawn, tmp_path / "unsurveyed", forget)
+    result, truth = run(load_overlay(folder)), json.loads((drawn / "truth.json").read_text())["turn_rad"]
+    errors = (result.turns.turns_rad - np.array(truth)).ravel()
+    sigma = np.sqrt(np.diag(result.turns.covariance))
+    assert sigma.min() > 2e-4
+    assert errors @ np.linalg.solve(result.turns.covariance, errors) < chi2.ppf(0.999, errors.size)
+    _, covariance = result.canting()
+    assert np.sqrt(np.diag(covariance)).max() < 1e-4
