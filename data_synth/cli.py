@@ -403,7 +403,7 @@ def beam(
     quiet: Quiet = False,
 ) -> None:
     """Photograph the beam of a heliostat with known canting errors on a target at several suns."""
-    from data_synth.heliostats.bench import BenchOptions, write_beam_dataset
+    from data_synth.heliostats.beam_photos import BenchOptions, write_beam_dataset
 
     options = BenchOptions(
         facets, suns, repeats, 1e-3 * canting_mrad, 1e-3 * slope_mrad, tuple(fault or ()), seed, force

@@ -9,6 +9,9 @@ from heliogauge.running.commands import AsJson, Force, NoReport, OutFolder, Quie
 
 app = make_app("Results of many days, heliostats and facets -> one store, trends, the worst.")
 
+#: Results that are in the store already and are named without --verbose.
+_MOST_NOTES = 20
+
 StoreFolder = Annotated[Path, typer.Argument(metavar="STORE", help="Folder of the store.", show_default=False)]
 
 
@@ -28,13 +31,16 @@ def add_command(
         str | None, typer.Option(metavar="NAME", help="What was measured, where it is not the results' name.")
     ] = None,
     quiet: Quiet = False,
+    verbose: Verbose = False,
 ) -> None:
     """Put results into a store, each once."""
     from calibration.survey.pipeline.add import AddOptions, add
 
     added = add(results, to, AddOptions(date, subject))
-    for folder in added.known[:20]:
+    for folder in added.known if verbose else added.known[:_MOST_NOTES]:
         typer.echo(f"note: {folder} is in the store already", err=True)
+    if len(added.known) > _MOST_NOTES and not verbose:
+        typer.echo(f"note: so are {len(added.known) - _MOST_NOTES} more (-v lists them)", err=True)
     if not quiet:
         typer.echo(f"{added.results} results, {added.rows} rows added to {to}")
 
@@ -45,11 +51,14 @@ def event_command(
     subject: Annotated[str, typer.Option(metavar="NAME", help="To whom; * stands for any text.", show_default=False)],
     date: Annotated[str, typer.Option(metavar="YYYY-MM-DD", help="When.", show_default=False)],
     what: Annotated[str, typer.Option(metavar="WORDS", help="Such as cleaned, drive replaced.", show_default=False)],
+    quiet: Quiet = False,
 ) -> None:
     """Note that something was done: reports compare before and after."""
     from calibration.survey.files.parquet_store import add_event
 
     add_event(store, subject, date, what)
+    if not quiet:
+        typer.echo(f"noted in {store}: {subject}, {date}, {what}")
 
 
 @app.command("report")

@@ -5,8 +5,8 @@ from typing import TYPE_CHECKING
 from heliogauge.faces import lazy_face
 
 if TYPE_CHECKING:
-    from data_synth.heliostats.bench import BenchOptions as BenchOptions
-    from data_synth.heliostats.bench import write_beam_dataset as write_beam_dataset
+    from data_synth.heliostats.beam_photos import BenchOptions as BenchOptions
+    from data_synth.heliostats.beam_photos import write_beam_dataset as write_beam_dataset
     from data_synth.heliostats.dataset import HeliostatOptions as HeliostatOptions
     from data_synth.heliostats.dataset import HeliostatTruth as HeliostatTruth
     from data_synth.heliostats.dataset import read_heliostat_truth as read_heliostat_truth

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 from heliogauge.faces import lazy_face
 
 if TYPE_CHECKING:
-    from photogrammetry.exchange.drone_positions import DronePositions as DronePositions
     from photogrammetry.pipeline.cameras import build_cameras as build_cameras
     from photogrammetry.pipeline.check import find_faults as find_faults
     from photogrammetry.pipeline.inputs import build_constraints as build_constraints

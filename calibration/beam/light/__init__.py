@@ -12,6 +12,6 @@ if TYPE_CHECKING:
     from calibration.beam.light.beam_image import measure_beam as measure_beam
     from calibration.beam.light.beam_moments import BeamMoments as BeamMoments
     from calibration.beam.light.beam_moments import encircled_diameters_m as encircled_diameters_m
-    from calibration.beam.light.search_spiral import search_spiral as search_spiral
+    from calibration.beam.light.aim_spiral import search_spiral as search_spiral
 
 __getattr__, __dir__, __all__ = lazy_face(__name__)

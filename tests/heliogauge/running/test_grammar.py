@@ -156,8 +156,10 @@ def test_help_uses_the_width_of_the_terminal(monkeypatch: pytest.MonkeyPatch) ->
 def test_what_writes_has_the_options_of_all_that_write(words: str) -> None:
     known = options(words)
     verb = words.split()[-1] if words in FOR_ALL else words.split()[1]
-    wanted = {"--quiet", "-q", "--verbose", "-v"}
-    if words != "report":
+    # A note is one line; there is no more to say of it.
+    wanted = {"--quiet", "-q"} if words == "survey event" else {"--quiet", "-q", "--verbose", "-v"}
+    # A store takes what is new and keeps what it has.
+    if words not in ("report", "survey add", "survey event"):
         wanted |= {"--force"}
         wanted |= {"-o", "--out"} if verb not in ("init", "synth") else {"folder"}
     if verb == "measure":

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from calibration.beam.light.search_spiral import search_spiral
+from calibration.beam.light.aim_spiral import search_spiral
 
 
 def test_search_spiral_covers_every_block_once() -> None:
