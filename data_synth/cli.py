@@ -401,14 +401,16 @@ def beam(
     seed: Annotated[int, typer.Option(min=0, help="Seed of errors and noise; the same seed gives the same files.")] = 0,
     force: Replace = False,
     quiet: Quiet = False,
+    verbose: Verbose = False,
 ) -> None:
     """Photograph the beam of a heliostat with known canting errors on a target at several suns."""
     from data_synth.heliostats.beam_photos import BenchOptions, write_beam_dataset
+    from heliogauge.running.terminal import terminal_progress
 
     options = BenchOptions(
         facets, suns, repeats, 1e-3 * canting_mrad, 1e-3 * slope_mrad, tuple(fault or ()), seed, force
     )
-    write_beam_dataset(folder, options)
+    write_beam_dataset(folder, options, terminal_progress(quiet=quiet, verbose=verbose))
     if not quiet:
         print(folder)
 

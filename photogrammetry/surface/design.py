@@ -9,6 +9,7 @@ import numpy as np
 from heliogauge.errors import InputError
 from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.geometry.surfaces import Quadric
+from heliogauge.short_repr import ShortRepr
 from heliogauge.validate import FloatArray, IntArray, freeze
 
 #: A motion changes a surface if it changes its matrix by more than this share: far above rounding (1e-15), far below
@@ -63,7 +64,7 @@ class Reference(Protocol):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class DesignSurface:
+class DesignSurface(ShortRepr):
     """A design surface whose focal lengths or radius can be estimated.
 
     make: Lengths [m] to the optic's surface; the matrix must be linear in 1 / length, as those of all constructors

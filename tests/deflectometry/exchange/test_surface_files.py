@@ -135,7 +135,7 @@ def test_only_files_that_say_the_canting_can_be_freed_of_it(tmp_path: Path) -> N
         (
             "m.ply",
             "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nend_header\n1\n",
-            "nx, ny, nz are needed",
+            "x, y, z are needed",
         ),
         ("m.stl", "solid", r"NURBS \(\.h5\), PLY"),
         ("m.csv", "x_m,y_m,z_m,normal_x,normal_y,normal_z\n", "no points with a normal"),

@@ -102,7 +102,7 @@ Change = Callable[[Content], object]
         (lambda c: c["images"].update(fringes=3), r"images\.fringes = 3: a list is needed"),
         (lambda c: c.update(mirror=3), r"mirror = 3: a table is needed"),
         (lambda c: c.update(kind="deflectometri"), r'kind = \'deflectometri\'.*did you mean "deflectometry"'),
-        (lambda c: c.update(kind="dish"), r'available are: "camera", "deflectometry"'),
+        (lambda c: c.update(kind="dish"), r'available are: "beam", "camera", "deflectometry"'),
         (lambda c: c.pop("kind"), r"kind is missing"),
     ],
 )
