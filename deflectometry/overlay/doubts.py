@@ -67,7 +67,7 @@ def doubts_of_turns(
     yield from _common(source, found)
     if found.wave_rad > _WAVIEST_RAD:
         yield Doubt(
-            "photos_contradict",
+            "turns_contradict",
             f"turns of one facet differ by {1e3 * found.wave_rad:.2f} mrad from photo to photo, more than waves of a "
             "facet make: is a photo mirrored or of another heliostat, is the focal length the facets', and do distance "
             "and size of the source hold? The sigmas contain the difference",
@@ -78,7 +78,7 @@ def doubts_of_turns(
             "waves_unknown",
             "too few photos check each other: how wavy the facets are is not known, and sigmas of turns contain the "
             "noise of the pixels but hardly the waves; take three photos from different places",
-            {"checks": found.redundancy},
+            {"checks_count": found.redundancy},
         )
     if sigma_m == 0:
         yield Doubt(
