@@ -63,6 +63,15 @@ def doubts_of_turns(
             "photos may show it",
             {"facets_count": len(missing)},
         )
+    for number, name in enumerate(names):
+        strangers = [facet.name for facet, out in zip(facets, found.left_out, strict=True) if number in out]
+        if strangers:
+            yield Doubt(
+                "light_left_out",
+                f"{name}: the light in facet {', '.join(strangers)} is no image of the source that a turn could make "
+                "with the other photos: left out. Is the photo mirrored or of another place, or something else bright?",
+                {"facets_count": len(strangers)},
+            )
     yield from _exchanged_or_far(facets, found)
     yield from _common(source, found)
     if found.wave_rad > _WAVIEST_RAD:

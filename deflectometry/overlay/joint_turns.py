@@ -39,6 +39,7 @@ class JointTurns:
     wave_rad: By how much one photo's turn of a facet is off beyond its pixels, from the photos' differences [rad].
     redundancy: How many numbers of the photos check each other; the wave is as sure as these are many.
     seen_in: Numbers of the photos that show the source in each facet.
+    left_out: Numbers of the photos that show light in each facet which no turn makes the source's image.
     place_misfits: What all facets in one photo are off alike, in sigmas; NaN where its camera was not surveyed.
     """
 
@@ -50,6 +51,7 @@ class JointTurns:
     wave_rad: float
     redundancy: float
     seen_in: tuple[tuple[int, ...], ...]
+    left_out: tuple[tuple[int, ...], ...]
     place_misfits: FloatArray
 
     @property
@@ -134,6 +136,17 @@ def adjust(
     weight = equations.jacobian[:, count:] / np.sqrt(equations.variance + wave**2)[:, None]
     random[rows] = np.sqrt(np.diag(np.linalg.inv(weight.T @ weight)))
     reflections = share[len(equations.prior_residual) :]
+    photos_of = {
+        k: tuple(
+            one.view.photo
+            for one in seen[k]
+            if np.any(
+                np.abs(equations.jacobian[:, count + 2 * n : count + 2 * n + 2]).sum(axis=1)
+                * np.abs(equations.jacobian[:, 6 * one.view.photo : 6 * one.view.photo + 6]).sum(axis=1)
+            )
+        )
+        for n, k in enumerate(own)
+    }
     rest = leftover[len(equations.prior_residual) :] * np.sqrt(equations.variance + wave**2)
     return JointTurns(
         values,
@@ -143,7 +156,11 @@ def adjust(
         moved_source,
         wave,
         float(reflections.sum()),
-        tuple(tuple(one.view.photo for one in seen[k]) if k in own else () for k in range(len(facets))),
+        tuple(photos_of.get(k, ()) for k in range(len(facets))),
+        tuple(
+            tuple(one.view.photo for one in seen.get(k, ()) if one.view.photo not in photos_of.get(k, ()))
+            for k in range(len(facets))
+        ),
         _misfits(moved, moved_source, equations, rest, float(reflections.sum())),
     )
 

@@ -18,6 +18,8 @@ _BLOCK_PX = 12
 _ITERATIONS = 40
 #: Steps and turns beyond belong to a direction that the light does not show.
 _LONGEST_RAD, _FARTHEST_RAD = 0.01, 0.3
+#: Of levels [DN]: more than any camera has.
+_LARGEST_STEP = 1e6
 #: Of the pixels far from an edge every so many are used.
 _EVERY = 7
 #: Blur that a fit in one photo starts with against that of the start over all.
@@ -243,7 +245,11 @@ def _descend(seen: Sequence[_Seen], source: Source, state: FloatArray) -> tuple[
         scaled = products + damping * np.diag(np.diag(products) + 1e-300)
         step = -np.linalg.solve(scaled, gradient)
         other = state + step
-        if np.abs(step[:2]).max() > _LONGEST_RAD or np.abs(other[:2]).max() > _FARTHEST_RAD:
+        if (
+            not np.abs(step).max() < _LARGEST_STEP
+            or np.abs(step[:2]).max() > _LONGEST_RAD
+            or np.abs(other[:2]).max() > _FARTHEST_RAD
+        ):
             damping *= 8
             continue
         changed = _residual(seen, source, other)
