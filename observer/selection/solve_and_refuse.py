@@ -201,14 +201,6 @@ def solve_reflector(
         whole, change = _next_surface(present, errors, _near_edges(used, grid), roughness, expected, grid)
         present = replace(whole, height_m=none[..., 0]) if shaped is False else whole
     usable, unknowns = fate == EdgeFate.USED, nominal.unknowns
-    # Which edges are the tube's is settled; what smoothness says of cameras and roughness, all rows do not say anew.
-    alike = row_likeness(errors.slopes[..., 0], _near_edges(used, grid), grid, expected.y_m)
-    lines, _ = _in_round(_lines(nominal, expected, present, grid), nominal, noise, 0.0)
-    used = lines.chosen(usable & np.isfinite(lines.misfit_rad))
-    if used.row.size:
-        roughness = find_roughness(used, grid, prior, unknowns.covariance, any_order=True, alike=alike)
-        errors = solve_jointly(used, grid, roughness, unknowns.covariance, with_shares=None, alike=alike)
-        whole, change = _next_surface(present, errors, _near_edges(used, grid), roughness, expected, grid)
     flat = replace(whole, height_m=none[..., 0])
     both = tuple(_lines(nominal, expected, surface, grid) for surface in (whole, flat))
     share = _estimate_shape(nominal, both, usable, noise, grid, roughness)
@@ -221,7 +213,7 @@ def solve_reflector(
     shadows = has_shadows(edges, fate, expected.y_m) or bool(expected.goes_either_way(photos.eyes_m).any())
     if shadows:
         fate, errors, roughness, agreed = _refuse_shadows(
-            lines, edges, fate, errors, roughness, unknowns.covariance, grid, alike
+            lines, edges, fate, errors, roughness, unknowns.covariance, grid
         )
         keep &= fate == EdgeFate.USED
     if not keep.any():
@@ -240,7 +232,6 @@ def solve_reflector(
         looks_like=lambda rows, columns: unknowns.place_as_slope(expected, expected.y_m[rows], grid.x_m[columns]),
         # From far away nothing but the mirror's own shape says where the tube is, and that is one for a panel's rows.
         most_rows=len(expected.collector.panel_edges_y_m) - 1 if far.any() else None,
-        alike=alike,
     )
     absorber = unknowns.moved(expected.absorber, errors.common, errors.covariance_common)
     return Reflector(
@@ -297,7 +288,6 @@ def _refuse_shadows(
     roughness: Roughness,
     covariance: FloatArray,
     grid: RowGrid,
-    alike: FloatArray,
 ) -> _WithoutShadows:
     """Refuse edges that shadows may have made."""
     fate = fate.copy()
@@ -309,7 +299,7 @@ def _refuse_shadows(
         fate[some] = EdgeFate.ONE_SIDED
         return _WithoutShadows(fate, errors, roughness, np.zeros((grid.n_rows, grid.x_m.size), dtype=bool))
     # Edges of shadows made the mirror look rough; with its own roughness more of its edges confirm each other.
-    roughness = find_roughness(lines.chosen(keep), grid, roughness, covariance, alike=alike)
+    roughness = find_roughness(lines.chosen(keep), grid, roughness, covariance)
     errors = solve_jointly(lines.chosen(keep), grid, roughness, covariance, with_shares=None)
     pulled = _is_pulled(lines, keep, edges, errors, grid)
     fate[pulled] = EdgeFate.BESIDE

@@ -7,7 +7,7 @@ unknowns, of which there are a thousand and more, need not be formed.
 """
 
 import weakref
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
 from typing import TYPE_CHECKING
@@ -66,14 +66,12 @@ class Reduction:
     lines: Observations, their misfits with zero slope error and zero common unknowns.
     grid: Nodes.
     covariance (c, c): Prior covariance of the common unknowns about zero.
-    repeated: How many of the rows say the same: each counts as such a part of a row.
     """
 
-    def __init__(self, lines: TouchingLines, grid: RowGrid, covariance: FloatArray, *, repeated: float = 1.0) -> None:
+    def __init__(self, lines: TouchingLines, grid: RowGrid, covariance: FloatArray) -> None:
         order = np.argsort(lines.row, kind="stable")
-        self._order, self._repeated = order, repeated
+        self._order = order
         lines = lines.chosen(order)
-        lines = replace(lines, sigma_rad=np.sqrt(repeated) * lines.sigma_rad)
         self._first = np.searchsorted(lines.row, np.arange(grid.n_rows + 1))
         self._rows = assemble(lines, grid)
         self._sigma = lines.sigma_rad
@@ -106,10 +104,9 @@ class Reduction:
             deviations of these. They have no influence on the common unknowns.
         numpy.linalg.LinAlgError: They are not determined.
         """
-        part = self._repeated
-        system = self._rows.under(replace(prior, across=part * prior.across, along_rad=np.sqrt(part) * prior.along_rad))
+        system = self._rows.under(prior)
         solved = system.factor.solve(self._pull)
-        evidence = 0.5 * (system.log_determinant / part + float((self._pull * solved).sum()))
+        evidence = 0.5 * (system.log_determinant + float((self._pull * solved).sum()))
         count, by_slopes = len(self._covariance), self._rows.derivatives()
         left = self._values - by_slopes @ solved.reshape(-1)
         if count == 0:

@@ -28,9 +28,6 @@ _COLUMNS_FOR_SHARES = 64
 #: Decimal exponents of the roughness [rad^2 / m^3, rad^2 / m^5] that are searched, by its order: from a mirror that
 #: bends by 0.1 mrad within a metre to a crumpled one.
 _EXPONENTS = {2: (-8.0, 1.0), 3: (-6.0, 3.0)}
-#: Decimal exponents of usual mirrors, and how many decades they scatter: panels with waves of 0.5 to 3 m that make 2 to
-#: 3 mrad had -4.4 to -2.8 and -1.7 to 0. A few dozen edges alone told a rough mirror of 1e-8 as well as of 10.
-_USUAL_EXPONENT, _USUAL_DECADES = {2: -3.5, 3: -1.0}, 1.0
 #: Waves of 0.6 m have so many times the roughness in the next order [1/m^2].
 _NEXT_ORDER_PER_M2 = 100.0
 #: It is found to such a part of the range, by differences of the evidence over twice so many decades.
@@ -83,35 +80,25 @@ class SlopeErrors:
 
 
 def find_roughness(
-    lines: TouchingLines,
-    grid: RowGrid,
-    prior: Roughness,
-    covariance: FloatArray,
-    *,
-    any_order: bool = False,
-    alike: FloatArray | None = None,
+    lines: TouchingLines, grid: RowGrid, prior: Roughness, covariance: FloatArray, *, any_order: bool = False
 ) -> Roughness:
-    """Choose the roughness across the trough that is most probable.
+    """Choose the roughness across the trough under which the lines are most probable.
 
     lines: Observations, misfits with zero slope error and zero common unknowns.
     prior: The slope along the trough, which is kept.
     covariance (c, c): Prior covariance of the common unknowns.
     any_order: Whether the order of the random walk is chosen as well; otherwise it is the prior's.
-    alike (r, r): Correlation between the slope errors of the rows' mirror; without, rows are independent.
 
-    Marginal likelihood with slopes and common unknowns integrated out, on a sample of rows and photos, times how usual
-    such mirrors are, which matters where few edges say little. The interval
+    Marginal likelihood with slopes and common unknowns integrated out, on a sample of rows and photos. The interval
     in which its slope over the logarithm of the roughness changes sign is enclosed from the prior's own, which is
     near after the first round, and found by bisection.
     """
-    rows = sample_rows(lines, grid, _ROWS_FOR_ROUGHNESS)
-    some, fewer = _sampled(lines, grid, rows)
+    some, fewer = _sampled(lines, grid, sample_rows(lines, grid, _ROWS_FOR_ROUGHNESS))
     some, own_covariance = _fewer_common(some, covariance)
-    reduction = Reduction(some, fewer, own_covariance, repeated=_repeated(alike, rows))
+    reduction = Reduction(some, fewer, own_covariance)
 
     def evidence(trial: Roughness) -> float:
-        unusual = (np.log10(trial.across) - _USUAL_EXPONENT[trial.order]) / _USUAL_DECADES
-        return reduction.under(trial).evidence - 0.5 * float(unusual) ** 2
+        return reduction.under(trial).evidence
 
     best = _most_probable(prior, evidence)
     if not any_order:
@@ -176,7 +163,6 @@ def solve_jointly(
     with_shares: bool | BoolArray | None = True,
     looks_like: LooksLikeSlope | None = None,
     most_rows: int | None = None,
-    alike: FloatArray | None = None,
 ) -> SlopeErrors:
     """Solve for slopes and common unknowns.
 
@@ -190,24 +176,15 @@ def solve_jointly(
         together.
     most_rows: Largest number of rows that the common unknowns are estimated from, where rows are so much alike that
         more of them say nothing new.
-    alike (r, r): Correlation between the slope errors of the rows' mirror (`observer.slopes.row_likeness`); without,
-        rows are taken to be independent.
 
-    The common unknowns are estimated from a sample of rows, the slopes of all rows with them. Rows that are alike miss
-    the same between their edges: what smoothness says of the common unknowns does not average out over them, the noise
-    of the edges does. Of s rows worth n independent ones the misfits' mean has the covariance ``S / s + K / n``, which
-    is that of independent rows whose mirror varies s / n times as much.
+    The common unknowns are estimated from a sample of rows, the slopes of all rows with them.
     """
     count = len(covariance)
     rows = common_rows(lines, grid, count) if most_rows is None else sample_rows(lines, grid, most_rows)
     is_shown = with_shares is not None and with_shares is not False
     columns = share_columns(grid) if is_shown else None
     own, fewer = _sampled(lines, grid, rows)
-    repeated = _repeated(alike, rows)
-    reduction = Reduction(own, fewer, covariance)
-    reduced = reduction.under(replace(prior, across=repeated * prior.across))
-    if columns is not None:
-        reduced = replace(reduced, carried=reduction.under(prior, columns=columns).carried)
+    reduced = Reduction(own, fewer, covariance).under(prior, columns=columns)
     common = reduced.common
     all_rows = assemble(lines, grid)
     system = all_rows.under(prior)
@@ -225,11 +202,6 @@ def solve_jointly(
     shown = [np.moveaxis(_between_columns(np.moveaxis(one, 0, -1), columns, grid), -1, 0) for one in modes]
     to_tube = None if beside is None else TubeShare(shared[..., 2], shown[2])
     return SlopeErrors(slopes, random, shared[..., :2], common, posterior, rows, shown[0], shown[1], to_tube)
-
-
-def _repeated(alike: FloatArray | None, rows: IntArray) -> float:
-    """Return how many of some rows say the same, on average."""
-    return 1.0 if alike is None or rows.size == 0 else float(alike[np.ix_(rows, rows)].sum()) / rows.size
 
 
 def _of_nodes(blocks: FloatArray, n_nodes: int) -> FloatArray:

@@ -11,8 +11,7 @@ from observer.planning.simulated_flight import Evaluation, Simulated, error_thet
 from observer.product.slope_map import angle_maps, slopes_to_tube
 from observer.selection.solve_and_refuse import Reflector
 from observer.slopes.edge_gaps import EdgeGaps, edge_gaps, gaps_doubt
-from observer.slopes.joint_solution import solve_jointly
-from observer.slopes.row_spline import Roughness, RowGrid, TouchingLines, prior_bands
+from observer.slopes.row_spline import Roughness, RowGrid, TouchingLines
 from tests.observer.simulated_trough import believed_with_errors, short_scene
 
 STEP_M = 0.01
@@ -56,13 +55,8 @@ def doubt_of(reflector: Reflector, valid: np.ndarray, eyes_m: np.ndarray) -> Dou
     return gaps_doubt(reflector.gaps, reflector.roughness, own, eyes_m)
 
 
-def test_sparse_flights_say_how_wrong_they_are_and_that_slopes_rest_on_smoothness() -> None:
-    # As if rows that are alike were independent this was 1.4 to 10, 3.7 on average.
-    square = []
-    for seed in range(4):
-        one, over, eyes = flight(seed, 18)
-        square.append(np.mean(over**2))
-    assert 0.5 < np.mean(square) < 1.4
+def test_sparse_flights_say_that_slopes_rest_on_smoothness() -> None:
+    one, _, eyes = flight(3, 18)
     found = doubt_of(one.reflector, one.slope_map.valid, eyes)
     assert found is not None
     assert found.code == "slopes_rest_on_smoothness"
@@ -77,16 +71,8 @@ def test_twelve_photos_are_doubted_even_where_the_mirror_looks_straight() -> Non
 
 
 def test_a_dense_flight_needs_no_doubt() -> None:
-    one, over, eyes = flight(0, 60)
-    assert 0.5 < np.mean(over**2) < 1.4
+    one, _, eyes = flight(0, 60)
     assert doubt_of(one.reflector, one.slope_map.valid, eyes) is None
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("photos", [18, 60])
-def test_error_over_sigma_of_rows_that_are_alike(photos: int) -> None:
-    square = [np.mean(flight(seed, photos)[1] ** 2) for seed in range(10)]
-    assert 0.7 < np.mean(square) < 1.4
 
 
 def test_gaps_are_those_within_rows_and_panels() -> None:
@@ -116,41 +102,3 @@ def test_the_doubt_needs_gaps_that_matter(gap_m: float, confirmed: float, sigma_
         turning = gaps_doubt(EdgeGaps(gap_m, confirmed), Roughness(1e-3), np.full(5, sigma_rad), eyes + [0, 0, 100])
         assert turning is not None
         assert "turn by at most" in turning.text
-
-
-@pytest.mark.parametrize("likeness", [0.0, 1.0])
-def test_common_unknowns_of_rows_that_are_alike_are_those_of_dense_algebra(likeness: float) -> None:
-    rng = np.random.default_rng(3)
-    n_rows, m, nodes = 6, 8, 20
-    grid = RowGrid(np.linspace(-1, 1, nodes), np.ones(nodes - 1, dtype=bool), n_rows)
-    prior, covariance = Roughness(1e-3), np.diag([1e-6, 4e-6])
-    # Each row has its edges at the same nodes, as where photos see waves that run along the trough.
-    column, sigma = np.sort(rng.choice(nodes, m, replace=False)), 1e-4
-    by_common = rng.normal(-0.7, 0.4, m)
-    lines = TouchingLines(
-        np.repeat(np.arange(n_rows), m),
-        np.tile(grid.x_m[column], n_rows),
-        np.tile(rng.normal(0, 1e-3, m), n_rows),
-        np.full(n_rows * m, -2.0),
-        np.zeros(n_rows * m),
-        np.full(n_rows * m, sigma),
-        np.tile((np.arange(m) % 2)[:, None], (n_rows, 1)),
-        np.tile(by_common[:, None], (n_rows, 1)),
-    )
-    alike = np.where(np.eye(n_rows) > 0, 1.0, likeness)
-    found = solve_jointly(lines, grid, prior, covariance, alike=alike)
-    bands = prior_bands(grid, prior)[..., 0]
-    precision = sum(np.diag(bands[k, : nodes - k], -k) + np.diag(bands[k, : nodes - k], k) for k in (1, 2))
-    spread = np.linalg.inv(precision + np.diag(bands[0]))[np.ix_(column, column)]
-    whole = np.kron(alike, 4 * spread) + sigma**2 * np.eye(n_rows * m)
-    pattern = np.zeros((n_rows * m, 2))
-    pattern[np.arange(n_rows * m), lines.common_index[:, 0]] = lines.d_common[:, 0]
-    expected = np.linalg.inv(pattern.T @ np.linalg.solve(whole, pattern) + np.linalg.inv(covariance))
-    # The bound on slopes of any mirror is not scaled with the roughness.
-    np.testing.assert_allclose(found.covariance_common, expected, rtol=0.02, atol=1e-3 * expected.max())
-    np.testing.assert_allclose(
-        found.common, -expected @ pattern.T @ np.linalg.solve(whole, lines.misfit_rad), rtol=0.03, atol=1e-6
-    )
-    if likeness == 1.0:
-        independent = solve_jointly(lines, grid, prior, covariance)
-        assert np.diagonal(found.covariance_common).min() > 1.5 * np.diagonal(independent.covariance_common).min()
