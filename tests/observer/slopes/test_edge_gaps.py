@@ -1,4 +1,4 @@
-"""Rows whose mirror is the same: sigmas of sparse flights against their scatter, cameras against dense algebra."""
+"""Gaps between edges of the reflection: which flights are doubted for them, which are not."""
 
 from dataclasses import dataclass
 
@@ -7,8 +7,7 @@ import pytest
 
 from heliogauge.doubts import Doubt
 from observer.planning.simulated_edges import EdgeNoise
-from observer.planning.simulated_flight import Evaluation, Simulated, error_theta_ra, simulate
-from observer.product.slope_map import angle_maps, slopes_to_tube
+from observer.planning.simulated_flight import Evaluation, Simulated, simulate
 from observer.selection.solve_and_refuse import Reflector
 from observer.slopes.edge_gaps import EdgeGaps, edge_gaps, gaps_doubt
 from observer.slopes.row_spline import Roughness, RowGrid, TouchingLines
@@ -38,16 +37,12 @@ class Walk:
         return np.interp(x_m, self.x_m, self.slope), np.zeros_like(y_m)
 
 
-def flight(seed: int, photos: int) -> tuple[Simulated, np.ndarray, np.ndarray]:
-    """Return a simulated flight, error over sigma of theta_ra, and the cameras."""
+def flight(seed: int, photos: int) -> tuple[Simulated, np.ndarray]:
+    """Return a simulated flight and the places of its cameras."""
     rng = np.random.default_rng(seed)
     scene = short_scene(Walk.drawn(rng, 3e-4), photos=photos, rows=24)
     one = simulate(scene, believed_with_errors(scene, rng, position_m=4e-3), NOISE, EVALUATION, rng)
-    collector = scene.truth.collector
-    angles = angle_maps(one.slope_map, one.absorber, collector, slopes_to_tube(one.reflector, one.slope_map))
-    error, sigma = error_theta_ra(one, collector.focal_length_m, scene.truth.absorber), angles.sigma_theta_ra_rad
-    known = np.isfinite(error) & np.isfinite(sigma)
-    return one, (error / sigma)[known], np.array([view.cam_from_frame.inverse().translation_m for view in scene.views])
+    return one, np.array([view.cam_from_frame.inverse().translation_m for view in scene.views])
 
 
 def doubt_of(reflector: Reflector, valid: np.ndarray, eyes_m: np.ndarray) -> Doubt | None:
@@ -56,7 +51,7 @@ def doubt_of(reflector: Reflector, valid: np.ndarray, eyes_m: np.ndarray) -> Dou
 
 
 def test_sparse_flights_say_that_slopes_rest_on_smoothness() -> None:
-    one, _, eyes = flight(3, 18)
+    one, eyes = flight(3, 18)
     found = doubt_of(one.reflector, one.slope_map.valid, eyes)
     assert found is not None
     assert found.code == "slopes_rest_on_smoothness"
@@ -66,12 +61,12 @@ def test_sparse_flights_say_that_slopes_rest_on_smoothness() -> None:
 
 @pytest.mark.slow
 def test_twelve_photos_are_doubted_even_where_the_mirror_looks_straight() -> None:
-    one, _, eyes = flight(5, 12)
+    one, eyes = flight(5, 12)
     assert doubt_of(one.reflector, one.slope_map.valid, eyes) is not None
 
 
 def test_a_dense_flight_needs_no_doubt() -> None:
-    one, _, eyes = flight(0, 60)
+    one, eyes = flight(0, 60)
     assert doubt_of(one.reflector, one.slope_map.valid, eyes) is None
 
 
