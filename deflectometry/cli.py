@@ -7,21 +7,19 @@ from typing import Annotated, Any, Literal
 import typer
 
 from heliogauge.running.commands import (
-    AsJson,
-    Force,
     ForceMeasurement,
+    Job,
     Jobs,
     MeasurementFolder,
-    NoReport,
     OutFolder,
     OutMeasurement,
     Quiet,
     Verbose,
     add_formats,
-    deliver,
     make_app,
     parse_periods,
     say_doubts,
+    writes_results,
 )
 from heliogauge.running.slope_commands import add_slope_exports
 
@@ -33,6 +31,7 @@ app.add_typer(screens, name="screen", help="Screens and walls that show the patt
 
 
 @app.command("measure")
+@writes_results()
 def measure_command(
     folder: MeasurementFolder,
     out: OutFolder,
@@ -52,136 +51,50 @@ def measure_command(
         bool, typer.Option("--strict", help="Refuse frames that would have to be mended or left out.")
     ] = False,
     jobs: Jobs = None,
-    force: Force = False,
-    no_report: NoReport = False,
-    as_json: AsJson = False,
-    quiet: Quiet = False,
-    verbose: Verbose = False,
-) -> None:
+) -> Job:
     """Evaluate a measurement folder: slope_map.nc, pixels.nc, cameras.json, summary.json, report.html."""
     from heliogauge.errors import InputError
+    from heliogauge.instruments import resolve
     from heliogauge.measurement.load import kind_of
-    from heliogauge.results.frame import InstrumentResult
-    from heliogauge.running.terminal import terminal_progress
     from heliogauge.slopes.removal import Removal
 
-    progress = terminal_progress(quiet=quiet, verbose=verbose)
-    kind = kind_of(folder).name
-    if kind == "slopes":
+    kind = kind_of(folder)
+    removal = None if remove is None else Removal(remove)
+    if kind.name == "slopes":
         if (align, grid_step_mm) != (None, None):
             raise InputError(f"{folder}: slopes have no alignment, and their grid is in measurement.toml; leave it out")
         from deflectometry.exchange.measure_slopes import load_slopes
         from deflectometry.exchange.measure_slopes import run as run_slopes
 
-        removal = None if remove is None else Removal(remove)
-        deliver(
-            out,
-            lambda: run_slopes(load_slopes(folder), progress, removal),
-            progress,
-            force=force,
-            quiet=quiet,
-            report=not no_report,
-            as_json=as_json,
-        )
-        return
-    if kind == "overlay":
+        return Job(out, lambda progress: run_slopes(load_slopes(folder), progress, removal))
+    if kind.name == "overlay":
         if (align, grid_step_mm, remove) != (None, None, None):
             raise InputError(f"{folder}: an overlay has no map to align, grid or take something out of; leave it out")
         from deflectometry.overlay.keys import load_overlay
         from deflectometry.overlay.pipeline.measure import run as run_overlay
 
-        deliver(
-            out,
-            lambda: run_overlay(load_overlay(folder), progress),
-            progress,
-            force=force,
-            quiet=quiet,
-            report=not no_report,
-            as_json=as_json,
-        )
-        return
+        return Job(out, lambda progress: run_overlay(load_overlay(folder), progress))
+    from deflectometry.instrument import INSTRUMENT
     from deflectometry.pipeline.choices import Options
-    from deflectometry.pipeline.measure import run
     from deflectometry.shape.smooth_shape import Align
 
-    options = Options(
-        align=None if align is None else Align(align),
-        grid_step_mm=grid_step_mm,
-        remove=None if remove is None else Removal(remove),
-        strict=strict,
-        jobs=jobs,
-    )
-
-    def measure() -> InstrumentResult:
-        # What the other kinds need is not loaded.
-        if kind == "deflectometry-poses":
-            from deflectometry.poses.keys import load_poses
-            from deflectometry.poses.pipeline.measure import run as run_poses
-
-            return run_poses(load_poses(folder), options, progress)
-        if kind == "deflectometry-dots":
-            from deflectometry.dots.keys import load_dots
-            from deflectometry.dots.pipeline.measure import run as run_dots
-
-            return run_dots(load_dots(folder), options, progress)
-        if kind == "surface-scan":
-            from deflectometry.scans.keys import load_surface_scan
-            from deflectometry.scans.pipeline.measure import run as run_scan
-
-            return run_scan(load_surface_scan(folder), options, progress)
-        if kind == "laser-scan":
-            from deflectometry.laser.keys import load_laser
-            from deflectometry.laser.pipeline.measure import run as run_laser
-
-            return run_laser(load_laser(folder), options, progress)
-        if kind == "backward-gazing":
-            from deflectometry.gazing.keys import load_gazing
-            from deflectometry.gazing.pipeline.measure import run as run_gazing
-
-            return run_gazing(load_gazing(folder), options, progress)
-        if kind == "stars":
-            from deflectometry.stars.keys import load_stars
-            from deflectometry.stars.pipeline.measure import run as run_stars
-
-            return run_stars(load_stars(folder), options, progress)
-        from deflectometry.keys import load_deflectometry
-
-        return run(load_deflectometry(folder), options, progress)
-
-    deliver(
-        out,
-        measure,
-        progress,
-        force=force,
-        quiet=quiet,
-        report=not no_report,
-        as_json=as_json,
-    )
+    options = Options(None if align is None else Align(align), grid_step_mm, removal, strict, jobs)
+    # Another command's kind goes to the reader of fringes, which names that command.
+    one = kind if kind.command == "deflectometry measure" else INSTRUMENT.kinds[0]
+    return Job(out, lambda progress: resolve(one.run)(resolve(one.load)(folder), options, progress))
 
 
 @app.command("plan")
+@writes_results(json=False)
 def plan_command(
     folder: MeasurementFolder,
     out: OutFolder,
-    force: Force = False,
-    no_report: NoReport = False,
-    quiet: Quiet = False,
-    verbose: Verbose = False,
-) -> None:
+) -> Job:
     """Plan a measurement by backward gazing: spacings of the cameras compared; spacings.csv, report.html."""
     from deflectometry.gazing.planning.keys import load_gazing_plan
     from deflectometry.gazing.planning.plan import run
-    from heliogauge.running.terminal import terminal_progress
 
-    progress = terminal_progress(quiet=quiet, verbose=verbose)
-    deliver(
-        out,
-        lambda: run(load_gazing_plan(folder), progress),
-        progress,
-        force=force,
-        quiet=quiet,
-        report=not no_report,
-    )
+    return Job(out, lambda progress: run(load_gazing_plan(folder), progress))
 
 
 @imports.command("opencsp")
@@ -349,29 +262,18 @@ def _say_imported(said: str, out: Path, *, quiet: bool) -> None:
 
 
 @screens.command("geometry")
+@writes_results()
 def screen_geometry_command(
     folder: MeasurementFolder,
     out: OutFolder,
-    force: Force = False,
-    no_report: NoReport = False,
-    as_json: AsJson = False,
-    quiet: Quiet = False,
-    verbose: Verbose = False,
-) -> None:
+) -> Job:
     """Photos of a screen or wall to its points, shape and pose: screen.nc, screen.csv, summary.json, report.html."""
     from deflectometry.screen_geometry.keys import load_screen
     from deflectometry.screen_geometry.pipeline.geometry import run
-    from heliogauge.running.terminal import terminal_progress
 
-    progress = terminal_progress(quiet=quiet, verbose=verbose)
-    deliver(
+    return Job(
         out,
-        lambda: run(load_screen(folder), progress),
-        progress,
-        force=force,
-        quiet=quiet,
-        report=not no_report,
-        as_json=as_json,
+        lambda progress: run(load_screen(folder), progress),
         hint='; use it with shape = "measured" and file in [screen] of measurement.toml',
     )
 
@@ -425,6 +327,7 @@ def patterns_command(
 
 
 @app.command("compare")
+@writes_results()
 def compare_command(
     first: Annotated[Path, typer.Argument(metavar="A", help="Results with a slope map.", show_default=False)],
     second: Annotated[
@@ -442,27 +345,11 @@ def compare_command(
     as_placed: Annotated[
         bool, typer.Option("--as-placed", help="Take both frames as they are; default: placed by the slopes.")
     ] = False,
-    force: Force = False,
-    no_report: NoReport = False,
-    as_json: AsJson = False,
-    quiet: Quiet = False,
-    verbose: Verbose = False,
-) -> None:
+) -> Job:
     """Compare two results of one mirror: A minus B with its sigma, and which contradicts its own data.
 
     Exit code 1 where they contradict each other.
     """
     from deflectometry.comparison.pipeline.compare import compare_results
-    from deflectometry.comparison.pipeline.result import Comparison
-    from heliogauge.running.terminal import terminal_progress
 
-    found: list[Comparison] = []
-
-    def job() -> Comparison:
-        found.append(compare_results(first, second, shared=tuple(shared or ()), as_placed=as_placed))
-        return found[0]
-
-    progress = terminal_progress(quiet=quiet, verbose=verbose)
-    deliver(out, job, progress, force=force, quiet=quiet, report=not no_report, as_json=as_json)
-    if not found[0].agrees:
-        raise typer.Exit(1)
+    return Job(out, lambda progress: compare_results(first, second, shared=tuple(shared or ()), as_placed=as_placed))

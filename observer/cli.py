@@ -8,6 +8,7 @@ import typer
 from heliogauge.running.commands import (
     AsJson,
     Force,
+    Job,
     Jobs,
     MeasurementFolder,
     NoReport,
@@ -15,9 +16,9 @@ from heliogauge.running.commands import (
     Quiet,
     Verbose,
     add_formats,
-    deliver,
     make_app,
     say_ending,
+    writes_results,
 )
 from heliogauge.running.slope_commands import add_slope_exports
 
@@ -51,6 +52,7 @@ def measure_command(
 
 
 @app.command("align")
+@writes_results(json=False)
 def align_command(
     folder: Annotated[
         Path,
@@ -65,129 +67,73 @@ def align_command(
         Path | None, typer.Option("--mounts", metavar="FILE", help="Table of the mounts: columns x_m, y_m.")
     ] = None,
     jobs: Jobs = None,
-    force: Force = False,
-    no_report: NoReport = False,
-    quiet: Quiet = False,
-    verbose: Verbose = False,
-) -> None:
+) -> Job:
     """Prescribe how panels are to be aligned to the absorber: mounts.csv, overlay.csv, report.html.
 
     From results, or from a few photos of a module alone (TOPCAT): one before each row of panels is enough.
     """
     from heliogauge.measurement.load import MEASUREMENT_FILE
-    from heliogauge.running.terminal import terminal_progress
     from observer.keys import load_observer
     from observer.studies.align import run
     from observer.studies.align_photos import Options, run_on_photos
 
-    progress = terminal_progress(quiet=quiet, verbose=verbose)
     is_measurement = (folder / MEASUREMENT_FILE).is_file()
-    deliver(
+    return Job(
         out,
-        lambda: (
+        lambda progress: (
             run_on_photos(load_observer(folder), mounts, Options(jobs=jobs), progress)
             if is_measurement
             else run(folder, mounts)
         ),
-        progress,
-        force=force,
-        quiet=quiet,
-        report=not no_report,
     )
 
 
 @app.command("overview")
+@writes_results(json=False)
 def overview_command(
     results: Annotated[list[Path], typer.Argument(metavar="RESULT", help="Results of the modules.")],
     out: OutFolder,
-    force: Force = False,
-    no_report: NoReport = False,
-    quiet: Quiet = False,
-    verbose: Verbose = False,
-) -> None:
+) -> Job:
     """Put the results of several modules beside each other: overview.csv, report.html."""
-    from heliogauge.running.terminal import terminal_progress
     from observer.studies.overview import run
 
-    deliver(
-        out,
-        lambda: run(results),
-        terminal_progress(quiet=quiet, verbose=verbose),
-        force=force,
-        quiet=quiet,
-        report=not no_report,
-    )
+    return Job(out, lambda progress: run(results))
 
 
 @app.command("absorber")
+@writes_results(json=False)
 def absorber_command(
     folder: MeasurementFolder,
     out: OutFolder,
     jobs: Jobs = None,
-    force: Force = False,
-    no_report: NoReport = False,
-    quiet: Quiet = False,
-    verbose: Verbose = False,
-) -> None:
+) -> Job:
     """Measure the absorber alone, from two photos or more: absorber.csv, absorber_spans.csv, report.html."""
-    from heliogauge.running.terminal import terminal_progress
     from observer.keys import load_observer
     from observer.pipeline.absorber_alone import Options, run
 
-    progress = terminal_progress(quiet=quiet, verbose=verbose)
-    deliver(
-        out,
-        lambda: run(load_observer(folder), Options(jobs=jobs), progress),
-        progress,
-        force=force,
-        quiet=quiet,
-        report=not no_report,
-    )
+    return Job(out, lambda progress: run(load_observer(folder), Options(jobs=jobs), progress))
 
 
 @app.command("plan")
+@writes_results(json=False)
 def plan_command(
     folder: MeasurementFolder,
     out: OutFolder,
-    force: Force = False,
-    no_report: NoReport = False,
-    quiet: Quiet = False,
-    verbose: Verbose = False,
-) -> None:
+) -> Job:
     """Plan a pass: sigmas to be expected, what will be missing, where to fly; stations.csv, report.html."""
-    from heliogauge.running.terminal import terminal_progress
     from observer.planning.keys import load_observer_plan
     from observer.planning.plan import run
 
-    progress = terminal_progress(quiet=quiet, verbose=verbose)
-    deliver(
-        out,
-        lambda: run(load_observer_plan(folder), progress),
-        progress,
-        force=force,
-        quiet=quiet,
-        report=not no_report,
-    )
+    return Job(out, lambda progress: run(load_observer_plan(folder), progress))
 
 
 @app.command("compare")
+@writes_results(json=False)
 def compare_command(
     results: Annotated[list[Path], typer.Argument(metavar="RESULT", help="Results at other orientations or dates.")],
     out: OutFolder,
-    force: Force = False,
-    no_report: NoReport = False,
-    quiet: Quiet = False,
-    verbose: Verbose = False,
-) -> None:
+) -> Job:
     """Compare results of one trough: which panels turned, what changed; at several orientations what weight does."""
-    from heliogauge.running.terminal import terminal_progress
     from observer.studies.compare import run
 
-    deliver(
-        out,
-        lambda: run(results),
-        terminal_progress(quiet=quiet, verbose=verbose),
-        force=force,
-        quiet=quiet,
-        report=not no_report,
-    )
+    return Job(out, lambda progress: run(results))

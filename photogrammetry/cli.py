@@ -6,20 +6,19 @@ from typing import Annotated, Literal
 import typer
 
 from heliogauge.running.commands import (
-    AsJson,
     Force,
     ForceMeasurement,
+    Job,
     Jobs,
     MeasurementFolder,
-    NoReport,
     OutFolder,
     OutMeasurement,
     Quiet,
     ResultsFolder,
     Verbose,
     add_formats,
-    deliver,
     make_app,
+    writes_results,
 )
 from heliogauge.running.slope_commands import add_slope_exports
 
@@ -30,31 +29,17 @@ add_slope_exports(exports)
 
 
 @app.command("measure")
+@writes_results()
 def measure_command(
     folder: MeasurementFolder,
     out: OutFolder,
     jobs: Jobs = None,
-    force: Force = False,
-    no_report: NoReport = False,
-    as_json: AsJson = False,
-    quiet: Quiet = False,
-    verbose: Verbose = False,
-) -> None:
+) -> Job:
     """Evaluate a measurement folder: points.csv, cameras.json, residuals.csv, summary.json, report.html."""
-    from heliogauge.running.terminal import terminal_progress
     from photogrammetry.keys.load import load_photogrammetry
     from photogrammetry.pipeline.measure import Options, run
 
-    progress = terminal_progress(quiet=quiet, verbose=verbose)
-    deliver(
-        out,
-        lambda: run(load_photogrammetry(folder), Options(jobs=jobs), progress),
-        progress,
-        force=force,
-        quiet=quiet,
-        report=not no_report,
-        as_json=as_json,
-    )
+    return Job(out, lambda progress: run(load_photogrammetry(folder), Options(jobs=jobs), progress))
 
 
 @imports.command("colmap")
@@ -98,31 +83,20 @@ def export_colmap_command(
 
 
 @app.command("plan")
+@writes_results(json=False)
 def plan_command(
     folder: MeasurementFolder,
     out: OutFolder,
-    force: Force = False,
-    no_report: NoReport = False,
-    quiet: Quiet = False,
-    verbose: Verbose = False,
-) -> None:
+) -> Job:
     """Plan a network: how many photos from where for a wanted sigma; stations.csv, points.csv, report.html."""
-    from heliogauge.running.terminal import terminal_progress
     from photogrammetry.planning.keys import load_photogrammetry_plan
     from photogrammetry.planning.plan import run
 
-    progress = terminal_progress(quiet=quiet, verbose=verbose)
-    deliver(
-        out,
-        lambda: run(load_photogrammetry_plan(folder), progress),
-        progress,
-        force=force,
-        quiet=quiet,
-        report=not no_report,
-    )
+    return Job(out, lambda progress: run(load_photogrammetry_plan(folder), progress))
 
 
 @app.command("targets")
+@writes_results()
 def targets_command(
     photos: Annotated[
         list[Path], typer.Argument(metavar="PHOTO...", help="Photos, or folders of them.", show_default=False)
@@ -147,30 +121,15 @@ def targets_command(
     smallest_px: Annotated[float, typer.Option(min=3.0, help="Smallest diameter of a dot.")] = 6.0,
     largest_px: Annotated[float, typer.Option(min=6.0, help="Largest diameter of a dot.")] = 300.0,
     jobs: Jobs = None,
-    force: Force = False,
-    no_report: NoReport = False,
-    as_json: AsJson = False,
-    quiet: Quiet = False,
-    verbose: Verbose = False,
-) -> None:
+) -> Job:
     """Read the targets of single photos, without a network: targets.csv, overlays with what was read and refused."""
-    from heliogauge.running.terminal import terminal_progress
     from photogrammetry.keys.targets import TargetsSection
     from photogrammetry.pipeline.single_photos import read_single_photos
 
     section = TargetsSection(
         dictionary=dictionary, sense=sense, polarity=polarity, smallest_px=smallest_px, largest_px=largest_px
     )
-    progress = terminal_progress(quiet=quiet, verbose=verbose)
-    deliver(
-        out,
-        lambda: read_single_photos(photos, section, jobs=jobs, progress=progress),
-        progress,
-        force=force,
-        quiet=quiet,
-        report=not no_report,
-        as_json=as_json,
-    )
+    return Job(out, lambda progress: read_single_photos(photos, section, jobs=jobs, progress=progress))
 
 
 @app.command("sheets")

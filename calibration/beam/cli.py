@@ -5,17 +5,7 @@ from typing import Annotated, Literal
 
 import typer
 
-from heliogauge.running.commands import (
-    AsJson,
-    Force,
-    Jobs,
-    NoReport,
-    OutFolder,
-    Quiet,
-    Verbose,
-    deliver,
-    make_app,
-)
+from heliogauge.running.commands import Job, Jobs, OutFolder, make_app, writes_results
 
 app = make_app("Photos of beams on a target -> centres, sizes, flux with sigma.")
 
@@ -30,34 +20,21 @@ BeamFolder = Annotated[
 
 
 @app.command("measure")
+@writes_results()
 def measure_command(
     folder: BeamFolder,
     out: OutFolder,
     jobs: Jobs = None,
-    force: Force = False,
-    no_report: NoReport = False,
-    as_json: AsJson = False,
-    quiet: Quiet = False,
-    verbose: Verbose = False,
-) -> None:
+) -> Job:
     """Measure beams in photos: beams.csv, contours.csv, flux.nc, summary.json, report.html."""
     from calibration.beam.keys import load_beams
     from calibration.beam.pipeline.measure import Options, run
-    from heliogauge.running.terminal import terminal_progress
 
-    progress = terminal_progress(quiet=quiet, verbose=verbose)
-    deliver(
-        out,
-        lambda: run(load_beams(folder), Options(jobs=jobs), progress),
-        progress,
-        force=force,
-        quiet=quiet,
-        report=not no_report,
-        as_json=as_json,
-    )
+    return Job(out, lambda progress: run(load_beams(folder), Options(jobs=jobs), progress))
 
 
 @app.command("compare")
+@writes_results()
 def compare_command(
     folder: BeamFolder,
     out: OutFolder,
@@ -81,25 +58,10 @@ def compare_command(
     fit: Annotated[
         bool, typer.Option("--fit/--no-fit", help="Estimate canting, focus and scatter from the flux.")
     ] = True,
-    force: Force = False,
-    no_report: NoReport = False,
-    as_json: AsJson = False,
-    quiet: Quiet = False,
-    verbose: Verbose = False,
-) -> None:
+) -> Job:
     """Compare beams with the mirror that made them: expected flux, correlation, canting from flux."""
     from calibration.beam.keys import load_beams
     from calibration.beam.pipeline.compare import CompareOptions, run
-    from heliogauge.running.terminal import terminal_progress
 
-    progress = terminal_progress(quiet=quiet, verbose=verbose)
     options = CompareOptions(surface, heliostat, position_m, mount, fit)
-    deliver(
-        out,
-        lambda: run(load_beams(folder), options, progress),
-        progress,
-        force=force,
-        quiet=quiet,
-        report=not no_report,
-        as_json=as_json,
-    )
+    return Job(out, lambda progress: run(load_beams(folder), options, progress))

@@ -7,20 +7,18 @@ from typing import Annotated
 import typer
 
 from heliogauge.running.commands import (
-    AsJson,
-    Force,
     ForceMeasurement,
+    Job,
     Jobs,
     MeasurementFolder,
-    NoReport,
     OutFolder,
     OutMeasurement,
     OutPath,
     Quiet,
     Verbose,
     add_formats,
-    deliver,
     make_app,
+    writes_results,
 )
 
 app = make_app("Photos of a calibration board or of targets -> calibrated camera, with covariance.")
@@ -38,6 +36,7 @@ Replace = Annotated[bool, typer.Option("--force", help="Replace an existing file
 
 
 @app.command("measure")
+@writes_results()
 def measure_command(
     folder: MeasurementFolder,
     out: OutFolder,
@@ -55,32 +54,21 @@ def measure_command(
         bool, typer.Option("--leave-one-out/--no-leave-one-out", help="Also calibrate without each photo, as a check.")
     ] = True,
     jobs: Jobs = None,
-    force: Force = False,
-    no_report: NoReport = False,
-    as_json: AsJson = False,
-    quiet: Quiet = False,
-    verbose: Verbose = False,
-) -> None:
+) -> Job:
     """Calibrate a camera: cameras.json, camera_opencv.yaml, points.csv (the board's shape), report.html."""
     from calibration.camera.keys import load_camera_calibration
     from calibration.camera.pipeline.measure import Options, run
-    from heliogauge.running.terminal import terminal_progress
 
-    progress = terminal_progress(quiet=quiet, verbose=verbose)
     options = Options(compare, hold_out, refine_board, leave_one_out, jobs)
-    deliver(
+    return Job(
         out,
-        lambda: run(load_camera_calibration(folder), options, progress),
-        progress,
-        force=force,
-        quiet=quiet,
-        report=not no_report,
-        as_json=as_json,
+        lambda progress: run(load_camera_calibration(folder), options, progress),
         hint='; use it with file = "cameras.json" in [camera] of another measurement',
     )
 
 
 @app.command("plan")
+@writes_results()
 def plan_command(
     result: CameraPath,
     out: OutFolder,
@@ -101,28 +89,13 @@ def plan_command(
     farthest: Annotated[
         float | None, typer.Option(help="Farthest it can be; default: 3/2 of the largest in photos.csv.")
     ] = None,
-    force: Force = False,
-    no_report: NoReport = False,
-    as_json: AsJson = False,
-    quiet: Quiet = False,
-    verbose: Verbose = False,
-) -> None:
+) -> Job:
     """Propose the photos that a calibration needs next: next_photos.csv, how the board should look, the new sigma."""
     from calibration.camera.planning.plan import PlanOptions, run
-    from heliogauge.running.terminal import terminal_progress
 
-    progress = terminal_progress(quiet=quiet, verbose=verbose)
     wanted_rad = None if wanted_mrad is None else 1e-3 * wanted_mrad
     options = PlanOptions(photos, wanted_rad, tuple(parameter or ()), nearest, farthest)
-    deliver(
-        out,
-        lambda: run(result, options, progress),
-        progress,
-        force=force,
-        quiet=quiet,
-        report=not no_report,
-        as_json=as_json,
-    )
+    return Job(out, lambda progress: run(result, options, progress))
 
 
 @app.command("compare")

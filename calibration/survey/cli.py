@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from heliogauge.running.commands import AsJson, Force, NoReport, OutFolder, Quiet, Verbose, deliver, make_app
+from heliogauge.running.commands import Job, OutFolder, Quiet, Verbose, make_app, writes_results
 
 app = make_app("Results of many days, heliostats and facets -> one store, trends, the worst.")
 
@@ -62,6 +62,7 @@ def event_command(
 
 
 @app.command("report")
+@writes_results()
 def report_command(
     store: StoreFolder,
     out: OutFolder,
@@ -71,17 +72,9 @@ def report_command(
     ] = None,
     since: Annotated[str | None, typer.Option(metavar="YYYY-MM-DD", help="Only results from this day on.")] = None,
     until: Annotated[str | None, typer.Option(metavar="YYYY-MM-DD", help="Only results before this day.")] = None,
-    force: Force = False,
-    no_report: NoReport = False,
-    as_json: AsJson = False,
-    quiet: Quiet = False,
-    verbose: Verbose = False,
-) -> None:
+) -> Job:
     """Report trends, before and after what was done, the worst: CSV tables, summary.json, report.html."""
     from calibration.survey.pipeline.judge_store import SurveyOptions, run
-    from heliogauge.running.terminal import terminal_progress
 
-    progress = terminal_progress(quiet=quiet, verbose=verbose)
     options = SurveyOptions(None if not quantity else tuple(quantity), since, until)
-    job = lambda: run(store, options, progress)  # noqa: E731
-    deliver(out, job, progress, force=force, quiet=quiet, report=not no_report, as_json=as_json)
+    return Job(out, lambda progress: run(store, options, progress))

@@ -52,6 +52,11 @@ class InstrumentResult(ABC):
     def headline(self) -> str:
         """Return the most important numbers in a few lines for the terminal."""
 
+    @property
+    def exit_code(self) -> int:
+        """Exit code of the command that made it; another than 0 where the result itself is a no."""
+        return 0
+
     def __repr__(self) -> str:
         """Show what it is and the most important numbers, not its arrays."""
         more = f"; {len(self.doubts)} doubts" if self.doubts else ""

@@ -6,8 +6,10 @@ have one name, one help text and one meaning.
 """
 
 from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from inspect import Parameter, signature
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Protocol
+from typing import TYPE_CHECKING, Annotated, Any, Protocol
 
 import typer
 
@@ -88,32 +90,57 @@ def add_formats(app: typer.Typer, verb: str) -> typer.Typer:
     return formats
 
 
-def deliver(
-    out: Path,
-    job: Callable[[], "InstrumentResult"],
-    progress: Progress,
-    *,
-    force: bool,
-    quiet: bool,
-    report: bool,
-    as_json: bool = False,
-    hint: str = "",
-) -> None:
-    """Do a command's work, write its result into a folder that is whole or not there, and report how it ended.
+@dataclass(frozen=True, slots=True)
+class Job:
+    """What a command has to do, and where its result goes.
 
-    job: Does the work; is called when the folder is known to be usable.
-    force: Replace an earlier result.
-    quiet: Only doubts are reported.
-    report: Add ``report.html``.
-    as_json: The summary is printed instead of headline and place.
+    out: Folder for the result; written whole or not at all.
+    run: Does the work; is called when the folder is known to be usable.
     hint: What can be done with the result.
-    InputError: The folder cannot be used, or the job refuses its input.
-    EstimationError: The job's answer is not determined.
     """
-    from heliogauge.results.frame import into_folder
 
-    result = into_folder(out, job, progress, force=force, report=report)
-    say_ending(result, out, quiet=quiet, as_json=as_json, hint=hint)
+    out: Path
+    run: Callable[[Progress], "InstrumentResult"]
+    hint: str = ""
+
+
+def writes_results(*, report: bool = True, json: bool = True) -> Callable[[Callable[..., Job]], Callable[..., None]]:
+    """Make a command of a function that returns its job: it does the job, writes the result and says how it ended.
+
+    The command has the parameters of the function, and behind them the flags of all commands that write results.
+
+    report: The results have a report, which ``--no-report`` leaves out.
+    json: The command can print its summary.
+    """
+    flags: dict[str, Any] = {"force": Force}
+    flags |= ({"no_report": NoReport} if report else {}) | ({"as_json": AsJson} if json else {})
+    flags |= {"quiet": Quiet, "verbose": Verbose}
+
+    def make(prepare: Callable[..., Job]) -> Callable[..., None]:
+        def command(
+            *, force: bool, quiet: bool, verbose: bool, no_report: bool = not report, as_json: bool = False, **own: Any
+        ) -> None:
+            from heliogauge.results.frame import into_folder
+            from heliogauge.running.terminal import terminal_progress
+
+            progress = terminal_progress(quiet=quiet, verbose=verbose)
+            job = prepare(**own)
+            result = into_folder(job.out, lambda: job.run(progress), progress, force=force, report=not no_report)
+            say_ending(result, job.out, quiet=quiet, as_json=as_json, hint=job.hint)
+            if result.exit_code:
+                raise typer.Exit(result.exit_code)
+
+        # Typer reads arguments and options off the signature, and the help off the docstring.
+        own = signature(prepare)
+        extra = [Parameter(name, Parameter.KEYWORD_ONLY, default=False, annotation=one) for name, one in flags.items()]
+        command.__signature__ = own.replace(  # type: ignore[attr-defined]
+            parameters=[*own.parameters.values(), *extra], return_annotation=None
+        )
+        command.__annotations__ = {name: one.annotation for name, one in own.parameters.items()} | flags
+        command.__doc__, command.__name__ = prepare.__doc__, prepare.__name__
+        return command
+
+    return make
 
 
 class Ended(Protocol):

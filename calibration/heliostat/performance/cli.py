@@ -1,11 +1,12 @@
 """``heliogauge heliostat test`` and ``sheet``: tests of a heliostat, its data sheet."""
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from heliogauge.running.commands import AsJson, Force, NoReport, OutFolder, Quiet, Verbose, deliver, make_app
+from heliogauge.running.commands import Job, OutFolder, make_app, writes_results
 
 if TYPE_CHECKING:
     from calibration.heliostat.performance.keys import TestName
@@ -36,14 +37,15 @@ def add_performance(app: typer.Typer) -> None:
     app.add_typer(tests, name="test")
     app.command("sheet")(_sheet)
     tests.command("all", help="All tests that measurement.toml has: summary.json, entries.csv, report.html.")(
-        _all_tests
+        _test(None)
     )
     for name, summary in _SUMMARIES.items():
         tests.command(name.replace("_", "-"), help=f"{summary} The section [{name}] of measurement.toml alone.")(
-            _one(name)
+            _test(name)
         )
 
 
+@writes_results(report=False)
 def _sheet(
     results: Annotated[
         list[Path],
@@ -55,71 +57,23 @@ def _sheet(
         typer.Option(metavar="TOML", help="What entries must keep; without it nothing passes or fails."),
     ] = None,
     pdf: Annotated[bool, typer.Option("--pdf/--no-pdf", help="Also make PDF.")] = True,
-    force: Force = False,
-    as_json: AsJson = False,
-    quiet: Quiet = False,
-    verbose: Verbose = False,
-) -> None:
+) -> Job:
     """Make a data sheet of each heliostat: a page and a PDF, sheet.csv, summary.json."""
     from calibration.heliostat.performance.pipeline.make_sheet import SheetOptions, run
-    from heliogauge.running.terminal import terminal_progress
 
-    progress = terminal_progress(quiet=quiet, verbose=verbose)
-    options = SheetOptions(limits, pdf)
-    job = lambda: run(results, options, progress)  # noqa: E731
-    deliver(out, job, progress, force=force, quiet=quiet, report=False, as_json=as_json)
+    return Job(out, lambda progress: run(results, SheetOptions(limits, pdf), progress))
 
 
-def _all_tests(
-    folder: TestsFolder,
-    out: OutFolder,
-    force: Force = False,
-    no_report: NoReport = False,
-    as_json: AsJson = False,
-    quiet: Quiet = False,
-    verbose: Verbose = False,
-) -> None:
-    _run(folder, out, None, force=force, no_report=no_report, as_json=as_json, quiet=quiet, verbose=verbose)
+def _test(only: "TestName | None") -> Callable[..., None]:
+    @writes_results()
+    def command(folder: TestsFolder, out: OutFolder) -> Job:
+        from calibration.heliostat.performance.keys import load_tests
+        from calibration.heliostat.performance.pipeline.run_tests import Options, run
 
-
-def _one(name: "TestName"):  # type: ignore[no-untyped-def]  # noqa: ANN202
-    def command(
-        folder: TestsFolder,
-        out: OutFolder,
-        force: Force = False,
-        no_report: NoReport = False,
-        as_json: AsJson = False,
-        quiet: Quiet = False,
-        verbose: Verbose = False,
-    ) -> None:
-        _run(folder, out, name, force=force, no_report=no_report, as_json=as_json, quiet=quiet, verbose=verbose)
+        return Job(
+            out,
+            lambda progress: run(load_tests(folder), Options(only), progress),
+            "; `heliogauge heliostat sheet` makes the data sheet of it",
+        )
 
     return command
-
-
-def _run(
-    folder: Path,
-    out: Path,
-    only: "TestName | None",
-    *,
-    force: bool,
-    no_report: bool,
-    as_json: bool,
-    quiet: bool,
-    verbose: bool,
-) -> None:
-    from calibration.heliostat.performance.keys import load_tests
-    from calibration.heliostat.performance.pipeline.run_tests import Options, run
-    from heliogauge.running.terminal import terminal_progress
-
-    progress = terminal_progress(quiet=quiet, verbose=verbose)
-    deliver(
-        out,
-        lambda: run(load_tests(folder), Options(only), progress),
-        progress,
-        force=force,
-        quiet=quiet,
-        report=not no_report,
-        as_json=as_json,
-        hint="; `heliogauge heliostat sheet` makes the data sheet of it",
-    )

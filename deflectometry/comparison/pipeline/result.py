@@ -65,6 +65,11 @@ class Comparison(InstrumentResult):
         """Whether the two results agree within their sigmas."""
         return self.judgement.agreement in (Agreement.WITHIN, Agreement.WITHIN_ENLARGED)
 
+    @property
+    def exit_code(self) -> int:
+        """1 where the two contradict each other."""
+        return 0 if self.agrees else 1
+
     def summarise(self) -> Summary:
         """Collect the numbers of the difference with their sigmas."""
         numbers: dict[str, float | int | None] = {}
