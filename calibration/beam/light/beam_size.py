@@ -24,10 +24,10 @@ SHARES = (0.5, 0.9, 0.95)
 #: What panels that reflect 1 % more or less, and the blur of the photo, change diameters of drawn beams by (1 sigma,
 #: `beam synth`); twice that for moments and light.
 _LIMIT_SHARE = 0.005
-#: An aureole that is lower than its sigma counts as none. It is said where it is no chance (3 sigmas, and D90 by 3 of
-#: the sigmas that it has without) and would change D90 by more than twice that of a clear sky is found to: a
-#: circumsolar ratio of 0.02 at 66 m up to 5 % with frames of the empty target, 16 % without (`beam synth`).
-_CHANCE, _SAID, _SAID_SHARE = 1.0, 3.0, 0.3
+#: An aureole is said where it is seen and would change D90 by 3 of the sigmas that it has without, and by more than
+#: twice what that of a clear sky is found to: a circumsolar ratio of 0.02 at 66 m up to 5 % with frames of the empty
+#: target, 16 % without (`beam synth`).
+_SAID, _SAID_SHARE = 3.0, 0.3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,7 +64,8 @@ class BeamSize:
     covariance_moments_m4 (3, 3): Covariance of their xx, xy, yy [m^4].
     peak_dn, sigma_peak_dn: Largest brightness, smoothed as the outline [DN].
     skirt_share: Share of the light that the bell continues beyond where it stands out.
-    aureole_share: Share of the light that seems to be spread so wide that it counts as background.
+    aureole_share: Share of the light that seems to be spread so wide that it counts as background; 0 where the photo
+        shows no such light.
     has_aureole: Whether that changes D90 beyond what the sigma without it and a clear sky allow.
     """
 
@@ -148,11 +149,12 @@ def beam_size(
     sigma = np.sqrt([float(errors.of(slice(k, k + 1))[0, 0]) for k in range(whole.size)])
     sigma = np.hypot(np.hypot(sigma, change), limit)
     wider, aureole_share = np.zeros(whole.size), 0.0
-    if aureole is not None and aureole.sigmas > _CHANCE:
+    if aureole is not None:
         with_it = _sizes(_with_aureole(picture, skirts, aureole), picture).values
-        wider, aureole_share = with_it - whole, float(1 - whole[0] / with_it[0])
+        wider = with_it - whole
+        aureole_share = float(1 - whole[0] / with_it[0]) if aureole.is_seen else 0.0
     least = max(_SAID * float(sigma[5]), _SAID_SHARE * float(whole[5]))
-    has_aureole = aureole is not None and aureole.sigmas > _SAID and bool(wider[5] > least)
+    has_aureole = aureole is not None and aureole.is_seen and bool(wider[5] > least)
     moments += np.outer(wider[1:4], wider[1:4])
     sigma = np.hypot(sigma, wider)
     peak = float(smoothed_dn[picture.inside].max()) if picture.inside.any() else float("nan")

@@ -37,13 +37,13 @@ def measured(light: np.ndarray, seed: int, *, with_empty: bool) -> Beam:
 
 @pytest.mark.parametrize("with_empty", [True, False])
 def test_an_aureole_is_said_and_is_in_the_sigma(with_empty: bool) -> None:
-    for height_dn in (6.0, 30.0):
+    for height_dn in (1.0, 2.0, 6.0, 30.0):
         for seed in range(2):
             hazy = light_dn(height_dn)
             beam = measured(hazy, seed, with_empty=with_empty)
             assert abs(beam.size.diameters_m[1] - true_d90_m(hazy)) < 2 * beam.size.sigma_diameters_m[1]
             assert not beam.rejected
-            # 6 DN change D90 by 8 %, 30 DN by 70 %.
+            # 1 DN, which no photo shows, changes D90 by 1.6 %, 6 DN by 8 %, 30 DN by 70 %.
             assert bool(beam.flags & BeamFlag.BACKGROUND_MAY_HOLD_LIGHT) == (height_dn > 10)
             assert ("spread over the whole target" in beam.reason) == (height_dn > 10)
 
@@ -54,7 +54,20 @@ def test_a_beam_without_an_aureole_is_not_said_to_have_one(with_empty: bool) -> 
         beam = measured(light_dn(0.0), seed, with_empty=with_empty)
         assert not beam.flags & BeamFlag.BACKGROUND_MAY_HOLD_LIGHT
         assert abs(beam.size.diameters_m[1] - true_d90_m(light_dn(0.0))) < 4 * beam.size.sigma_diameters_m[1]
-        assert beam.size.sigma_diameters_m[1] < 0.02
+        # An aureole of 1 DN is not seen and changes D90 by 0.027 m: the sigma is that, and not much more.
+        assert beam.size.sigma_diameters_m[1] < 0.04
+
+
+@pytest.mark.parametrize("bend_dn", [-30.0, 30.0])
+def test_daylight_that_bends_is_no_aureole(bend_dn: float) -> None:
+    """Real targets are up to 30 DN of 140 brighter in the middle or at the edges, without any beam."""
+    x, y = grid_m()
+    daylight = bend_dn * (1 - (x / 4) ** 2 / 2 - (y / 3.5) ** 2 / 2)
+    for seed in range(3):
+        beam = measured(light_dn(0.0) + daylight, seed, with_empty=False)
+        assert not beam.flags & BeamFlag.BACKGROUND_MAY_HOLD_LIGHT
+        assert beam.size.aureole_share == 0.0
+        assert abs(beam.size.diameters_m[1] - true_d90_m(light_dn(0.0))) < 4 * beam.size.sigma_diameters_m[1]
 
 
 @pytest.mark.slow
