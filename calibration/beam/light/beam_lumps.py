@@ -9,6 +9,9 @@ __all__ = ["count_lumps"]
 
 #: Peak and light of a second beam, as shares of the first's.
 _LEAST_PEAK, _LEAST_LIGHT = 0.3, 0.1
+#: Light of a second beam that the target's edge cuts: how much of it is beyond is not known, and so is which of the two
+#: is meant. What a beam as wide and 0.3 as bright as the first has within one of the coarse pixels is about half.
+_LEAST_LIGHT_AT_EDGE = 0.01
 #: Depth of the valley between two beams that overlap, as a share of the lower peak. The streaks that single facets
 #: draw in one beam are as close as a facet is wide, and are smoothed away first.
 _LEAST_VALLEY = 0.15
@@ -44,10 +47,12 @@ def _minor(smoothed_dn: FloatArray, inside: BoolArray) -> float:
 def _apart(smoothed_dn: FloatArray, inside: BoolArray, others: BoolArray) -> int:
     count, labels = cv2.connectedComponents(others.astype(np.uint8), connectivity=4)
     peak, light = float(smoothed_dn[inside].max()), float(smoothed_dn[inside].sum())
+    at_edge = set(np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]]).tolist())
     found = 0
     for k in range(1, count):
         own = smoothed_dn[labels == k]
-        found += bool(own.max() > _LEAST_PEAK * peak and own.sum() > _LEAST_LIGHT * light)
+        least = _LEAST_LIGHT_AT_EDGE if k in at_edge else _LEAST_LIGHT
+        found += bool(own.max() > _LEAST_PEAK * peak and own.sum() > least * light)
     return found
 
 

@@ -167,6 +167,31 @@ def test_records_of_the_plant_are_measured_or_refused_with_a_reason(shared_data:
     assert np.isfinite([one.sigma_diameters_m for one in result.beams.sizes]).all()
 
 
+def test_a_second_beam_that_the_edge_cuts_is_said() -> None:
+    """How much light of it is beyond the edge is not known; 4 % of the first is on the target, or 0.3 %."""
+    own = 120 * gaussian((0.3, 0.2), (0.4, 0.6))
+    for aside_m, said in ((3.85, True), (4.2, False)):
+        other = 120 * gaussian((0.0, -aside_m), (0.4, 0.4))
+        beam = measure_beam(picture(own + other + sky_light(), noise_dn=1.0))
+        assert bool(beam.flags & BeamFlag.TWO_BEAMS) == said
+        assert beam.rejected == said
+
+
+@pytest.mark.slow
+def test_crops_of_another_release_agree_with_its_labels(shared_data: Path) -> None:
+    """139 crops of AA39: labels 1.626 m aside by the longitude that its README gives."""
+    result = run(load_beams(shared_data / "csp" / "juelich_surface" / "AA39" / "beams"))
+    used = ~result.beams.rejected
+    assert all(reason for reason, bad in zip(result.beams.reasons, ~used, strict=True) if bad)
+    assert np.count_nonzero(used) >= 125
+    shift = np.radians(2.31243e-5) * 6.3906e6 * np.cos(np.radians(50.9134))
+    off = (result.offsets_m + [shift, 0.0])[used]
+    assert np.hypot(*off.T).max() < 0.25
+    assert 0.8 < np.sqrt(np.mean((off / result.beams.sigma_m[used]) ** 2)) < 1.25
+    # A clear sky: daylight that bends is not taken for an aureole.
+    assert np.mean((result.beams.flags[used] & np.uint32(BeamFlag.BACKGROUND_MAY_HOLD_LIGHT)) != 0) < 0.1
+
+
 def test_a_canting_that_photos_do_not_tell_is_named() -> None:
     pair, none = np.zeros((2, 2)), np.zeros(0)
     for sigma_rad, told in ((0.3e-3, True), (0.6e-3, False)):
