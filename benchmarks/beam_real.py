@@ -11,11 +11,10 @@ from collections import Counter
 import numpy as np
 from _measure import ROOT, StageClock, row, title
 
-from calibration.beam.files.comparison import Comparison
-from calibration.beam.keys import load_beams
-from calibration.beam.light.beam_flags import BeamFlag
-from calibration.beam.pipeline import compare
-from calibration.beam.pipeline.measure import Options, run
+import heliogauge as hg
+from calibration.beam import Options, run
+from calibration.beam.light import BeamFlag
+from calibration.beam.pipeline import CompareOptions, compare
 
 CSP = ROOT.parent / "shared" / "data" / "csp"
 #: Longitude by which the early release's labels stand aside [deg]; metres at the plant.
@@ -24,7 +23,7 @@ SURFACES = ("AA39", "AA28", "AA31", "AC43")
 
 
 def measured(folder):
-    result = run(load_beams(folder), Options(jobs=1))
+    result = run(hg.load(folder), Options(jobs=1))
     return result, ~result.beams.rejected
 
 
@@ -69,7 +68,7 @@ def centres():
 def sizes():
     title("D90 of five crops of AA23 with background, against the plant's flux", ("ours", "plant's", "off/sigma"))
     folder = CSP / "juelich_beam_images"
-    measurement = load_beams(folder)
+    measurement = hg.load(folder)
     crops = run(measurement, Options(jobs=1))
     paint = measurement.model.paint.model_copy(update={"pictures": "flux"})
     model = measurement.model.model_copy(update={"paint": paint})
@@ -84,10 +83,11 @@ def traced() -> None:
     title("Flux traced from measured surfaces against AA39's photos", ("correlation", "D90 off", "centre off"))
     print("  asked of its own surface: 0.95, 5 %, 0.1 m; the others' must fit less well")
     place = CSP / "juelich_surface"
-    position = tuple(float(x) for x in artist_place(place / "surfaces.h5", "AA39"))
+    position = None
     for name in SURFACES:
-        options = compare.CompareOptions(place / "surfaces.h5", name, position, fit=False)
-        result: Comparison = compare.run(load_beams(place / "AA39" / "flux"), options)
+        options = CompareOptions(place / "surfaces.h5", name, position, fit=False)
+        result = compare.run(hg.load(place / "AA39" / "flux"), options)
+        position = position or tuple(result.stand.position_m.tolist())
         correlations = [one.correlation for one in result.rows]
         d90 = [abs(one.d90_expected_m / one.d90_m - 1) for one in result.rows]
         row(
@@ -97,21 +97,13 @@ def traced() -> None:
             f"{max(one.center_off_m for one in result.rows):.3f} m",
         )
     clock = StageClock()
-    fitted = compare.run(
-        load_beams(place / "AA39" / "flux"), compare.CompareOptions(place / "surfaces.h5", "AA39"), clock
-    )
+    fitted = compare.run(hg.load(place / "AA39" / "flux"), CompareOptions(place / "surfaces.h5", "AA39"), clock)
     row(
         "AA39, canting, focus and scatter fitted: least correlation",
         f"{min(one.correlation_fitted for one in fitted.rows):.3f}",
         "rises",
         f"{sum(clock.cpu_s.values()):.1f} s CPU",
     )
-
-
-def artist_place(path, name):
-    from calibration.beam.exchange.surfaces import read_artist_mirror
-
-    return read_artist_mirror(path, name).position_m
 
 
 if __name__ == "__main__":

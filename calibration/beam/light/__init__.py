@@ -10,6 +10,7 @@ from heliogauge.faces import lazy_face
 if TYPE_CHECKING:
     from calibration.beam.light.aim_spiral import search_spiral as search_spiral
     from calibration.beam.light.background import background_around as background_around
+    from calibration.beam.light.beam_flags import BeamFlag as BeamFlag
     from calibration.beam.light.beam_image import measure_beam as measure_beam
     from calibration.beam.light.beam_moments import BeamMoments as BeamMoments
     from calibration.beam.light.beam_moments import encircled_diameters_m as encircled_diameters_m

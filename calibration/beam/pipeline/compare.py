@@ -37,6 +37,7 @@ from heliogauge.doubts import Doubt, Severity, gather_doubts
 from heliogauge.errors import EstimationError, InputError
 from heliogauge.results.folder import hash_files, read_columns_csv
 from heliogauge.running.progress import Progress, SilentProgress
+from heliogauge.short_repr import ShortRepr
 from heliogauge.sunlight.sun_shapes import BuieSun, SunShape, TabulatedSun
 from heliogauge.validate import FloatArray
 
@@ -50,8 +51,8 @@ _SUN_RADIUS_RAD = 4.65e-3
 _LEAST_CORRELATION = 0.9
 
 
-@dataclass(frozen=True, slots=True)
-class CompareOptions:
+@dataclass(frozen=True, slots=True, eq=False)
+class CompareOptions(ShortRepr):
     """Choices of the comparison.
 
     surface: File of the mirror's surface, in place of measurement.toml's.
