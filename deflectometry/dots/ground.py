@@ -22,10 +22,11 @@ def ground_of_dots(photo_dn: npt.NDArray[Any], dots: FoundDots, polarity: Polari
     width = int(2 * np.ceil(0.5 * dots.spacing_px) + 1)
     kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (width, width))
     order = (cv2.MORPH_CLOSE, cv2.MORPH_OPEN)
-    image = photo_dn.astype(np.float32)
+    # Bytes take a quarter of the time of numbers.
+    image = photo_dn if photo_dn.dtype == np.uint8 else photo_dn.astype(np.float32)
     for operation in order if polarity is Polarity.BLACK_ON_WHITE else order[::-1]:
-        image = np.asarray(cv2.morphologyEx(image, operation, kernel), dtype=np.float32)
-    return image
+        image = cv2.morphologyEx(image, operation, kernel)
+    return np.asarray(image, dtype=np.float32)
 
 
 def without_dots(photo_dn: npt.NDArray[Any], ground_dn: Float32Array, dots: FoundDots) -> Float32Array:

@@ -104,17 +104,19 @@ def _row(jacobian: FloatArray, i: int, j: int) -> FloatArray:
 def _discs(normal: FloatArray, right: FloatArray, rays: np.ndarray, *, least_photos: int = _LEAST_PHOTOS) -> Discs:
     n = len(rays)
     shapes, known = np.zeros((n, 3, 3)), np.zeros(n, dtype=np.bool_)
-    for target in np.nonzero(rays >= least_photos)[0].tolist():
-        values = np.linalg.lstsq(normal[target], right[target], rcond=1e-10)[0]
-        xx, yy, zz, xy, xz, yz = values
-        eigenvalues, vectors = np.linalg.eigh(np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]))
-        smallest, middle, largest = eigenvalues
-        # A flat round disc has the eigenvalues 0, r^2, r^2.
-        if middle > 0.6 * largest and abs(smallest) < 0.35 * largest:
-            square = 0.5 * (middle + largest)
-            axis = vectors[:, 0]
-            shapes[target] = square * (np.eye(3) - np.outer(axis, axis))
-            known[target] = True
+    seen = np.nonzero(rays >= least_photos)[0]
+    # The least of all solutions where a photo's equations repeat another one's.
+    values = (np.linalg.pinv(normal[seen], rcond=1e-10, hermitian=True) @ right[seen, :, None])[..., 0]
+    xx, yy, zz, xy, xz, yz = values.T
+    matrices = np.stack([xx, xy, xz, xy, yy, yz, xz, yz, zz], axis=1).reshape(-1, 3, 3)
+    eigenvalues, vectors = np.linalg.eigh(matrices)
+    smallest, middle, largest = eigenvalues.T
+    # A flat round disc has the eigenvalues 0, r^2, r^2.
+    flat = (middle > 0.6 * largest) & (np.abs(smallest) < 0.35 * largest)
+    axis = vectors[flat, :, 0]
+    square = 0.5 * (middle + largest)[flat]
+    shapes[seen[flat]] = square[:, None, None] * (np.eye(3) - axis[:, :, None] * axis[:, None, :])
+    known[seen[flat]] = True
     return Discs(shapes, known)
 
 

@@ -114,6 +114,8 @@ class BundleProblem(ShortRepr):
 
     def target_indices(self, names: Sequence[str]) -> IntArray:
         """Return the places of targets."""
+        if not names:
+            return np.zeros(0, dtype=np.intp)
         place = {name: i for i, name in enumerate(self.observations.targets)}
         return np.array([place[name] for name in names], dtype=np.intp)
 

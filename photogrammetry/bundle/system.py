@@ -24,6 +24,8 @@ from photogrammetry.bundle.state import BundleState
 
 # Below this the damping moves a step by less than what it is for; the undamped factors serve then.
 _NO_DAMPING = 1e-3
+# Determinant of a target's block over the cube of its trace above which nothing of it is lost.
+_SOUND = 1e-5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -335,7 +337,28 @@ def _target_roots(blocks: FloatArray, scale: FloatArray, damping: float) -> tupl
     if not len(blocks):
         return np.zeros((0, 3, 3)), np.zeros(0)
     scaled = blocks / scale[:, :, None] / scale[:, None, :] + damping * np.eye(3)
-    values, vectors = np.linalg.eigh(scaled)
-    held: BoolArray = values > EIGENVALUE_TOLERANCE * np.maximum(values[:, -1:], 1e-300)
-    inverse = np.where(held, 1 / np.sqrt(np.where(held, values, 1.0)), 0.0)
-    return vectors * inverse[:, None, :] / scale[:, :, None], (~held).sum(axis=1).astype(np.float64)
+    (a, b, c), (d, e), f = scaled[:, 0].T, scaled[:, 1, 1:].T, scaled[:, 2, 2]
+    # Cholesky's factor and its inverse, written out: a tenth of the time of eigenvectors.
+    with np.errstate(divide="ignore", invalid="ignore"):
+        l11 = np.sqrt(a)
+        l21, l31 = b / l11, c / l11
+        l22 = np.sqrt(d - l21 * l21)
+        l32 = (e - l31 * l21) / l22
+        l33 = np.sqrt(f - l31 * l31 - l32 * l32)
+        determinant = (l11 * l22 * l33) ** 2
+        # The smallest eigenvalue is at least determinant / largest^2, and the largest at most the trace.
+        sound = determinant > _SOUND * (a + d + f) ** 3
+        roots = np.zeros_like(scaled)
+        roots[:, 0, 0], roots[:, 1, 1], roots[:, 2, 2] = 1 / l11, 1 / l22, 1 / l33
+        roots[:, 0, 1] = -l21 / (l11 * l22)
+        roots[:, 1, 2] = -l32 / (l22 * l33)
+        roots[:, 0, 2] = (l21 * l32 / l22 - l31) / (l11 * l33)
+    lost = np.zeros(len(scaled))
+    weak = np.flatnonzero(~sound)
+    if weak.size:
+        values, vectors = np.linalg.eigh(scaled[weak])
+        held: BoolArray = values > EIGENVALUE_TOLERANCE * np.maximum(values[:, -1:], 1e-300)
+        inverse = np.where(held, 1 / np.sqrt(np.where(held, values, 1.0)), 0.0)
+        roots[weak] = vectors * inverse[:, None, :]
+        lost[weak] = (~held).sum(axis=1)
+    return roots / scale[:, :, None], lost

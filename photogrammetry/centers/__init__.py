@@ -1,6 +1,7 @@
 """Centres of round targets with covariance, to hundredths of a pixel.
 
-`measure_center` fits a blurred disc to the pixels around an `Ellipse`, `measure_centers` many of a photo at once.
+`measure_center` fits a blurred disc to the pixels around an `Ellipse`, `measure_centers` many of a photo at once;
+`light_centers` are those of dots of a few pixels.
 """
 
 from typing import TYPE_CHECKING
@@ -11,6 +12,8 @@ if TYPE_CHECKING:
     from photogrammetry.centers.ellipse import Ellipse as Ellipse
     from photogrammetry.centers.ellipse import NamedEllipses as NamedEllipses
     from photogrammetry.centers.ellipse import eccentricity_px as eccentricity_px
+    from photogrammetry.centers.light_moments import has_free_ground as has_free_ground
+    from photogrammetry.centers.light_moments import light_centers as light_centers
     from photogrammetry.centers.measured_centers import measure_center as measure_center
     from photogrammetry.centers.measured_centers import measure_centers as measure_centers
     from photogrammetry.centers.target_center import TargetCenter as TargetCenter

@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from photogrammetry.detection import board_corners as board_corners
     from photogrammetry.detection.detect import SearchLimits as SearchLimits
     from photogrammetry.detection.detect import find_candidates as find_candidates
+    from photogrammetry.detection.detect import find_outlines as find_outlines
     from photogrammetry.detection.detections import Detections as Detections
     from photogrammetry.detection.markers import find_markers as find_markers
     from photogrammetry.detection.photo_targets import TargetSearch as TargetSearch

@@ -116,11 +116,29 @@ def find_candidates(image_dn: npt.NDArray[np.generic], limits: SearchLimits | No
     return find_in_pyramid(make_pyramid(image_dn), limits or SearchLimits())
 
 
+def find_outlines(
+    image_dn: npt.NDArray[np.generic], limits: SearchLimits | None = None
+) -> tuple[FloatArray, FloatArray]:
+    """Find the same spots as `find_candidates` as centres (n, 2) [px] and shapes (n, 2, 2) [px^2]: fields of thousands.
+
+    InputError: Not an image of one colour.
+    """
+    found = _found_in(make_pyramid(image_dn), limits or SearchLimits())
+    rows = _apart(found)
+    return found.spots.centers[rows], found.spots.shapes[rows]
+
+
 def find_in_pyramid(pyramid: Pyramid, asked: SearchLimits) -> tuple[Candidate, ...]:
     """Find all spots of a photo that may be circular targets, the photo being halved already.
 
     Returns: Spots with an elliptic edge, each once, from top to bottom.
     """
+    found = _found_in(pyramid, asked)
+    return found.candidates(_apart(found))
+
+
+def _found_in(pyramid: Pyramid, asked: SearchLimits) -> "_Found":
+    """Return all spots, some of them twice."""
     parts = []
     for level, image in enumerate(pyramid.levels):
         needed = asked.smallest_px < _NEEDS_FULL_PX if level == 0 else 2**level * _HALVED_SEARCH[1] <= asked.largest_px
@@ -129,8 +147,7 @@ def find_in_pyramid(pyramid: Pyramid, asked: SearchLimits) -> tuple[Candidate, .
     spots = _joined(parts)
     every = np.arange(len(spots.shapes))
     chunks = (every[first : first + _SPOTS_AT_ONCE] for first in range(0, len(every), _SPOTS_AT_ONCE))
-    found = _Found.joined([_uniform(pyramid, spots.chosen(rows), asked) for rows in chunks])
-    return found.candidates(_apart(found))
+    return _Found.joined([_uniform(pyramid, spots.chosen(rows), asked) for rows in chunks])
 
 
 # --- spots: vectorised over all of a scale --------------------------------------------------------------------------
@@ -399,18 +416,34 @@ def _apart(found: _Found) -> IntArray:
     """
     centers = found.spots.centers
     radii = np.sqrt(np.sqrt(np.linalg.det(found.spots.shapes)))
-    kept: list[int] = []
-    places = np.empty((len(centers), 3))
-    order = np.argsort(found.rms_px, kind="stable").tolist()
-    for k, (x, y), radius in zip(order, centers[order].tolist(), radii[order].tolist(), strict=True):
-        taken = places[: len(kept)]
-        # Those farther than half of this spot's own radius are not near, whatever theirs.
-        beside = taken[np.abs(taken[:, 1] - y) < 0.5 * radius]
-        off = np.hypot(beside[:, 0] - x, beside[:, 1] - y)
-        near = off < 0.5 * np.minimum(beside[:, 2], radius)
-        if (near & (np.abs(np.log(beside[:, 2] / radius)) < 0.5)).any():
-            continue
-        places[len(kept)] = x, y, radius
-        kept.append(k)
-    chosen = np.array(kept, dtype=np.intp)
+    first, second = _beside(centers, radii)
+    near = np.hypot(*(centers[first] - centers[second]).T) < 0.5 * np.minimum(radii[first], radii[second])
+    near &= np.abs(np.log(radii[first] / radii[second])) < 0.5
+    rivals: dict[int, list[int]] = {}
+    for a, b in zip(first[near].tolist(), second[near].tolist(), strict=True):
+        rivals.setdefault(a, []).append(b)
+        rivals.setdefault(b, []).append(a)
+    # The cleanest edge first; what is at its place goes.
+    kept = np.ones(len(centers), dtype=np.bool_)
+    rows = np.array(sorted(rivals), dtype=np.intp)
+    decided: set[int] = set()
+    for k in rows[np.argsort(found.rms_px[rows], kind="stable")].tolist():
+        kept[k] = not any(one in decided for one in rivals[k])
+        if kept[k]:
+            decided.add(k)
+    chosen = np.flatnonzero(kept)
     return np.asarray(chosen[np.lexsort((centers[chosen, 0], centers[chosen, 1]))])
+
+
+def _beside(centers: FloatArray, radii: FloatArray) -> tuple[IntArray, IntArray]:
+    """Return pairs of spots less than half a radius apart in y: each with those that follow from top to bottom."""
+    order = np.argsort(centers[:, 1], kind="stable")
+    y, reach = centers[order, 1], 0.5 * radii[order]
+    # How far on from each spot its own reach goes; only the smaller one of a pair counts, so that this misses none.
+    count = np.searchsorted(y, y + reach, side="left") - np.arange(1, len(y) + 1)
+    count = np.maximum(count, 0)
+    start = np.repeat(np.arange(len(y)), count)
+    step = np.arange(start.size) - np.repeat(np.cumsum(count) - count, count)
+    end = start + 1 + step
+    close = np.abs(centers[order[start], 0] - centers[order[end], 0]) < np.minimum(reach[start], reach[end])
+    return order[start[close]], order[end[close]]

@@ -58,11 +58,15 @@ def test_display_by_markers_at_its_rims(tmp_path: Path) -> None:
     np.testing.assert_allclose(again.sigma_points_m(u, v), measured.sigma_points_m(u, v))
 
 
-def _wall(shared_data: Path, folder: Path) -> Result:
-    """Measure the published dot wall with the markers' published coordinates, 1 mm each."""
+def _wall(shared_data: Path, folder: Path, *photos: int) -> Result:
+    """Measure the published dot wall with the markers' published coordinates, 1 mm each.
+
+    photos: Which of the five; all by default.
+    """
     data = shared_data / "opencsp" / "screen_dots"
     folder.mkdir()
-    for file in data.glob("*.JPG"):
+    every = sorted(data.glob("*.JPG"))
+    for file in [every[k] for k in photos] if photos else every:
         shutil.copyfile(file, folder / file.name)
     with h5py.File(data / "camera_calibration.h5") as file:
         matrix, lens = file["Camera/intrinsic_mat"][()], file["Camera/distortion_coef"][()]
@@ -119,10 +123,23 @@ def test_published_dot_wall(shared_data: Path, tmp_path: Path) -> None:
     rms = np.sqrt(np.nanmean(away**2, axis=(0, 1)))
     assert (rms < 2 * np.sqrt(np.mean(sigma**2, axis=(0, 1)))).all()
     assert (rms < 5e-4).all()
-    # What does not bend over the wall is noise, and as large as stated.
-    smooth = away - _smooth(away)
-    own = screen.sigma_at(column / 63, row / 63)
-    assert 0.85 < float(np.sqrt(np.nanmean((smooth / own) ** 2))) < 1.3
+
+
+@pytest.mark.slow
+def test_each_dots_own_error_on_the_published_wall(shared_data: Path, tmp_path: Path) -> None:
+    """Two photos and the other three place each dot apart by what both state; the publisher's places have no sigma."""
+    column, row = np.meshgrid(np.arange(64), np.arange(64))
+    places, variances = [], []
+    for name, photos in (("two", (0, 2)), ("three", (1, 3, 4))):
+        screen = _wall(shared_data, tmp_path / name, *photos).measured.screen
+        assert isinstance(screen, DotScreen)
+        assert screen.shape == (64, 64)
+        places.append(screen.xyz_m)
+        variances.append(screen.sigma_at(column / 63, row / 63) ** 2)
+    apart = places[1] - places[0]
+    ratio = (apart - _smooth(apart)) / np.sqrt(variances[0] + variances[1])
+    # Measured 0.84: the residuals that size the sigmas hold what bends with the lens, which is taken off here.
+    assert 0.8 < float(np.sqrt(np.nanmean(ratio**2))) < 1.25
 
 
 def _smooth(values: FloatArray) -> FloatArray:
