@@ -39,12 +39,14 @@ class Gains:
     shift_m (c, 2): By what each camera stands beside its stated place, in x and y of the mirror.
     covariance (3 c, 3 c): Of the logarithms, of all shifts in x, of all shifts in y.
     misfit (c,): RMS of each camera's residuals over their sigmas, the share that two slopes took away restored.
+    by_profile (3 c, k): What one sigma of each of the profile's radiances does to all of them.
     """
 
     logarithm: FloatArray
     shift_m: FloatArray
     covariance: FloatArray
     misfit: FloatArray
+    by_profile: FloatArray
 
     @property
     def factors(self) -> FloatArray:
@@ -91,11 +93,11 @@ def fit_gains(facets: Sequence[Brightness], profile: SunProfile, prior: FloatArr
     for first, one in ((0, prior), (count, loose), (2 * count, loose)):
         inverse_prior[first : first + count, first : first + count] = np.linalg.inv(one)
     values: FloatArray = np.zeros(3 * count)
-    normal = inverse_prior
+    normal, by_profile = inverse_prior, np.zeros((3 * count, profile.sigma_relative.size))
     squares, freedom = np.zeros(count), np.zeros(count)
     for _ in range(_ROUNDS):
         normal, right = inverse_prior.copy(), -inverse_prior @ values
-        squares, freedom = np.zeros(count), np.zeros(count)
+        squares, freedom, by_profile = np.zeros(count), np.zeros(count), np.zeros(by_profile.shape)
         gains = np.exp(values[:count])
         for stated in facets:
             seen = stated.moved(values[count:].reshape(2, count).T)
@@ -109,14 +111,15 @@ def fit_gains(facets: Sequence[Brightness], profile: SunProfile, prior: FloatArr
             freedom += (share_left * tested).sum(axis=0)
             # Nodes that no slopes explain would draw the gains to themselves.
             share = 1.0 / np.maximum(1.0, found.misfit / (4.0 * max(count - 2, 1)))
-            by_place = _d_light_d_place(seen, found.slopes, profile, gains)
+            by_place = d_light_d_place(seen, found.slopes, profile, gains)
             design = np.concatenate([_diagonal(one) for one in (model, by_place[..., 0], by_place[..., 1])], axis=2)
             weighted = np.einsum("n,nci,ncd->nid", share, design, kept)
             normal += np.einsum("nid,ndj->ij", weighted, design)
             right += np.einsum("nid,nd->i", weighted, residual)
+            by_profile -= np.einsum("nid,dnk->ik", weighted, light_of_profile(seen, found.slopes, profile, gains))
         step = np.linalg.solve(normal, right)
-        # A twentieth of what is unknown: the next round would change nothing that matters.
-        if (np.abs(step) < 0.05 * np.sqrt(np.diag(np.linalg.inv(normal)))).all():
+        # A twentieth of what is unknown in any direction: the next round would change nothing that matters.
+        if step @ normal @ step < 0.05**2:
             break
         values = values + np.clip(step, -0.5, 0.5)
     return Gains(
@@ -124,6 +127,7 @@ def fit_gains(facets: Sequence[Brightness], profile: SunProfile, prior: FloatArr
         values[count:].reshape(2, count).T,
         np.asarray(np.linalg.inv(normal), dtype=np.float64),
         np.asarray(np.sqrt(squares / np.maximum(freedom, 1e-9))),
+        np.asarray(np.linalg.solve(normal, by_profile)),
     )
 
 
@@ -132,7 +136,15 @@ def _diagonal(values: FloatArray) -> FloatArray:
     return np.asarray(values[:, :, None] * np.eye(values.shape[1]))
 
 
-def _d_light_d_place(seen: Brightness, slopes: FloatArray, profile: SunProfile, gains: FloatArray) -> FloatArray:
+def light_of_profile(seen: Brightness, slopes: FloatArray, profile: SunProfile, gains: FloatArray) -> FloatArray:
+    """Return what one sigma of each of the profile's radiances does to each camera's light, shape (c, n, k)."""
+    off = deviations(seen, slopes)
+    return np.asarray(
+        gains[:, None, None] * profile.steps_at(np.hypot(off[..., 0], off[..., 1])).mean(axis=2), dtype=np.float64
+    )
+
+
+def d_light_d_place(seen: Brightness, slopes: FloatArray, profile: SunProfile, gains: FloatArray) -> FloatArray:
     """Return how each camera's light follows its own place in x and y, shape (n, c, 2) [1/m]."""
     steep = d_expected_d_deviation(seen, slopes, profile) * gains[:, None, None]
     off, step = deviations(seen, slopes), 1e-3
@@ -185,10 +197,11 @@ def contradicting_camera(found: Gains, prior: FloatArray) -> LeftOutCamera | Non
 
 
 def refuse_exchanged(
-    names: Sequence[str], facets: Sequence[Brightness], profile: SunProfile, prior: FloatArray
+    names: Sequence[str], facets: Sequence[Brightness], profile: SunProfile, prior: FloatArray, places: FloatArray
 ) -> None:
     """Refuse images that belong to each other's cameras.
 
+    prior (c, c): Covariance of the logarithms of their levels. places (c, c): Of each coordinate of their places [m^2].
     EstimationError: The images explain each other much better if they are exchanged; the message says which.
 
     Exchanged left for right and up for down at once, cameras around the middle of the receiver see what a mirror with
@@ -197,9 +210,8 @@ def refuse_exchanged(
     count = len(names)
     order = np.arange(count)
     trial = [one.chosen(np.arange(0, one.x_m.size, max(1, one.x_m.size // 12))) for one in facets]
-    # Levels are not fitted here: they may be off by what is known of them.
-    level = np.sqrt(np.diag(prior))[:, None]
-    trial = [replace(one, sigma=np.hypot(one.sigma, level * one.value)) for one in trial]
+    # Levels and places are not fitted here: they may be off by what is known of them.
+    trial = [_with_sigma_of_setup(one, profile, np.diag(prior), np.diag(places)) for one in trial]
     as_given = _total_misfit(trial, profile, order)
     if as_given < 2.0 * count * sum(one.x_m.size for one in trial):
         return
@@ -219,6 +231,17 @@ def refuse_exchanged(
             f"the cameras' images are exchanged: chi-square of {sum(one.x_m.size for one in trial)} mirror points is "
             f"{as_given:.3g}, and {scores[best]:.3g} if {words}; put frames or place_m right"
         )
+
+
+def _with_sigma_of_setup(
+    seen: Brightness, profile: SunProfile, levels: FloatArray, places_m2: FloatArray
+) -> Brightness:
+    """Return points whose light is as uncertain as levels and places of the cameras make it as well."""
+    even = np.ones(len(levels))
+    slopes = solve_nodes(seen, profile, even).slopes
+    by_place = np.moveaxis(d_light_d_place(seen, slopes, profile, even), 1, 0)
+    variance = seen.sigma**2 + levels[:, None] * seen.value**2
+    return replace(seen, sigma=np.sqrt(variance + places_m2[:, None] * (by_place**2).sum(axis=2)))
 
 
 def _exchange_words(names: Sequence[str], order: IntArray) -> str:

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from deflectometry.gazing.camera_gains import Gains, slope_design
+from deflectometry.gazing.camera_gains import Gains, d_light_d_place, light_of_profile, slope_design
 from deflectometry.gazing.mirror_points import FacetGrid
 from deflectometry.gazing.node_slopes import Brightness, NodeSlopes, d_expected_d_deviation, deviations, expected
 from deflectometry.gazing.sun_profile import SunProfile
@@ -19,6 +19,10 @@ from heliogauge.validate import BoolArray, FlagArray, FloatArray
 
 #: Degree of the polynomials of common modes over one facet.
 _DEGREE = 3
+#: Source of common modes: the sun's profile, its scale and its noise.
+PROFILE = "sun profile"
+#: Share of the variance by the profile's noise that its principal combinations keep.
+_KEPT = 0.9999
 #: Light below so many standard deviations is none.
 _LIT_SIGMAS = 4.0
 #: A smaller share of the mirror without slopes is its rims.
@@ -57,8 +61,46 @@ class SolvedFacet:
     found: NodeSlopes
 
 
-def common_modes(facet: SolvedFacet, profile: SunProfile, gains: Gains, sigmas: GazingSigmas) -> CommonModes:
-    """Return what gains, places, sun and profile that are one sigma off do to the slopes of one facet."""
+@dataclass(frozen=True, slots=True, eq=False)
+class _Effects:
+    """What one sigma of each source does to the slopes of one facet, as polynomials.
+
+    sources: Of the first coefficients.
+    stated (k, 2, t), profile (m, 2, t): Coefficients, of the sources and of each of the profile's radiances.
+    """
+
+    sources: tuple[str, ...]
+    stated: FloatArray
+    profile: FloatArray
+    center_m: FloatArray
+    scale_m: float
+
+
+def common_modes(
+    facets: Sequence[SolvedFacet], profile: SunProfile, gains: Gains, sigmas: GazingSigmas
+) -> list[CommonModes]:
+    """Return what gains, places, sun and profile that are one sigma off do to the slopes of each facet.
+
+    The radiances of the profile, each with its own error, are joined to the few combinations that matter.
+    """
+    effects = [_effects(one, profile, gains, sigmas) for one in facets]
+    parts = [one.profile.reshape(len(one.profile), -1) for one in effects]
+    _, size, principal = np.linalg.svd(np.concatenate(parts, axis=1), full_matrices=False)
+    squares = np.cumsum(size**2)
+    count = int(np.searchsorted(squares, _KEPT * squares[-1])) + 1 if size.any() else 0
+    joined = np.split(size[:count, None] * principal[:count], np.cumsum([one.shape[1] for one in parts])[:-1], axis=1)
+    return [
+        CommonModes(
+            one.sources + (PROFILE,) * count,
+            np.concatenate([one.stated, own.reshape(count, 2, -1)]),
+            one.center_m,
+            one.scale_m,
+        )
+        for one, own in zip(effects, joined, strict=True)
+    ]
+
+
+def _effects(facet: SolvedFacet, profile: SunProfile, gains: Gains, sigmas: GazingSigmas) -> _Effects:
     seen, found = facet.seen, facet.found
     outline = facet.grid.facet.outline_m
     center, scale = outline.mean(axis=0), 0.5 * float(np.ptp(outline, axis=0).max())
@@ -73,19 +115,34 @@ def common_modes(facet: SolvedFacet, profile: SunProfile, gains: Gains, sigmas: 
     # Change of the slopes for a change of each camera's light: the covariance also knows what flat profiles leave.
     gain_of_light = np.einsum("nij,ncj,nc->nic", solved.covariance, design, weight)
     moved = list(_moved(some, solved.slopes, profile, gains, sigmas))
-    if not moved:
-        return CommonModes((), np.zeros((0, 2, 10)), center, scale)
-    effects = np.stack([np.einsum("nic,cn->in", gain_of_light, light) for _, light in moved])
+    of_profile = _moved_by_profile(some, solved.slopes, profile, gains)
+    light = np.concatenate([np.reshape([one for _, one in moved], (-1, *some.value.shape)), of_profile])
+    effects = np.einsum("nic,kcn->kin", gain_of_light, light)
     at = (np.stack([some.x_m, some.y_m]) - center[:, None]) / scale
-    degree = _DEGREE if few.size >= 40 else 0
-    terms = monomials(at[0], at[1], degree)
+    terms = monomials(at[0], at[1], _DEGREE if few.size >= 40 else 0)
     # A node that the profile leaves uncertain answers to everything by much: it counts with its own variance.
     trust = 1.0 / np.sqrt(np.trace(solved.covariance, axis1=1, axis2=2))
     stacked = effects.reshape(-1, few.size) * trust
-    coefficients = np.linalg.lstsq((terms * trust).T, stacked.T, rcond=None)[0].T
-    return CommonModes(
-        tuple(source for source, _ in moved), coefficients.reshape(len(moved), 2, terms.shape[0]), center, scale
+    found_terms = np.linalg.lstsq((terms * trust).T, stacked.T, rcond=None)[0].T
+    coefficients = found_terms.reshape(len(light), 2, terms.shape[0])
+    return _Effects(
+        tuple(source for source, _ in moved), coefficients[: len(moved)], coefficients[len(moved) :], center, scale
     )
+
+
+def _moved_by_profile(seen: Brightness, slopes: FloatArray, profile: SunProfile, gains: Gains) -> FloatArray:
+    """Return what the light lacks of the model for one sigma of each of the profile's radiances, shape (k, c, n).
+
+    The gains and places that follow the wrong profile are in it.
+    """
+    count, factors = len(gains.logarithm), gains.factors
+    own = light_of_profile(seen, slopes, profile, factors)
+    light = factors[:, None] * expected(seen, slopes, profile)
+    by_place = d_light_d_place(seen, slopes, profile, factors)
+    change = gains.by_profile.reshape(3, count, -1)
+    own = own + light[..., None] * change[0][:, None]
+    own = own + np.einsum("nca,ack->cnk", by_place, change[1:])
+    return np.asarray(-np.moveaxis(own, 2, 0))
 
 
 def _moved(
@@ -107,8 +164,11 @@ def _moved(
     along = np.array([0.0, 0.0, 1.0])
     for camera, sigma in enumerate(sigmas.eyes_m):
         eyes = seen.eyes_m.copy()
-        eyes[camera] += np.hypot(sigma, sigmas.mirror_m) * along
+        eyes[camera] += sigma * along
         yield "distance", through(replace(seen, eyes_m=eyes))
+    if sigmas.mirror_m > 0:
+        # The mirror's own place moves all cameras alike.
+        yield "distance", through(replace(seen, eyes_m=seen.eyes_m + sigmas.mirror_m * along))
     if sigmas.sun_rad > 0:
         across = np.linalg.svd(seen.sun[None])[2][1:]
         for one in across:
@@ -116,7 +176,7 @@ def _moved(
             # The components across the sun change by the sun's own turn: the basis itself hardly does.
             yield "sun direction", through(replace(seen, sun=sun / np.linalg.norm(sun)))
     if sigmas.sun_scale > 0:
-        yield "sun profile", -sigmas.sun_scale * (steep * off.mean(axis=2)).sum(axis=2)
+        yield PROFILE, -sigmas.sun_scale * (steep * off.mean(axis=2)).sum(axis=2)
 
 
 def _is_lit(seen: Brightness) -> BoolArray:

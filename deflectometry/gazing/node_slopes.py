@@ -211,13 +211,18 @@ def _solve_block(seen: Brightness, profile: SunProfile, gains: FloatArray) -> tu
             break
         grid = 2 * reach / (_FINE - 1)
         spread = spread + np.einsum("nij,nj,nkj->nik", axes, grid**2 / 12, axes)
-    return base + mean, spread, least
+    # What flattened the probabilities is no spread of the slopes: chance makes that much misfit of one node in seven.
+    return base + mean, spread / _temperature(least)[:, None, None], least
 
 
 def _tempered(chi_square: FloatArray) -> FloatArray:
     """Return relative probabilities, flattened where even the best value of the lattice fits badly."""
     least = chi_square.min(axis=1, keepdims=True)
-    return np.asarray(np.exp(-0.5 * (chi_square - least) / np.maximum(1.0, least / 4.0)))
+    return np.asarray(np.exp(-0.5 * (chi_square - least) / _temperature(least)))
+
+
+def _temperature(least: FloatArray) -> FloatArray:
+    return np.maximum(1.0, least / 4.0)
 
 
 def _moments(steps: FloatArray, weights: FloatArray) -> tuple[FloatArray, FloatArray]:

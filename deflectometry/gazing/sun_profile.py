@@ -23,10 +23,12 @@ class SunProfile:
 
     angle_rad (n,): Ascending angles from the centre, the first 0 [rad].
     relative (n,): Radiance there, 1 in the middle.
+    sigma_relative (n,): Its standard deviations, each by itself; empty: exactly known.
     """
 
     angle_rad: FloatArray
     relative: FloatArray
+    sigma_relative: FloatArray = field(default_factory=lambda: np.zeros(0))
     _values: FloatArray = field(init=False, repr=False)
     _slopes: FloatArray = field(init=False, repr=False)
 
@@ -44,6 +46,16 @@ class SunProfile:
         object.__setattr__(self, "relative", relative)
         object.__setattr__(self, "_values", freeze(values))
         object.__setattr__(self, "_slopes", freeze(np.diff(values, append=relative[-1])))
+
+    def steps_at(self, angle_rad: FloatArray) -> FloatArray:
+        """Return what one sigma of each measured radiance adds at angles of any shape, shape (..., n)."""
+        from scipy.interpolate import CubicSpline
+
+        if not self.sigma_relative.size:
+            return np.zeros((*angle_rad.shape, 0))
+        flat = np.zeros(self.sigma_relative.size)
+        each = CubicSpline(self.angle_rad, np.diag(self.sigma_relative), bc_type=((1, flat), (2, flat)))
+        return np.asarray(each(np.minimum(angle_rad, self.limit_rad)))
 
     @property
     def limit_rad(self) -> float:
@@ -130,8 +142,21 @@ def measure_sun(light: FloatArray, focal_px: float, what: str) -> SunImage:
     # The aureole around the disc stays in: the mirror shows it, too.
     relative = mean / level
     at = np.bincount(ring[used], distance[used]) / count
+    variance = _ring_variance(part[used], distance[used] - at[ring[used]], ring[used])
     at[0], relative[0] = 0.0, relative[:3] @ count[:3] / count[:3].sum()
-    return SunImage(SunProfile(np.arctan(at / focal_px), relative), level, sigma, radius)
+    sigma_ring = np.sqrt(variance / np.append(count[:3].sum(), count[1:])) / level
+    return SunImage(SunProfile(np.arctan(at / focal_px), relative, sigma_ring), level, sigma, radius)
+
+
+def _ring_variance(light: FloatArray, beside: FloatArray, ring: IntArray) -> FloatArray:
+    """Return the variance of a pixel's light about a line across its ring, over five rings each, shape (rings,)."""
+    count = np.bincount(ring)
+    rest = light - (np.bincount(ring, light) / count)[ring]
+    across = np.maximum(np.bincount(ring, beside**2), 1e-12)
+    rest = rest - (np.bincount(ring, beside * rest) / across)[ring] * beside
+    window = np.ones(5)
+    squares = np.convolve(np.bincount(ring, rest**2), window, "same")
+    return np.asarray(squares / np.convolve(np.maximum(count - 2, 0), window, "same"))
 
 
 #: Sectors of the disc, and what one may differ from the others: limb darkening is the same all round.

@@ -9,7 +9,14 @@ from deflectometry.pipeline.choices import Choices
 from deflectometry.pipeline.contradictions import refuse_contradictions
 from deflectometry.pipeline.curl_test import with_curl_contained
 from deflectometry.pipeline.evaluate import evaluate_source
-from deflectometry.pipeline.headline import canting_numbers, curl_numbers, facet_numbers, numbers_of_maps, pose_numbers
+from deflectometry.pipeline.headline import (
+    canting_numbers,
+    curl_numbers,
+    facet_numbers,
+    joined_curl,
+    numbers_of_maps,
+    pose_numbers,
+)
 from deflectometry.pipeline.inputs import build_mounts, check_missing_sigmas, check_screen, inputs_without_sigma
 from deflectometry.pipeline.plausibility import implausible, refuse_impossible, size_doubt
 from deflectometry.pipeline.result import Result
@@ -88,7 +95,7 @@ def measure_source(ready: SourceMeasurement, progress: Progress) -> Result:
         numbers = facet_numbers(assembled, as_measured) | pose_numbers(evaluation.located, evaluation)
         numbers |= canting_numbers(cantings)
         numbers_by_facet = numbers_of_maps(maps, evaluation.maps, cantings)
-        numbers |= next(iter(curls.values())) if len(facets) == 1 else {}
+        numbers |= joined_curl(evaluation.fine_maps, curls)
         numbers_by_facet = {name: one | curls[name] for name, one in numbers_by_facet.items()}
     doubts = gather_doubts(
         check_screen(measurement, setup.screen),

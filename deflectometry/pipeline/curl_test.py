@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -70,10 +71,26 @@ def _number(numbers: Numbers, name: str) -> float:
     return float("nan") if value is None else float(value)
 
 
-def curl_doubt(facets: Mapping[str, Numbers]) -> Iterator[Doubt]:
+class CurlRemedies(NamedTuple):
+    """What follows from too much curl, and what is to be checked: of single points, of the whole."""
+
+    noisy: str
+    wrong: str
+
+
+_FRINGES = CurlRemedies(
+    "the sigmas of single points were enlarged to make as much from point to point; use more steps for each period, or "
+    "a response measured with the same exposure",
+    "check the shape and pose of the screen, the axes of [[pattern.set]], that the images are neither mirrored nor "
+    "strongly compressed, and that nothing moved",
+)
+
+
+def curl_doubt(facets: Mapping[str, Numbers], remedies: CurlRemedies = _FRINGES) -> Iterator[Doubt]:
     """Yield what is wrong with slopes that no surface can have: the curl of a surface's slopes is zero.
 
     facets: Numbers of each facet.
+    remedies: What follows from it, by the source of the slopes.
     """
     doubtful, noisy = [], []
     for name, numbers in facets.items():
@@ -88,9 +105,7 @@ def curl_doubt(facets: Mapping[str, Numbers]) -> Iterator[Doubt]:
         where = f" (facet {name}, one of {len(noisy)})" if name else ""
         yield Doubt(
             "curl_above_noise",
-            f"the slopes have {ratio:.1f} times the curl that their noise explains{where}: the sigmas of single points "
-            "were enlarged to make as much from point to point; use more steps for each period, or a response "
-            "measured with the same exposure",
+            f"the slopes have {ratio:.1f} times the curl that their noise explains{where}: {remedies.noisy}",
             {"curl_ratio": ratio},
         )
     if doubtful:
@@ -99,8 +114,7 @@ def curl_doubt(facets: Mapping[str, Numbers]) -> Iterator[Doubt]:
         yield Doubt(
             "slopes_of_no_surface",
             f"no surface has these slopes: their curl is {1e3 * curl:.3g} mrad/m RMS{where}, where noise makes "
-            f"{1e3 * expected:.3g}; check the shape and pose of the screen, the axes of [[pattern.set]], that the "
-            "images are neither mirrored nor strongly compressed, and that nothing moved",
+            f"{1e3 * expected:.3g}; {remedies.wrong}",
             {"curl_rms_per_m": curl, "curl_expected_rms_per_m": expected},
             Severity.SERIOUS,
         )

@@ -176,6 +176,23 @@ def curl_numbers(slope_map: SlopeMap) -> Numbers:
     return {"curl_rms_per_m": found, "curl_expected_rms_per_m": expected}
 
 
+def joined_curl(maps: Mapping[str, SlopeMap], curls: Mapping[str, Numbers] | None = None) -> Numbers:
+    """Return the RMS curl within facets: the steps of the slopes from facet to facet are none.
+
+    maps: Of each facet.
+    curls: What `curl_numbers` says of each, where that is known.
+    """
+    each = {name: curl_numbers(one) for name, one in maps.items()} if curls is None else curls
+    names = ("curl_rms_per_m", "curl_expected_rms_per_m")
+    values = np.array([[each[facet][name] for name in names] for facet in maps], dtype=np.float64)
+    weight = np.array([np.count_nonzero(one.valid) for one in maps.values()], dtype=np.float64)
+    known = np.isfinite(values).all(axis=1)
+    if not known.any():
+        return dict.fromkeys(names, float("nan"))
+    mean = weight[known] @ values[known] ** 2 / weight[known].sum()
+    return dict(zip(names, np.sqrt(mean).tolist(), strict=True))
+
+
 def pose_numbers(located: LocatedMirror, evaluation: Evaluation) -> Numbers:
     """Collect the evidence for the pose and the noise of the images."""
     pose = evaluation.solution.cam_from_mirror

@@ -109,11 +109,7 @@ def passed_checks(summary: Summary) -> list[str]:
     if residual is not None and residual <= _GOOD_OUTLINE_PX and "outline_points_rejected" not in codes:
         found.append(f"the mirror's outline fits to {residual:.3f} px")
     curl, expected = numbers.get("curl_rms_per_m"), numbers.get("curl_expected_rms_per_m")
-    if (
-        curl is not None
-        and expected
-        and not {"curl_above_noise", "slopes_of_no_surface", "setup_contradicts_slopes"} & codes
-    ):
+    if curl is not None and expected and not _CURL_CODES & codes:
         found.append(f"curl of the slopes is {curl / expected:.2f} times what their noise explains")
     agreement = numbers.get("distance_agreement_probability")
     if agreement is not None and "distance_contradicts_image" not in codes:

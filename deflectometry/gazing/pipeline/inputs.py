@@ -30,6 +30,7 @@ class GazingCamera:
     oriented: The camera before the mirror.
     light: Of the mirror.
     level: Of the sun's middle through the same filter [DN/ms].
+    sigma_level: What the noise of that image makes of it, relative.
     has_flat: Whether its pixels' response is known.
     """
 
@@ -37,6 +38,7 @@ class GazingCamera:
     oriented: OrientedCamera
     light: Light
     level: float
+    sigma_level: float
     has_flat: bool
 
 
@@ -92,7 +94,8 @@ def read_camera(
     dark = "sun_dark" if section.sun_dark is not None else "dark"
     of_sun = _exposure(measurement, key, section, ("sun", dark), section.sun_exposure_ms, flat)
     sun = measure_sun(light_of(of_sun, f"{key}.sun").unsaturated, place.camera.focal_x_px, f"{key}.sun")
-    return GazingCamera(section.name, place, light_of(exposure, f"{key}.frames"), sun.level, flat is not None)
+    light = light_of(exposure, f"{key}.frames")
+    return GazingCamera(section.name, place, light, sun.level, sun.sigma_level / sun.level, flat is not None)
 
 
 def _read(measurement: GazingMeasurement, key: str, named: str | tuple[str, ...]) -> tuple[FloatArray, float]:
@@ -140,23 +143,32 @@ def _size(images: FloatArray) -> str:
     return f"{images.shape[-1]} x {images.shape[-2]} px"
 
 
-def level_covariance(measurement: GazingMeasurement, cameras: list[GazingCamera]) -> FloatArray:
-    """Return the covariance of the logarithms of all levels: each camera's own, and the reflectance's."""
+def level_covariance(measurement: GazingMeasurement, cameras: list[GazingCamera], of_sun: SunImage) -> FloatArray:
+    """Return the covariance of the logarithms of all levels: each camera's own, and what all share.
+
+    Shared are the reflectance and the level to which the sun's profile refers.
+    """
     section = measurement.model.photometry
+    without_flat = 1e-2 * section.sigma_missing_flat_percent
     own = [
-        np.hypot(section.sigma_level_percent, 0.0 if one.has_flat else section.sigma_missing_flat_percent)
+        (1e-2 * section.sigma_level_percent) ** 2 + one.sigma_level**2 + (0.0 if one.has_flat else without_flat**2)
         for one in cameras
     ]
-    common = 1e-2 * section.sigma_reflectance_percent / section.reflectance
-    return np.asarray(np.diag(np.square(1e-2 * np.array(own))) + common**2)
+    reflectance = 1e-2 * section.sigma_reflectance_percent / section.reflectance
+    return np.asarray(np.diag(own) + reflectance**2 + (of_sun.sigma_level / of_sun.level) ** 2)
 
 
 def gazing_sigmas(measurement: GazingMeasurement, chosen: list[int]) -> GazingSigmas:
-    """Return what is known of places and directions, of some cameras."""
+    """Return what is known of places and directions, of some cameras.
+
+    A frame that aims the stated sun from the stated place turns with errors of both as the measured normal does: slopes
+    against it do not feel them.
+    """
     model = measurement.model
+    fixed = model.mirror.aim_m is None
     return GazingSigmas(
         1e-3 * np.array([model.camera[number].sigma_place_mm for number in chosen]),
-        1e-3 * model.mirror.sigma_place_mm,
-        1e-3 * model.sun.sigma_direction_mrad,
+        1e-3 * model.mirror.sigma_place_mm if fixed else 0.0,
+        1e-3 * model.sun.sigma_direction_mrad if fixed else 0.0,
         1e-3 * model.sun.sigma_focal_permille,
     )

@@ -44,7 +44,8 @@ from deflectometry.gazing.pipeline.inputs import (
 )
 from deflectometry.gazing.pipeline.result import CameraRow, GazingResult, Pointing
 from deflectometry.pipeline.choices import Options
-from deflectometry.pipeline.headline import canting_numbers, facet_numbers, numbers_of_maps
+from deflectometry.pipeline.curl_test import CurlRemedies, curl_doubt
+from deflectometry.pipeline.headline import canting_numbers, curl_numbers, facet_numbers, joined_curl, numbers_of_maps
 from deflectometry.pipeline.inputs import build_facets, build_mounts
 from deflectometry.shape.assemble import assemble_maps
 from deflectometry.shape.facet_canting import canting_of_facets, doubt_of_canting
@@ -62,6 +63,15 @@ from heliogauge.validate import BoolArray, FloatArray
 
 #: Scatter beyond this many times the sigmas is said.
 _WORTH_SAYING = 1.3
+#: A lean beyond so many sigma is not its scatter: 1 of 270,000 in two directions.
+_WRONG_POINTING = 5.0
+#: The sun on the equator of the sky; elsewhere it is slower.
+_SUN_RAD_PER_S = 2 * np.pi / 86400
+_CURL_REMEDIES = CurlRemedies(
+    "sigmas of single points are too small by that; check flat fields, focus, stray light and each camera's points",
+    "check the names and places of the cameras, the points that orient them, flat fields, and whether the mirror or a "
+    "cloud moved between their frames",
+)
 #: A camera that is saturated in more of its image is said: a hot pixel is not.
 _SATURATED_SHARE = 1e-3
 
@@ -94,7 +104,7 @@ def run(
         grids = [grid_of(facet, step_m) for facet in facets]
         seen = _brightness(grids, cameras, sun, model.photometry.reflectance)
     with progress.stage("levels"):
-        prior = level_covariance(measurement, cameras)
+        prior = level_covariance(measurement, cameras, of_sun)
         names = [one.name for one in cameras]
         some = spread_nodes([bright for bright, _, _ in seen])
         if not some:
@@ -102,9 +112,9 @@ def run(
                 "no camera sees the sun anywhere in the mirror: check time, the sun's direction, mirror.place_m and "
                 "the cameras' places, or whether the heliostat tracked"
             )
-        refuse_exchanged(names, some, of_sun.profile, prior)
         sigmas = gazing_sigmas(measurement, list(range(len(cameras))))
         places = np.diag(sigmas.eyes_m**2) + sigmas.mirror_m**2
+        refuse_exchanged(names, some, of_sun.profile, prior, places)
         gains = fit_gains(some, of_sun.profile, prior, places)
         left_out = contradicting_camera(gains, prior)
         chosen = [number for number in range(len(cameras)) if left_out is None or number != left_out.number]
@@ -125,14 +135,14 @@ def run(
             stage.advance()
     with progress.stage("maps"):
         factor = misfit_factor(solved)
-        solved = [_scaled(one, factor) for one in solved]
         sigmas = gazing_sigmas(measurement, chosen)
         frame = "facet frame: x across, y up, seen from the front, z out of the mirror [m]"
         largest = 1e-3 * model.evaluation.largest_sigma_mrad
-        as_nominal = {}
-        for one in solved:
-            modes = common_modes(one, of_sun.profile, gains, sigmas)
-            as_nominal[one.grid.facet.name] = facet_map(one, modes, largest, frame)
+        all_modes = common_modes(solved, of_sun.profile, gains, sigmas)
+        as_nominal = {
+            one.grid.facet.name: facet_map(_scaled(one, factor), modes, largest, frame)
+            for one, modes in zip(solved, all_modes, strict=True)
+        }
         doubts = [*blind_zones(list(as_nominal.values()))]
         as_nominal = {name: one for name, one in as_nominal.items() if np.isfinite(curl_rms(one)[0])}
         if not as_nominal:
@@ -155,7 +165,8 @@ def run(
         cantings = canting_of_facets(facets, as_measured, build_mounts(model.mirror)) if several else ()
         assembled = assemble_maps(facets, maps, align, removal)
         whole = assemble_maps(facets, as_measured, align, Removal.NOTHING)
-        numbers = facet_numbers(assembled, whole) | canting_numbers(cantings) | pointing.numbers()
+        numbers = facet_numbers(assembled, whole) | joined_curl(as_measured)
+        numbers |= canting_numbers(cantings) | pointing.numbers()
     return GazingResult(
         name=model.name,
         facets=facets,
@@ -169,8 +180,10 @@ def run(
         sun_direction=sun,
         doubts=gather_doubts(
             *doubts,
+            curl_doubt({name: curl_numbers(one) for name, one in as_measured.items()}, _CURL_REMEDIES),
             doubt_of_canting(cantings) if several else None,
             *_doubts(measurement, cameras, left_out, factor),
+            _doubt_of_pointing(measurement, pointing),
         ),
         durations_s=dict(progress.durations_s),
         input_sha256=hash_files(measurement.input_files, measurement.folder),
@@ -294,6 +307,26 @@ def _contradiction(name: str, gain: float, sigma: float) -> str:
     return (
         f"{name} sees {gain:.3g} (sigma {sigma:.2g}) times the brightness that all others explain: a cloud "
         "before the sun while its frames were taken, another filter or another exposure than stated"
+    )
+
+
+def _doubt_of_pointing(measurement: GazingMeasurement, pointing: Pointing) -> Doubt | None:
+    """Say where the mirror leans against a stated normal by more than its sigma: the sun may not be where it was said.
+
+    A frame that aims the stated sun turns with it, so that nothing can show and nothing is wrong.
+    """
+    sigmas = float(np.hypot(*(pointing.angle_rad / pointing.sigma_rad)))
+    if measurement.model.mirror.aim_m is not None or sigmas < _WRONG_POINTING:
+        return None
+    lean = float(np.hypot(*pointing.angle_rad))
+    minutes = 2 * lean / _SUN_RAD_PER_S / 60
+    return Doubt(
+        "pointing_off_stated_normal",
+        f"the mean normal leans by {1e3 * lean:.3g} mrad ({sigmas:.0f} sigma) against mirror.normal: the heliostat "
+        "points so, its normal is not as stated, or the sun stood elsewhere than sun.azimuth_deg and elevation_deg say "
+        f"(a clock that is {minutes:.2g} minutes wrong or more moves it so far); slopes beside their mean stay",
+        {"lean_rad": lean, "lean_in_sigmas_ratio": sigmas},
+        Severity.NOTE,
     )
 
 

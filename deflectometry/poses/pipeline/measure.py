@@ -7,7 +7,7 @@ import numpy as np
 
 from deflectometry.keys import DeflectometryMeasurement
 from deflectometry.pipeline.choices import Options
-from deflectometry.pipeline.headline import canting_numbers, facet_numbers, numbers_of_maps
+from deflectometry.pipeline.headline import canting_numbers, facet_numbers, joined_curl, numbers_of_maps
 from deflectometry.pipeline.inputs import build_facets, build_mounts, build_setup
 from deflectometry.pipeline.measure import run as measure_frames
 from deflectometry.pipeline.result import Result
@@ -82,7 +82,7 @@ def run(measurement: PosesMeasurement, options: Options | None = None, progress:
         assembled = assemble_maps(facets, maps, align, removal)
         whole = assemble_maps(facets, as_measured, align, Removal.NOTHING)
         cantings = canting_of_facets(facets, as_measured, build_mounts(first.model.mirror)) if len(facets) > 1 else ()
-        numbers = facet_numbers(assembled, whole) | canting_numbers(cantings)
+        numbers = facet_numbers(assembled, whole) | joined_curl(as_measured) | canting_numbers(cantings)
     parameters = setup_parameters(stated, steps, joint.solution)
     doubts = gather_doubts(
         doubts_of_setup(parameters),

@@ -211,6 +211,7 @@ def run(measurement: StarsMeasurement, options: Options | None = None, progress:
         assembled = assemble_maps(night.facets, maps, align, removal)
         whole = assemble_maps(night.facets, as_measured, align, Removal.NOTHING)
         numbers = facet_numbers(assembled, whole) | canting_numbers(cantings) | pointing.numbers()
+        numbers = _without_curl(numbers)
         numbers["stars_count"] = sum(int(np.count_nonzero(one.star >= 0)) for one in known)
     return StarsResult(
         name=model.name,
@@ -218,7 +219,9 @@ def run(measurement: StarsMeasurement, options: Options | None = None, progress:
         maps=maps,
         assembled=assembled,
         numbers=numbers,
-        facet_numbers=numbers_of_maps(maps, as_measured, cantings) if several else {},
+        facet_numbers={name: _without_curl(one) for name, one in numbers_of_maps(maps, as_measured, cantings).items()}
+        if several
+        else {},
         cantings=cantings,
         lights=night.lights,
         leans=tuple(leans),
@@ -226,6 +229,11 @@ def run(measurement: StarsMeasurement, options: Options | None = None, progress:
         durations_s=dict(progress.durations_s),
         input_sha256=hash_files(measurement.input_files, measurement.folder),
     )
+
+
+def _without_curl(numbers: Numbers) -> Numbers:
+    """Leave out the curl: lean, curvatures and twist are a surface's by themselves, so that it tests nothing."""
+    return {name: one for name, one in numbers.items() if not name.startswith("curl_")}
 
 
 def section_priors(measurement: StarsMeasurement) -> tuple[FloatArray, FloatArray]:
