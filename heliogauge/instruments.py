@@ -18,6 +18,8 @@ from typing import Any
 from heliogauge.errors import InputError
 
 GROUP = "heliogauge.instruments"
+#: Names that a message lists: more are no help on a terminal.
+_MOST_NAMES = 40
 #: Reports of results that no instrument measures: those of many folders at once.
 _OWN_REPORTS = {"measurements": "heliogauge.batch:report.ipynb"}
 
@@ -124,9 +126,10 @@ def near_match(name: str, known: Iterable[str], quote: str = "") -> str:
     known = list(known)
     if near := get_close_matches(name, known, n=1):
         return f"did you mean {quote}{near[0]}{quote}?"
-    return "available are: " + (
-        ", ".join(f"{quote}{one}{quote}" for one in known) or "none, so heliogauge is not installed whole"
-    )
+    if not known:
+        return "available are: none, so heliogauge is not installed whole"
+    more = f" and {len(known) - _MOST_NAMES} more" if len(known) > _MOST_NAMES else ""
+    return "available are: " + ", ".join(f"{quote}{one}{quote}" for one in known[:_MOST_NAMES]) + more
 
 
 def resolve(name: str) -> Any:

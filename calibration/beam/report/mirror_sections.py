@@ -84,12 +84,19 @@ def flux_maps(report: MirrorReport) -> list[MapView]:
             break
         measured = arrays[f"measured_{number}"].astype(np.float64)
         top = float(np.nanmax(measured))
-        layers = [MapLayer("measured", "Measured flux", "% of peak", measured / top, 100, diverging=False, low=0.0)]
-        for key, title in (("expected", "Expected flux"), ("fitted", "Expected flux, fitted")):
-            if f"{key}_{number}" in arrays:
-                values = arrays[f"{key}_{number}"].astype(np.float64)
-                layers.append(MapLayer(key, title, "% of peak", values / top, 100, diverging=False, low=0.0))
-                layers.append(_difference(key, title, measured - values, top))
+        titles = {"expected": "Expected flux", "fitted": "Expected flux, fitted"}
+        computed = {key: arrays[f"{key}_{number}"].astype(np.float64) for key in titles if f"{key}_{number}" in arrays}
+        # One scale for all pictures of a photo, from its darkest noise to its brightest place.
+        every = [100 * one / top for one in (measured, *computed.values())]
+        low, high = min(float(np.nanmin(one)) for one in every), max(float(np.nanmax(one)) for one in every)
+
+        def layer(key: str, title: str, values: FloatArray, low: float = low, high: float = high) -> MapLayer:
+            return MapLayer(key, title, "% of peak", values, 100, diverging=False, low=low, limit=high)
+
+        layers = [layer("measured", "Measured flux", measured / top)]
+        for key, values in computed.items():
+            layers.append(layer(key, titles[key], values / top))
+            layers.append(_difference(key, titles[key], measured - values, top))
         shape = measured.shape
         maps.append(
             MapView(

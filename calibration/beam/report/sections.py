@@ -69,9 +69,18 @@ def beam_map(report: BeamsReport) -> MapView | None:
     unit = report.table["flux_unit"][int(rows[chosen[0]])]
     unit = "" if unit == "1" else unit
     names = report.table["image"]
+    # One scale for all beams, up to the brightest place: a beam is a small part of its target.
+    high = float(np.nanmax(flux[chosen]))
+    low = float(np.nanmin(flux[chosen]))
     layers = tuple(
         MapLayer(
-            f"beam_{int(rows[k])}", names[int(rows[k])], unit, flux[k].astype(np.float64), diverging=False, low=0.0
+            f"beam_{int(rows[k])}",
+            names[int(rows[k])],
+            unit,
+            flux[k].astype(np.float64),
+            diverging=False,
+            low=low,
+            limit=high,
         )
         for k in chosen
     )

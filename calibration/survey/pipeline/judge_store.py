@@ -23,7 +23,7 @@ from heliogauge.validate import FloatArray
 MOST_QUANTITIES = 12
 #: A larger value of these is better; of all others worse.
 _GOOD_WORDS = ("reflect", "intercept", "answered", "solar_weighted", "reading", "measured_share", "collected")
-_FIRST_WORDS = ("rms", "sd_rad", "sd_best", "canting", "solar_weighted", "intercept", "d90", "beams_")
+_FIRST_WORDS = ("rms", "sd_rad", "sd_best", "canting", "solar_weighted", "intercept", "d90", "beams_width")
 _WORST = 20
 #: Chance below which a change counts, shared by all subjects that are looked at (Bonferroni).
 CHANCE = 0.05

@@ -54,10 +54,7 @@ def first_screen(report: SurveyReport) -> Html:
             )
     charts = history_charts(report.tables["history"])
     line = f"many results of one plant; heliogauge {report.summary.version}"
-    passed = [f"{plain(name)} queried" for name in list(seen)[:3]]
-    return page.first_screen(
-        report.summary.name, line, verdict_of(report.summary, (), passed), rows, charts[0] if charts else None
-    )
+    return page.first_screen(report.summary.name, line, verdict_of(report.summary), rows, charts[0] if charts else None)
 
 
 def worst_tables(report: SurveyReport) -> Shown:

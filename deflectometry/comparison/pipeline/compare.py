@@ -34,6 +34,9 @@ from heliogauge.results.slope_map_file import read_slope_map
 from heliogauge.slopes.map import SlopeMap
 from heliogauge.validate import FloatArray
 
+#: A smaller probability is a matter of the far tail of a distribution that nobody knows there.
+_LEAST_CHANCE = 1e-12
+
 
 def compare_results(first: Path, second: Path, *, shared: Sequence[str] = (), as_placed: bool = False) -> Comparison:
     """Compare two results of one mirror.
@@ -214,10 +217,11 @@ def _doubts(
             {"agreement_probability": judged.stated_probability},
         )
     elif judged.agreement is Agreement.CONTRADICT:
+        chance = min(one for one in (judged.terms_probability, judged.rest_probability) if np.isfinite(one))
         yield Doubt(
             "results_contradict",
-            "the two results contradict each other: their sigmas make this difference with a probability of "
-            f"{min(one for one in (judged.terms_probability, judged.rest_probability) if np.isfinite(one)):.2g}",
+            "the two results contradict each other: their sigmas make this difference with a probability "
+            f"{f'of {chance:.2g}' if chance > _LEAST_CHANCE else f'below {_LEAST_CHANCE:g}'}",
             {"terms_probability": judged.terms_probability, "rest_probability": judged.rest_probability},
             Severity.SERIOUS,
         )

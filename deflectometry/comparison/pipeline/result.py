@@ -168,7 +168,9 @@ class Comparison(InstrumentResult):
         if (opposite := self._opposite()) != "":
             said.append(opposite)
         if judged.rest_probability < 0.5 * SIGNIFICANCE:
-            said.append("what is left beside linear terms is more than the sigmas make, too")
+            factors = " and ".join(f"{one:.3g}" for one in self.terms.rest_rms_rad / np.sqrt(self.rest.mean_square))
+            too = ", too" if judged.contradicting else ""
+            said.append(f"what is left beside linear terms is more than the sigmas make ({factors} times){too}")
         if judged.blamed:
             check = next(one for one in self.checks if one.name == judged.blamed)
             share = f" ({100 * judged.share:.3g} % of the squared curl of both)" if np.isfinite(judged.share) else ""
@@ -233,9 +235,12 @@ class Comparison(InstrumentResult):
         ):
             unit = "mrad" if unit_of_term(name) == "_rad" else "mrad/m"
             own = [float(one.values[self.terms.names.index(name)]) * 1e3 for one in self.own_terms]
+            # Two digits of the sigma, a thousandth of a milliradian at least.
+            places = 3 if not sigma > 0 else max(3, 1 - int(np.floor(np.log10(1e3 * sigma))))
+            numbers = (*own, *(1e3 * one for one in (value, sigma, bare)))
+            one, two, off, scatter, as_stated = (f"{number:z.{places}f}" for number in numbers)
             lines.append(
-                f"  {_spoken(name):18s} {own[0]:.3f} against {own[1]:.3f}: {1e3 * value:.3f} +- {1e3 * sigma:.3f} "
-                f"{unit} (+- {1e3 * bare:.3f} as stated)"
+                f"  {_spoken(name):18s} {one} against {two}: {off} +- {scatter} {unit} (+- {as_stated} as stated)"
             )
         lines += [f"  own data of {one.name}: {one.words()}" for one in self.checks]
         lines += [f"  {self.placed_words()}", f"  verdict: {self.verdict()}"]

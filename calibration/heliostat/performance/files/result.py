@@ -51,7 +51,8 @@ class Result(InstrumentResult):
 
     def headline(self) -> str:
         """Return the first entries of each test."""
-        lines = [f"{self.name}: {len(self.entries)} entries of {len({one.test for one in self.entries})} tests"]
+        tests = len({one.test for one in self.entries})
+        lines = [f"{self.name}: {len(self.entries)} entries of {tests} test{'s' if tests != 1 else ''}"]
         shown: dict[str, int] = {}
         for one in self.entries:
             shown[one.test] = shown.get(one.test, 0) + 1

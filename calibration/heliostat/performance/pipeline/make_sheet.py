@@ -95,6 +95,7 @@ def run(folders: Sequence[Path], options: SheetOptions | None = None, progress: 
 def _sheet(name: str, folders: Sequence[Path], summaries: dict[Path, Summary], limits: Limits) -> Sheet:
     entries: dict[str, Entry] = {}
     doubts: list[Doubt] = []
+    twice: dict[tuple[str, str], list[str]] = {}
     about: dict[str, str] = {}
     tables: dict[str, dict[str, list[str]]] = {}
     for folder in folders:
@@ -107,17 +108,20 @@ def _sheet(name: str, folders: Sequence[Path], summaries: dict[Path, Summary], l
             earlier = entries.get(entry.name)
             if earlier is None or earlier.value is None or (entry.value is not None and entry.date >= earlier.date):
                 entries[entry.name] = entry
-            if earlier is not None and earlier.value is not None and entry.value is not None:
+            # A result that is given twice was measured once.
+            if earlier is not None and None not in (earlier.value, entry.value) and earlier != entry:
                 kept, left = (entry, earlier) if entries[entry.name] is entry else (earlier, entry)
-                doubts.append(
-                    Doubt(
-                        "measured_twice",
-                        f"{name}: {entry.name} was measured twice; the sheet has that of "
-                        f"{kept.date or 'no date'}, not that of "
-                        f"{left.date or 'no date'}",
-                        severity=Severity.NOTE,
-                    )
-                )
+                twice.setdefault((kept.date or "no date", left.date or "no date"), []).append(entry.name)
+    doubts += [
+        Doubt(
+            "measured_twice",
+            f"{name}: {_listed(names)} {'was' if len(names) == 1 else 'were'} measured twice; the sheet has that of "
+            f"{kept}, not that of {left}",
+            {"entries_count": len(names)},
+            Severity.NOTE,
+        )
+        for (kept, left), names in twice.items()
+    ]
     for test, key, label in STANDARD:
         entries.setdefault(f"{test}_{key}", Entry(test, key, label, None, note="not measured"))
     known = list(entries)
@@ -138,6 +142,11 @@ def _sheet(name: str, folders: Sequence[Path], summaries: dict[Path, Summary], l
             Doubt("limits_not_kept", f"{name}: limits are not kept: {', '.join(failed)}", {"failed_count": len(failed)})
         )
     return Sheet(name, lines, about, gather_doubts(doubts), tables)
+
+
+def _listed(names: Sequence[str], most: int = 4) -> str:
+    more = f" and {len(names) - most} more" if len(names) > most else ""
+    return ", ".join(names[:most]) + more
 
 
 def _line(entry: Entry, limit: Limit | None, confidence: float) -> SheetLine:
