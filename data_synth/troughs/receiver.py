@@ -141,6 +141,19 @@ class Passage(NamedTuple):
         return tuple(self)
 
 
+class ThrownBack(NamedTuple):
+    """Light that one face of the glass adds, from where a ray goes that it reflects.
+
+    share (n,): Share of that light which comes to the viewer.
+    turned (n,): Angle by which the ray leaves the glass turned, towards the side on which it passes the axis [rad].
+    on_absorber (n,): Whether it ends on the absorber instead of leaving.
+    """
+
+    share: RayArray
+    turned: RayArray
+    on_absorber: BoolArray
+
+
 class Inside(NamedTuple):
     """Rays of a `Passage` that reach the glass or the bare absorber.
 
@@ -148,13 +161,16 @@ class Inside(NamedTuple):
     offset (n,): How far beside the absorber's middle they hit it, in radii.
     turned (n,): Angle by which those that pass leave the glass turned, towards the side on which they pass the axis
         [rad].
-    reflected (n,): Share of light that the glass throws back.
+    passed (n,): Share of the light that comes to the viewer from where they end.
+    thrown_back: What is reflected once: at both faces of the near wall and, unless the absorber is before it, of the
+        far one. What is reflected twice is left out: six pairs of faces, beside the absorber 0.01 of the light.
     """
 
     on_absorber: BoolArray
     offset: RayArray
     turned: RayArray
-    reflected: RayArray
+    passed: RayArray
+    thrown_back: tuple[ThrownBack, ...] = ()
 
 
 class ReceiverTable:
@@ -242,25 +258,48 @@ class ReceiverTable:
         b = passage.impact
         between_x, between_z = self._at(self._between, passage.y)
         if self._glass is None:
-            none = np.zeros_like(b)
-            return Inside(np.abs(b) < self._radius, b / self._radius, none, none)
+            hit = np.abs(b) < self._radius
+            return Inside(hit, b / self._radius, np.zeros_like(b), np.ones_like(b))
         cos_square = 1 - passage.sin_along**2
         index = np.sqrt((self._dtype(self._glass.index**2) - passage.sin_along**2) / cos_square)
         outer, inner = (b / self._dtype(d / 2) for d in (self._glass.outer_diameter_m, self._glass.inner_diameter_m))
         out_angle, out_inside = np.arcsin(np.clip(outer, -1, 1)), np.arcsin(outer / index)
         in_angle, in_inside = np.arcsin(np.clip(inner, -1, 1)), np.arcsin(np.clip(inner / index, -1, 1))
-        inward = (in_angle - in_inside) - (out_angle - out_inside)
-        wall = np.abs(inner) >= 1
+        at_outer, at_inner = out_angle - out_inside, in_angle - in_inside
+        inward = at_inner - at_outer
+        half = np.copysign(self._dtype(np.pi), b)
         # Beyond the inner face's edge the light is thrown back within the wall and leaves through the outer face.
-        bounce = np.copysign(self._dtype(np.pi), b) - 2 * in_inside - 2 * (out_angle - out_inside)
-        turned = np.where(wall, bounce, 2 * inward)
-        # The direction inside is turned by `inward` towards w = (uz, -ux), and so is w.
-        wx = passage.uz * np.cos(inward) - passage.ux * np.sin(inward)
-        wz = -passage.ux * np.cos(inward) - passage.uz * np.sin(inward)
-        offset = (b - between_x * wx - between_z * wz) / self._radius
-        reflected = _fresnel(np.cos(out_angle), np.cos(out_inside), index)
-        reflected = reflected + np.where(wall, 0, _fresnel(np.cos(in_inside), np.cos(in_angle), 1 / index))
-        return Inside((np.abs(offset) < 1) & ~wall, offset, turned, np.minimum(reflected, 1))
+        wall = np.abs(inner) >= 1
+        bounce = half - 2 * in_inside - 2 * at_outer
+
+        def hits(turned: RayArray) -> RayArray:
+            """Return how far beside the absorber's middle rays pass that are turned, in radii."""
+            # The direction is turned towards w = (uz, -ux), and so is w.
+            wx = passage.uz * np.cos(turned) - passage.ux * np.sin(turned)
+            wz = -passage.ux * np.cos(turned) - passage.uz * np.sin(turned)
+            return np.asarray((b - between_x * wx - between_z * wz) / self._radius)
+
+        offset = hits(inward)
+        on_absorber = (np.abs(offset) < 1) & ~wall
+        lost_out, lost_in = (
+            _fresnel(cos_square * np.cos(angle) ** 2, self._glass.index) for angle in (out_angle, in_angle)
+        )
+        first = np.square(1 - lost_out)
+        near = first * np.square(1 - lost_in)
+        passed = np.where(wall, first, np.where(on_absorber, (1 - lost_out) * (1 - lost_in), near))
+        never = np.zeros(b.size, dtype=np.bool_)
+        back = [ThrownBack(lost_out, half - 2 * out_angle, never)]
+        back.append(ThrownBack(np.where(wall, 0, first * lost_in), bounce, never))
+        # What has passed the absorber is reflected by the far wall, towards the axis, and passes it once more.
+        far = np.where(wall | on_absorber, 0, near)
+        once = np.maximum((1 - lost_out) * (1 - lost_in), self._dtype(1e-3))
+        for share, turned in (
+            (far * lost_in, inward - half + 2 * in_angle),
+            (far * np.square(1 - lost_in) * lost_out, inward + 2 * at_inner - half + 2 * out_inside),
+        ):
+            ends = np.abs(hits(turned)) < 1
+            back.append(ThrownBack(np.where(ends, share / once, share), turned + inward, ends))
+        return Inside(on_absorber, offset, np.where(wall, bounce, 2 * inward), passed, tuple(back))
 
     def leave(self, passage: Passage, turned: RayArray, rays: Rays) -> Rays:
         """Return rays behind the tube, turned about it.
@@ -274,12 +313,6 @@ class ReceiverTable:
         across = np.sqrt(rays.dx * rays.dx + rays.dz * rays.dz)
         x, z = passage.axis_x + passage.impact * uz, passage.axis_z - passage.impact * ux
         return Rays(x, passage.y, z, ux * across, rays.dy, uz * across)
-
-    def thrown_back(self, passage: Passage, rays: Rays) -> Rays:
-        """Return the reflections of rays at the outer face."""
-        outer = passage.impact / self.outer_radius
-        back = np.copysign(self._dtype(np.pi), passage.impact) - 2 * np.arcsin(np.clip(outer, -1, 1))
-        return self.leave(passage, back, rays)
 
     def meet_arms(self, rays: Rays) -> IntArray:
         """Return which rays end on the arms between the vertex and the supports."""
@@ -313,8 +346,11 @@ class ReceiverTable:
         return list(low + (high - low) * share)
 
 
-def _fresnel(cos_in: RayArray, cos_out: RayArray, ratio: RayArray) -> RayArray:
-    """Return the reflectance for unpolarised light; the ratio is the index behind over the index before."""
-    across = (cos_in - ratio * cos_out) / (cos_in + ratio * cos_out)
-    along = (ratio * cos_in - cos_out) / (ratio * cos_in + cos_out)
+def _fresnel(cos_square: RayArray, index: float) -> RayArray:
+    """Return the share of unpolarised light that a face of glass reflects; squared cosine of the angle in air."""
+    cosine, behind = np.sqrt(cos_square), np.sqrt(index * index - 1 + cos_square)
+    across, along = (
+        (cosine - behind) / (cosine + behind),
+        (index * index * cosine - behind) / (index * index * cosine + behind),
+    )
     return np.asarray((across * across + along * along) / 2)

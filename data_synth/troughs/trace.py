@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from data_synth.troughs.mirror import MirrorTable, RayArray, Rays, TroughMirror
-from data_synth.troughs.receiver import Inside, Passage, Receiver, ReceiverTable
+from data_synth.troughs.receiver import Passage, Receiver, ReceiverTable, ThrownBack
 from data_synth.troughs.surroundings import Surroundings, SurroundingsTable
 from heliogauge.validate import BoolArray, Float32Array, FloatArray
 
@@ -185,33 +185,59 @@ class Tracer:
         open_ = np.flatnonzero(~receiver.on_support(passage))
         passage, rays = passage.take(open_), rays.take(open_)
         inside = receiver.enter(passage)
-        part = np.zeros(open_.size, dtype=np.float32)
+        part = np.empty(open_.size, dtype=np.float32)
         kind = np.full(open_.size, _ABSORBER, dtype=np.int32)
-        through = np.flatnonzero(~inside.on_absorber)
+        on = inside.on_absorber
+        round_ = np.sqrt(np.maximum(1 - inside.offset[on] ** 2, 0))
+        part[on] = finish.absorber * (0.6 + 0.4 * round_)
+        through = np.flatnonzero(~on)
         if through.size:
             leaving = receiver.leave(passage.take(through), inside.turned[through], rays.take(through))
             behind = self._beyond(leaving, bounces)
             part[through] = behind.light
             kind[through] = np.where(behind.label < 0, -1, behind.label * 16 + _GLASS)
-        self._shade(part, passage, inside, rays)
+        part *= inside.passed
+        self._add_thrown_back(part, passage, inside.thrown_back, rays)
         light[open_], label[open_] = part, kind
         return Seen(light, label)
 
-    def _shade(self, light: Float32Array, passage: Passage, inside: Inside, rays: Rays) -> None:
-        """Give the absorber its tone and add what the glass throws back."""
-        on = inside.on_absorber
-        round_ = np.sqrt(np.maximum(1 - inside.offset[on] ** 2, 0))
-        light[on] = self._finish.absorber * (0.6 + 0.4 * round_)
-        if not inside.reflected.any():
-            return
-        light *= 1 - inside.reflected
-        back = self.receiver.thrown_back(passage, rays)
-        tone, _ = self.surroundings.light(back)
-        # What comes from below the tube comes by the mirror: the sky once more.
-        length = self.mirror.meet(back)
-        by_mirror = self.mirror.within(back.x + length * back.dx, back.y + length * back.dy)
-        tone = np.where(by_mirror, np.float32(0.45), np.minimum(tone, np.float32(30)))
-        light += inside.reflected * tone
+    def _add_thrown_back(
+        self, light: Float32Array, passage: Passage, faces: tuple[ThrownBack, ...], rays: Rays
+    ) -> None:
+        """Add what the faces of the glass show by reflection: sky and ground, directly or by way of the mirror.
+
+        In the mirror they show the absorber and the sky, without what its glass throws back a second time: 0.002 of
+        the light.
+        """
+        for face in faces:
+            on = np.flatnonzero(face.on_absorber)
+            light[on] += face.share[on] * np.float32(self._finish.absorber)
+            away = np.flatnonzero((face.share > 0) & ~face.on_absorber)
+            if away.size == 0:
+                continue
+            back = self.receiver.leave(passage.take(away), face.turned[away], rays.take(away))
+            length = self.mirror.meet(back)
+            x, y = back.x + length * back.dx, back.y + length * back.dy
+            in_mirror = self.mirror.within(x, y) & (self.mirror.panel(x, y) >= 0)
+            share = face.share[away]
+            by_mirror, free = np.flatnonzero(in_mirror), np.flatnonzero(~in_mirror)
+            tone = np.empty(away.size, dtype=np.float32)
+            free = np.flatnonzero(~in_mirror)
+            if free.size:
+                tone[free] = self.surroundings.light(back.take(free))[0]
+            by_mirror = np.flatnonzero(in_mirror)
+            if by_mirror.size:
+                tone[by_mirror] = self._shown_by_mirror(back.take(by_mirror), length[by_mirror])
+            light[away] += share * np.minimum(tone, np.float32(30))
+
+    def _shown_by_mirror(self, rays: Rays, length: RayArray) -> Float32Array:
+        """Return the light of rays that meet panels: the absorber, or sky and ground."""
+        panel = self.mirror.panel(rays.x + length * rays.dx, rays.y + length * rays.dy)
+        once = _reflected(self.mirror, rays, length, panel)
+        light = self.surroundings.light(once)[0]
+        again = self.receiver.approach(once)
+        light[again.which[self.receiver.enter(again).on_absorber]] = self._finish.absorber
+        return np.asarray(light * np.float32(self._finish.reflectance))
 
 
 def _reflected(mirror: MirrorTable, rays: Rays, length: RayArray, panel: npt.NDArray[np.int16]) -> Rays:

@@ -15,7 +15,7 @@ from heliogauge.errors import EstimationError
 from heliogauge.geometry.rigid import skew
 from heliogauge.validate import BoolArray, FloatArray, IntArray
 from observer.absorber.forgotten_glass import Widening, widening
-from observer.photo_edges.tube_bearings import PULLED_SHARE, SEARCH_M, Bearings, bearing
+from observer.photo_edges.tube_bearings import PULLED_SHARE, ROWS_ALIKE, SEARCH_M, Bearings, bearing
 from observer.slopes.common_elimination import inverse_of, root_of, solve_with
 from observer.slopes.pose_modes import MODES_PER_PHOTO, CameraModes, Photos, reduce_to_modes
 from observer.trough.absorber_path import AbsorberPath
@@ -28,8 +28,6 @@ _PRIOR_M = 0.1
 _BENDS_M = (0.01, 0.005, 0.0025)
 #: The most that is nearly as probable as the most probable one, by exp(-2), is believed.
 _EVIDENCE_LOSS = 2.0
-#: Edges of one photo share their error of pixel grid and background along a few rows: so many count as one.
-_ROWS_ALIKE = 3
 #: What the background does to the bisector is for this part of it alike along the whole tube; the rest stays alike over
 #: this length, so that stations do not average it out [m].
 _UNEVEN_SHARE, _ALIKE_M = 0.5, 1.0
@@ -175,7 +173,7 @@ def _averaged(bearings: Bearings, photos: Photos, path: AbsorberPath, diameter_m
     slant = np.abs(away[:, 0]) / distance
     pulled = PULLED_SHARE * abs(float(np.median(wide)) - diameter_m) / distance
     one_sided = side * np.hypot(share * shared, pulled * slant / np.sqrt(np.mean(slant**2)))
-    own = single / np.sqrt(np.maximum(1.0, inside.sum(axis=1) / _ROWS_ALIKE))
+    own = single / np.sqrt(np.maximum(1.0, inside.sum(axis=1) / ROWS_ALIKE))
     sigma = np.hypot(own, _UNEVEN_SHARE * np.sqrt(alike) * shared)
     return _Directions(names // path.n, names % path.n, place, mean, sigma, one_sided)
 

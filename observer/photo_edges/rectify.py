@@ -73,6 +73,53 @@ def rectified_strip(
     return Strip(values, x_m, seen)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class PixelSamples:
+    """Pixels of a photo as they are, with the places on a surface at which their lines of sight meet it.
+
+    values_dn (r, k, n): Brightness of the pixels next to k lines in each row; NaN beyond the photo [DN].
+    x_m (r, k, n): Where their middles are seen, across the trough [m].
+    """
+
+    values_dn: Float32Array
+    x_m: Float32Array
+
+
+def pixel_samples(
+    image: AnyImage, view: View, surface: Quadric, x_m: FloatArray, y_m: FloatArray, *, rows_each: int = 1
+) -> PixelSamples:
+    """Take the pixels next to a grid on a surface: nothing is interpolated, only their places.
+
+    Shapes: image (height, width).
+    view: Its camera and ``cam_from_frame``.
+    surface: The surface in the frame.
+    x_m (n,): Ascending, equally spaced columns, about a pixel apart, two at least [m].
+    y_m (r,): Ascending, equally spaced rows, two at least [m].
+    rows_each: Lines of sight along each row's width.
+    """
+    inner = float(y_m[1] - y_m[0]) * ((np.arange(rows_each) + 0.5) / rows_each - 0.5)
+    fine_y = (y_m[:, None] + inner).reshape(-1)
+    lattice = _lattice(view, surface, x_m, fine_y)
+    pixels = _spread(lattice, fine_y.size, x_m.size)
+    nearest = np.rint(pixels)
+    off = nearest - pixels
+    # Over half a pixel the map is as steep as over the whole strip within a thousandth of it.
+    steps = (x_m.size - 1) * float(x_m[1] - x_m[0]), float(fine_y[-1] - fine_y[0])
+    across = (pixels[:, -1:] - pixels[:, :1]) / steps[0]
+    along = (pixels[-1:] - pixels[:1]) / steps[1]
+    turn = across[..., 0] * along[..., 1] - across[..., 1] * along[..., 0]
+    beside = (off[..., 0] * along[..., 1] - off[..., 1] * along[..., 0]) / turn
+    height, width = image.shape
+    column, row = (nearest[..., k].astype(np.intp) for k in (0, 1))
+    inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
+    values = image[np.clip(row, 0, height - 1), np.clip(column, 0, width - 1)]
+    shape = (y_m.size, rows_each, x_m.size)
+    return PixelSamples(
+        np.where(inside, values, np.nan).astype(np.float32).reshape(shape),
+        (x_m + beside).astype(np.float32).reshape(shape),
+    )
+
+
 def _averaged(lines: npt.NDArray[Any]) -> Float32Array:
     """Return the means of the lines of each row, shape (r, k, n) to (r, n); slice by slice, faster than a reduction."""
     total = lines[:, 0].astype(np.float32)

@@ -16,8 +16,8 @@ import numpy as np
 from heliogauge.geometry.surfaces import Quadric, quadric
 from heliogauge.validate import BoolArray, FloatArray, IntArray
 from observer.photo_edges.edges import Edges, find_edges
-from observer.photo_edges.rectify import Strip, rectified_strip
-from observer.photo_edges.silhouette import level_edges
+from observer.photo_edges.rectify import Strip, pixel_samples, rectified_strip
+from observer.photo_edges.tube_in_glass import BEYOND_PX, Sighting, find_in_glass
 from observer.photo_edges.views import Shot
 from observer.trough.expectation import Expectation
 from observer.trough.glass import turned_rad
@@ -28,6 +28,8 @@ SEARCH_M = 0.06
 #: By what share the silhouette's width may differ from the tube's. The glass is wider by 60 %, blur of a tube of 7 px
 #: changes the width by 3 %.
 _WIDTH_SHARE = 0.12
+#: Rows of one photo share their error of pixel grid and background: so many count as one.
+ROWS_ALIKE = 3
 #: Samples across the tube for each pixel.
 _OVERSAMPLING = 2
 #: A silhouette that lies further from those of the rows around it is another thing's: pixels, and what a tube that
@@ -47,9 +49,6 @@ _WIDER_PX, PULLED_SHARE = 0.15, 0.25
 #: Glass turns what passes it close to the metal by up to this: where the reflection is as near to the tube in the
 #: image, it shows up beside the tube [rad].
 PRISM_RAD = 0.06
-#: What passes the inner rim of the glass is turned by up to this: until then the reflection makes the background in the
-#: glass darker on one side [rad].
-_LARGEST_PRISM_RAD = 0.35
 #: So far beside a support it is seen in the mirror behind the tube and moves its edges: from 15 m by 90 urad, which is
 #: 2.6 mm in height, up to 0.1 m beside the last support of an LS-2, by 20 urad up to 0.2 m, by nothing beyond [m].
 _SUPPORT_MARGIN_M = 0.25
@@ -111,7 +110,7 @@ def tube_bearings(shots: Sequence[Shot], expected: Expectation) -> list[Bearings
     lookouts = [_lookout(one, expected) for one in shots]
     seen = [one for one in lookouts if one is not None]
     strips = [_strip(one, plane, expected) for one in seen]
-    bearings = iter(_bearings(seen, strips, expected))
+    bearings = iter(_bearings(seen, strips, plane, expected))
     return [_nothing() if one is None else next(bearings) for one in lookouts]
 
 
@@ -160,7 +159,9 @@ def _strip(seen: _Lookout, plane: Quadric, expected: Expectation) -> Strip:
     return rectified_strip(seen.shot.image, seen.shot.view, plane, x, y_m, rows_each=rows_each)
 
 
-def _bearings(seen: Sequence[_Lookout], strips: Sequence[Strip], expected: Expectation) -> list[Bearings]:
+def _bearings(
+    seen: Sequence[_Lookout], strips: Sequence[Strip], plane: Quadric, expected: Expectation
+) -> list[Bearings]:
     """Pair the edges that are the tube's, and say under what angle its axis is seen; those of all photos together."""
     if not seen:
         return []
@@ -179,18 +180,16 @@ def _bearings(seen: Sequence[_Lookout], strips: Sequence[Strip], expected: Expec
     first, second, angle = first[chosen], second[chosen], middle[chosen]
     which, row = which[first], found.row[first]
     height, distance, y = heights[which], distances[which], expected.y_m[row]
-    sigmas = [found.sigma_x_m[k] * np.cos(angles[k]) ** 2 / height for k in (first, second)]
+    sigma = 0.5 * np.hypot(*(found.sigma_x_m[k] * np.cos(angles[k]) ** 2 / height for k in (first, second)))
+    wide = 2 * height / np.cos(angle) * np.sin(0.5 * (angles[second] - angles[first]))
     shared, ends = np.empty(len(seen)), np.searchsorted(which, np.arange(len(seen) + 1))
-    for k, (one, strip) in enumerate(zip(seen, strips, strict=True)):
+    for k, one in enumerate(seen):
         own = slice(ends[k], ends[k + 1])
-        if collector.glass is not None and one.to_reflection_rad < _LARGEST_PRISM_RAD:
-            left, right = found.x_m[first[own]], found.x_m[second[own]]
-            glass = collector.glass.outer_diameter_m / collector.absorber_diameter_m
-            sides = level_edges(strip, row[own], 0.5 * (left + right), 0.5 * (right - left), glass, _OVERSAMPLING)
-            angle[own] = 0.5 * np.sum([np.arctan2(side - one.eye_m[0], one.height_m) for side in sides], axis=0)
+        if collector.glass is not None:
+            glass = _in_glass(one, plane, expected, row[own], angle[own])
+            angle[own], sigma[own], wide[own] = glass
         turned = 2 * turned_rad(collector, 1 + _NEAR_PX * one.distance_m * one.pixel_rad / radius)
         shared[k] = _SHARED_PX * one.pixel_rad * max(1.0, turned / one.to_reflection_rad) ** _NEAR_POWER
-    wide = 2 * height / np.cos(angle) * np.sin(0.5 * (angles[second] - angles[first]))
     # Something dark in the glass beside one edge makes the tube look wider, and moves the bisector by half of that.
     too_wide = np.abs(wide - 2 * radius) - _WIDER_PX * distance * pixels_rad[which]
     pulled = PULLED_SHARE * np.maximum(too_wide, 0) / distance
@@ -200,7 +199,7 @@ def _bearings(seen: Sequence[_Lookout], strips: Sequence[Strip], expected: Expec
         photo,
         y,
         angle,
-        0.5 * np.hypot(*sigmas),
+        sigma,
         wide,
         np.hypot(shared[which], pulled),
         distance * pixels_rad[which],
@@ -208,6 +207,30 @@ def _bearings(seen: Sequence[_Lookout], strips: Sequence[Strip], expected: Expec
     )
     kept = np.isfinite(angle) & ~beside_support(y, collector.support_y_m, collector.support_width_m)
     return [bearings.chosen(np.flatnonzero(kept & (which == k))) for k in range(len(seen))]
+
+
+def _in_glass(
+    seen: _Lookout, plane: Quadric, expected: Expectation, row: IntArray, angle_rad: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return angle and sigma of the axis of a tube in glass [rad], and how thick the tube looks [m], of each row.
+
+    Standard deviations are those whose mean over a group, `ROWS_ALIKE` rows counted as one, is the group's.
+    """
+    collector, y_m = expected.collector, expected.y_m
+    pixel_m, slant = seen.distance_m * seen.pixel_rad, seen.distance_m / seen.height_m
+    if collector.glass is None or row.size == 0:
+        return angle_rad, np.zeros(row.size), np.zeros(row.size)
+    middle = float(np.mean(expected.absorber.x_m))
+    reach = SEARCH_M + (collector.glass.outer_diameter_m / 2 + (BEYOND_PX + 1) * pixel_m) * slant
+    x = np.arange(middle - reach, middle + reach, pixel_m * slant)
+    rows_each = max(1, round(float(y_m[1] - y_m[0]) / pixel_m))
+    samples = pixel_samples(seen.shot.image, seen.shot.view, plane, x, y_m, rows_each=rows_each)
+    axis = middle, float(np.mean(expected.absorber.z_m))
+    eye = seen.eye_m
+    sighting = Sighting(float(eye[0]), seen.height_m, seen.distance_m, pixel_m, axis, float(eye[2]))
+    found = find_in_glass(samples, row, y_m[row], angle_rad, sighting, collector)
+    each = found.sigma_rad * np.sqrt(np.maximum(found.rows / ROWS_ALIKE, 1.0))
+    return found.angle_rad, each, 2 * found.radius_m
 
 
 def _angle_to_reflection(eye_m: FloatArray, expected: Expectation) -> float:

@@ -9,6 +9,7 @@ from data_synth.optics.surface_errors import Polynomial, Ripple, SurfaceErrors
 from data_synth.troughs.mirror import Rays, TroughMirror
 from data_synth.troughs.receiver import Receiver, ReceiverTable, TubeAxis
 from data_synth.troughs.scene import world_of
+from data_synth.troughs.surroundings import Sky, Surroundings
 from data_synth.troughs.trace import Finish, Tracer
 from heliogauge.geometry.rays import reflect
 from heliogauge.validate import FloatArray
@@ -191,3 +192,113 @@ def test_refraction_moves_a_displaced_absorber_by_less_than_a_tenth_of_a_millime
         assert abs(sum(edges)) / 2 < 1e-4
         assert abs(sum(edges)) / 2 > 5e-6
         assert edges[1] - edges[0] == pytest.approx(0.07, abs=2e-4)
+
+
+def fresnel(cos_in: float, before: float, behind: float) -> float:
+    """Reflectance of unpolarised light by Fresnel's amplitudes; 1 beyond total reflection."""
+    sine = before / behind * np.sqrt(max(1 - cos_in**2, 0))
+    if sine >= 1:
+        return 1.0
+    cos_out = np.sqrt(1 - sine**2)
+    across = (before * cos_in - behind * cos_out) / (before * cos_in + behind * cos_out)
+    along = (behind * cos_in - before * cos_out) / (behind * cos_in + before * cos_out)
+    return float(across**2 + along**2) / 2
+
+
+def split_at_faces(
+    point: FloatArray, ray: FloatArray, share: float, bounces: int, absorber: tuple[float, float], design: Collector
+) -> list[tuple[float, FloatArray | None]]:
+    """Follow a ray in space, split in two at each face; share of each end and its direction, None on the absorber."""
+    assert design.glass is not None
+    outer, inner = design.glass.outer_diameter_m / 2, design.glass.inner_diameter_m / 2
+    nearest: tuple[float, str] = (np.inf, "")
+    for name, radius, (x, z) in (
+        ("outer", outer, (0.0, 0.0)),
+        ("inner", inner, (0.0, 0.0)),
+        ("metal", design.absorber_diameter_m / 2, absorber),
+    ):
+        from_x, from_z = point[0] - x, point[2] - z
+        a, b = ray[0] ** 2 + ray[2] ** 2, from_x * ray[0] + from_z * ray[2]
+        root = b * b - a * (from_x**2 + from_z**2 - radius**2)
+        if root <= 0:
+            continue
+        for length in ((-b - np.sqrt(root)) / a, (-b + np.sqrt(root)) / a):
+            if length > 1e-9 and length < nearest[0]:
+                nearest = (length, name)
+    length, name = nearest
+    if not name:
+        return [(share, ray)]
+    if name == "metal":
+        return [(share, None)]
+    met = point + length * ray
+    normal = np.array([met[0], 0.0, met[2]]) / np.hypot(met[0], met[2])
+    inwards = ray @ normal < 0
+    before, behind = (1.0, design.glass.index) if inwards == (name == "outer") else (design.glass.index, 1.0)
+    lost = fresnel(abs(float(ray @ normal)), before, behind)
+    found = []
+    if lost < 1:
+        found += split_at_faces(
+            met, refract(ray, normal, before, behind), share * (1 - lost), bounces, absorber, design
+        )
+    if bounces < 2 or lost == 1:
+        back = ray - 2 * (ray @ normal) * normal
+        found += split_at_faces(met, back, share * lost, bounces + (lost < 1), absorber, design)
+    return found
+
+
+@pytest.mark.parametrize("absorber", [(0.0, 0.0), (4e-3, -3e-3)])
+@pytest.mark.parametrize("along", [0.0, 0.5])
+def test_glass_shares_light_as_rays_split_at_each_face(absorber: tuple[float, float], along: float) -> None:
+    design = ls2()
+    table = ReceiverTable(Receiver(design, TubeAxis.straight(*absorber), TubeAxis.straight()), np.float64)
+    turn = 0.3
+    down, right = np.array([np.sin(turn), along, -np.cos(turn)]), np.array([np.cos(turn), 0.0, np.sin(turn)])
+    seen_far = 0
+    for aim in np.linspace(-0.055, 0.055, 44):
+        start = aim * right - 3 * down
+        rays = rays_between((start + (0, 0, FOCAL))[None], (start + down + (0, 0, FOCAL))[None])
+        passage = table.approach(rays)
+        inside = table.enter(passage)
+        if abs(abs(inside.offset[0]) - 1) < 0.02:
+            continue
+        ends = split_at_faces(start, down / np.linalg.norm(down), 1.0, 0, absorber, design)
+        ways = [(inside.passed[0], inside.turned[0], inside.on_absorber[0])]
+        ways += [(one.share[0], one.turned[0], one.on_absorber[0]) for one in inside.thrown_back]
+        seen_far += len(ends) > 8
+        missed = 1.0
+        for share, turned, is_absorber in ways:
+            if share < 1e-9:
+                continue
+            out = table.leave(passage, np.array([turned]), rays)
+            way = np.array([out.dx[0], out.dy[0], out.dz[0]]) / np.linalg.norm(down)
+            alike = [
+                k
+                for k, (_, end) in enumerate(ends)
+                if ((end is None) if is_absorber else (end is not None and np.abs(end - way).max() < 1e-9))
+            ]
+            # Several ends are on the absorber: the one with this share is meant.
+            best = min(alike, key=lambda k: abs(ends[k][0] - share))
+            assert ends[best][0] == pytest.approx(share, rel=1e-9)
+            missed -= ends.pop(best)[0]
+        # Six pairs of faces reflect twice, each the product of two reflectances.
+        if abs(aim) < 0.048:
+            assert 0 <= missed < 7 * inside.thrown_back[0].share[0] ** 2
+    assert seen_far > 10
+
+
+def test_light_beside_the_metal_is_the_background_through_two_walls() -> None:
+    # An even sky everywhere: glass takes nothing from it but what it shows of the metal.
+    design = ls2()
+    sky = Surroundings(Sky(zenith=1.0, horizon=1.0, aureole=0.0, sun_elevation_deg=-80.0))
+    finish = replace(BLACK, reflectance=1.0)
+    receiver = Receiver(design, TubeAxis.straight(), has_arms=False)
+    tracer = Tracer(world_of(TroughMirror(design), receiver, sky, finish), np.float64)
+    # Seen under 30 degrees they pass the axis at 0, 39 and 45 mm.
+    x = np.array([0.0, 0.045, 0.052])
+    eyes = np.stack([x + 7.0, np.full(3, 1.2), np.full(3, FOCAL + 12.0)], axis=1)
+    points = np.stack([x, np.full(3, 1.2), np.full(3, FOCAL)], axis=1)
+    light = tracer.look(rays_between(eyes, points)).light
+    # On the metal both faces of the near wall at normal incidence.
+    lost = (0.47 / 2.47) ** 2
+    assert light[0] == pytest.approx(lost + (1 - lost) ** 2 * lost, abs=1e-3)
+    assert light[1:] == pytest.approx(1.0, abs=0.02)

@@ -1,0 +1,342 @@
+"""The tube behind glass: where the metal's axis is, by the light that glass and metal send.
+
+Beside the metal one looks through two walls of glass. Across the tube a photo shows, beside each other: what is behind
+it, beyond the glass; the same through four faces, less what Fresnel's formulas say they reflect; what the faces throw
+back, which differs from side to side and is not known; the tube's own reflection, which the glass, a prism there,
+turns into view on one side; and the metal, on which the near wall shows its surroundings. Of this only the metal's
+edges stand where the axis says. Levels of brightness beside them, or the steepest place, put a tube of 8 pixels
+0.03 to 0.08 px aside, all photos to the same height: 2.4 mm in path-traced photos.
+
+Here the whole profile is compared with what it consists of, each part with the amplitude that it may have (linear
+unknowns with priors, relative to what is seen beyond the glass), blurred by the lens and the pixel, for a few rows
+together. The axis and the blur are what remains (variable projection, Gauss-Newton).
+
+Rays across a concentric tube keep their distance b from the axis (Bouguer), so that glass leaves the metal's edges
+where they are.
+"""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from heliogauge.validate import FloatArray, IntArray
+from observer.photo_edges.rectify import PixelSamples
+from observer.trough.collector import Collector, GlassTube
+
+#: Rows that are taken together.
+ROWS_TOGETHER = 16
+#: The profile is tabulated this finely [m], as far beyond the glass as pixels can be used, and blur reaches.
+_STEP_M, _TABLE_M = 0.25e-3, 0.25
+#: Pixels beyond the glass that are used.
+BEYOND_PX = 3.0
+#: Pixels are put together in bins of so many to a pixel's width.
+_BINS_PER_PX = 3
+#: Brightness of the metal, relative to what is beyond the glass: its mean is free; how it changes over the tube's half
+#: width (Legendre polynomials of the degrees 1 to 4) has this standard deviation. Faces reflect 0.07 of what is around.
+_METAL_DEGREE, _METAL_SIGMA = 4, 0.12
+#: What is behind the tube changes by this in 20 mm, as a slope and as a bend.
+_SLOPE_SIGMA, _BEND_SIGMA, _SCALE_M = 0.1, 0.05, 0.02
+#: What both walls throw back beside the metal, mean and standard deviation: 0.17 of what is around, dark or bright.
+_THROWN_MEAN, _THROWN_SIGMA = 0.05, 0.07
+#: Light that leaves the wall of the glass beyond its inner face comes from the side.
+_WALL_MEAN, _WALL_SIGMA = 0.7, 0.3
+#: The tube's reflection in the prism: how dark, and the slope errors of the mirror that displace it [rad].
+_DARK_MEAN, _DARK_SIGMA, _SLOPES_RAD = 0.9, 0.3, 3e-3
+#: What the glass around the reflection takes off.
+_RING = 0.12
+#: How far the glass is beside the metal, and how much thicker or thinner the metal may be [m].
+_GLASS_OFF_M, _RADIUS_SIGMA_M = 4e-3, 1e-3
+#: Blur of the lens, start and prior [px].
+_BLUR_PX, _BLUR_SIGMA_PX = 0.5, 0.2
+_LEAST_BLUR_PX, _MOST_BLUR_PX = 0.2, 3.0
+#: What a pixel may be off relative to the background, beside which amplitudes are held against their priors. What
+#: residuals say of it goes into standard deviations alone: noise does not make priors better.
+_NOISE = 0.02
+_ROUNDS = 6
+#: The axis is not further from where the edges put it [px].
+_FURTHEST_PX = 1.5
+
+
+class TubeInGlass(NamedTuple):
+    """Where the axis is seen, for each row.
+
+    angle_rad (m,): Angle across the trough; NaN where it was not found [rad].
+    sigma_rad (m,): Standard deviation of the group of rows that a row belongs to [rad].
+    radius_m (m,): Radius of the metal as its edges are apart [m].
+    rows (m,): How many rows the group has.
+    """
+
+    angle_rad: FloatArray
+    sigma_rad: FloatArray
+    radius_m: FloatArray
+    rows: IntArray
+
+
+class Sighting(NamedTuple):
+    """How a photo sees the tube.
+
+    eye_x_m, eye_z_m: The eye [m].
+    height_m: Its height over the plane of the samples [m].
+    distance_m: How far it is from the axis, across the tube [m].
+    pixel_m: What a pixel covers there [m].
+    axis_m: Where the axis is expected, x and z [m].
+    """
+
+    eye_x_m: float
+    height_m: float
+    distance_m: float
+    pixel_m: float
+    axis_m: tuple[float, float]
+    eye_z_m: float
+
+
+def find_in_glass(
+    samples: PixelSamples,
+    row: IntArray,
+    y_m: FloatArray,
+    angle_rad: FloatArray,
+    sighting: Sighting,
+    collector: Collector,
+) -> TubeInGlass:
+    """Find the axis of a tube behind glass.
+
+    Shapes: y_m (m,), angle_rad (m,).
+    samples: Pixels on a plane near the axis.
+    row (m,): Rows of the samples in which both edges were found, ascending.
+    y_m: Their places along the tube [m].
+    angle_rad: Under which angle the middle between the edges is seen [rad].
+    """
+    if row.size == 0:
+        return TubeInGlass(np.zeros(0), np.zeros(0), np.zeros(0), np.zeros(0, dtype=np.intp))
+    _, group = np.unique(row // ROWS_TOGETHER, return_inverse=True)
+    start = _straight(group, y_m, angle_rad)
+    profiles = _profiles(samples, row, group, start, sighting, collector)
+    fit = _fit(profiles, sighting, collector)
+    angle = start + (fit.middle_m / sighting.distance_m)[group]
+    good = np.abs(fit.middle_m) < _FURTHEST_PX * sighting.pixel_m
+    return TubeInGlass(
+        np.where(good[group], angle, np.nan),
+        (fit.sigma_m / sighting.distance_m)[group],
+        (collector.absorber_diameter_m / 2 + fit.wider_m)[group],
+        np.bincount(group)[group],
+    )
+
+
+def _straight(group: IntArray, y_m: FloatArray, angle_rad: FloatArray) -> FloatArray:
+    """Return the angles of a line through the mean of each group that leans as the means beside it say."""
+    count = np.bincount(group)
+    y, mean = (np.bincount(group, values) / count for values in (y_m, angle_rad))
+    lean = np.gradient(mean, y) if count.size > 1 else np.zeros(1)
+    return np.asarray(mean[group] + lean[group] * (y_m - y[group]))
+
+
+class _Profiles(NamedTuple):
+    """Mean brightness over the distance from the expected axis, of g groups in k bins.
+
+    beside_m (g, k): Mean distance of the pixels [m].
+    light (g, k): Their mean brightness relative to that beyond the glass.
+    number (g, k): How many they are.
+    """
+
+    beside_m: FloatArray
+    light: FloatArray
+    number: FloatArray
+
+
+def _profiles(
+    samples: PixelSamples, row: IntArray, group: IntArray, start: FloatArray, sighting: Sighting, collector: Collector
+) -> _Profiles:
+    outer = _outer_radius(collector)
+    bin_m = sighting.pixel_m / _BINS_PER_PX
+    reach = int(np.ceil((outer + BEYOND_PX * sighting.pixel_m) / bin_m))
+    n, groups = 2 * reach + 1, int(group.max()) + 1
+    angle = np.arctan2(samples.x_m[row] - sighting.eye_x_m, sighting.height_m)
+    beside = sighting.distance_m * np.sin(angle - start[:, None, None])
+    place = np.rint(beside / bin_m).astype(np.intp) + reach
+    inside = (place >= 0) & (place < n) & np.isfinite(samples.values_dn[row])
+    key = (group[:, None, None] * n + place)[inside]
+    count, light, mean = (
+        np.bincount(key, weights, groups * n).reshape(groups, n)
+        for weights in (None, samples.values_dn[row][inside], beside[inside])
+    )
+    some = np.maximum(count, 1)
+    middles = bin_m * np.arange(-reach, reach + 1)
+    beyond = np.abs(middles) > outer + 0.5 * sighting.pixel_m
+    level = light[:, beyond].sum(axis=1) / np.maximum(count[:, beyond].sum(axis=1), 1)
+    light = light / some / np.maximum(level, 1e-6)[:, None]
+    return _Profiles(np.where(count > 0, mean / some, middles), light, count.astype(np.float64))
+
+
+class _Fit(NamedTuple):
+    """Axis beside where it is expected, its standard deviation, how much wider the metal is, of each group [m]."""
+
+    middle_m: FloatArray
+    sigma_m: FloatArray
+    wider_m: FloatArray
+
+
+def _fit(profiles: _Profiles, sighting: Sighting, collector: Collector) -> _Fit:
+    parts = _Parts.of_view(sighting, collector)
+    groups = len(profiles.number)
+    middle, blur, scatter = np.zeros(groups), _BLUR_PX, 1.0
+    sigma = wider = middle
+    for _ in range(_ROUNDS):
+        table = parts.blurred(blur * sighting.pixel_m, sighting.pixel_m)
+        weight = profiles.number / _NOISE**2
+        place = (profiles.beside_m - middle[:, None] + _TABLE_M) / _STEP_M
+        basis = _interpolated(table, place)
+        weighted = basis * weight[:, None]
+        normal = weighted @ np.swapaxes(basis, 1, 2)
+        normal[:, np.arange(len(parts.mean)), np.arange(len(parts.mean))] += 1 / parts.sigma**2
+        left = profiles.light - np.einsum("p,gpk->gk", parts.mean, basis)
+        step = np.linalg.solve(normal, np.einsum("gpk,gk->gp", weighted, left)[..., None])[..., 0]
+        amplitude = parts.mean + step
+        residual = left - np.einsum("gpk,gp->gk", basis, step)
+        # How the profile changes with the axis and with the blur, less what amplitudes take of that.
+        widened = parts.blurred((blur + 0.05) * sighting.pixel_m, sighting.pixel_m)
+        changes = []
+        for change in (-np.gradient(table, _STEP_M, axis=1), (widened - table) / 0.05):
+            along = np.einsum("gpk,gp->gk", _interpolated(change, place), amplitude)
+            taken = np.linalg.solve(normal, np.einsum("gpk,gk->gp", weighted, along)[..., None])[..., 0]
+            changes.append((along, along - np.einsum("gpk,gp->gk", basis, taken)))
+        (moved, own), (spread, free) = changes
+        information = np.maximum(np.sum(weight * moved * own, axis=1), 1e-12)
+        most = 0.5 * sighting.pixel_m
+        middle = middle + np.clip(np.sum(weight * moved * residual, axis=1) / information, -most, most)
+        prior = (scatter / _BLUR_SIGMA_PX) ** 2
+        wanted = np.sum(weight * spread * residual) + (_BLUR_PX - blur) * prior
+        known = np.sum(weight * spread * free) + prior
+        blur = float(np.clip(blur + np.clip(wanted / known, -0.2, 0.2), _LEAST_BLUR_PX, _MOST_BLUR_PX))
+        used = np.count_nonzero(profiles.number) - 0.5 * groups * len(parts.mean)
+        scatter = max(1.0, float(np.sqrt(np.sum(weight * residual**2) / max(used, 1.0))))
+        sigma, wider = scatter / np.sqrt(information), amplitude[:, -1] * _RADIUS_SIGMA_M
+    return _Fit(middle, sigma, wider)
+
+
+def _interpolated(table: FloatArray, place: FloatArray) -> FloatArray:
+    """Return columns of a table (p, n) at places (g, k) between them, shape (g, p, k)."""
+    before = np.clip(place.astype(np.intp), 0, table.shape[1] - 2)
+    share = place - before
+    low, high = table[:, before], table[:, before + 1]
+    return np.ascontiguousarray(np.swapaxes(low + share * (high - low), 0, 1))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Parts:
+    """What a profile consists of, before blur.
+
+    table (p, n): Brightness of each part over the distance from the axis, from -_TABLE_M on in steps of _STEP_M.
+    mean, sigma (p,): Prior of the amplitudes.
+    """
+
+    table: FloatArray
+    mean: FloatArray
+    sigma: FloatArray
+
+    @classmethod
+    def of_view(cls, sighting: Sighting, collector: Collector) -> "_Parts":
+        assert collector.glass is not None
+        radius, outer = collector.absorber_diameter_m / 2, collector.glass.outer_diameter_m / 2
+        inner = collector.glass.inner_diameter_m / 2
+        beside = np.arange(-_TABLE_M, _TABLE_M + _STEP_M / 2, _STEP_M)
+        far = np.abs(beside)
+        metal, within = _up_to(far, radius), _up_to(far, inner) - _up_to(far, radius)
+        wall, beyond = _up_to(far, outer) - _up_to(far, inner), 1 - _up_to(far, outer)
+        light = through_glass(collector.glass, beside)
+        clear = beyond + within * light.passed
+        parts: list[tuple[FloatArray, float, float]] = []
+        shapes = np.polynomial.legendre.legvander(np.clip(beside / radius, -1, 1), _METAL_DEGREE).T
+        parts += [(metal * one, 0.25 * (k == 0), _METAL_SIGMA if k else 1.0) for k, one in enumerate(shapes)]
+        scaled, across = (far - radius) / _SCALE_M, (far - radius) / (inner - radius)
+        miss = _miss_of_reflection(sighting, collector, beside, light.turned_rad)
+        moved = 2 * collector.focal_length_m * _SLOPES_RAD
+        dark, less, more = (
+            within * light.passed * _darkness(miss + way * moved, radius, outer) for way in (0.0, -1.0, 1.0)
+        )
+        for side in ((beside < 0) * 1.0, (beside >= 0) * 1.0):
+            parts += [(side * clear, 1.0, 1.0), (side * clear * scaled, 0.0, _SLOPE_SIGMA)]
+            parts += [(side * clear * scaled**2, 0.0, _BEND_SIGMA), (side * within, _THROWN_MEAN, _THROWN_SIGMA)]
+            parts += [(side * within * across, 0.0, _THROWN_SIGMA), (side * wall, _WALL_MEAN, _WALL_SIGMA)]
+            parts += [(-side * dark, _DARK_MEAN, _DARK_SIGMA), (side * (less - more) / 2, 0.0, 1.0)]
+        # The glass beside the metal moves its own edges; a metal that is wider moves both of its edges outwards.
+        rim = -np.gradient(clear + wall * _WALL_MEAN, _STEP_M) * (far > (radius + inner) / 2)
+        parts.append((rim * _GLASS_OFF_M, 0.0, 1.0))
+        edge = np.gradient(metal, _STEP_M) * np.sign(beside)
+        step = float(np.interp(radius, beside, light.passed)) + _THROWN_MEAN - 0.25
+        parts.append((edge * step * _RADIUS_SIGMA_M, 0.0, 1.0))
+        return cls(np.array([one for one, _, _ in parts]), *np.array([[m, s] for _, m, s in parts]).T)
+
+    def blurred(self, sigma_m: float, pixel_m: float) -> FloatArray:
+        """Return the parts as a lens and a pixel show them, shape (p, n)."""
+        frequency = np.fft.rfftfreq(self.table.shape[1], _STEP_M)
+        passed = np.exp(-2 * (np.pi * frequency * sigma_m) ** 2) * np.sinc(frequency * pixel_m)
+        return np.asarray(np.fft.irfft(np.fft.rfft(self.table, axis=1) * passed, self.table.shape[1], axis=1))
+
+
+class GlassLight(NamedTuple):
+    """What glass does to lines of sight that pass its axis at a distance.
+
+    passed (n,): Share of light that passes all four faces.
+    turned_rad (n,): Angle by which the line is turned, towards the side on which it passes [rad].
+    """
+
+    passed: FloatArray
+    turned_rad: FloatArray
+
+
+def through_glass(glass: GlassTube, beside_m: FloatArray) -> GlassLight:
+    """Return what two walls of glass do to lines of sight across them, by the laws of Snell and Fresnel.
+
+    Shapes: beside_m (n,), result (n,).
+
+    Beyond the inner face no light passes.
+    """
+    passed, turned = np.ones(beside_m.shape), np.zeros(beside_m.shape)
+    for radius, way in ((glass.outer_diameter_m / 2, -1.0), (glass.inner_diameter_m / 2, 1.0)):
+        sine = np.clip(beside_m / radius, -1, 1)
+        before, behind = np.sqrt(1 - sine**2), np.sqrt(glass.index**2 - sine**2)
+        across = (before - behind) / (before + behind)
+        along = (glass.index**2 * before - behind) / (glass.index**2 * before + behind)
+        passed *= (1 - 0.5 * (across**2 + along**2)) ** 2
+        turned += 2 * way * (np.arcsin(sine) - np.arcsin(sine / glass.index))
+    return GlassLight(np.where(np.abs(beside_m) < glass.inner_diameter_m / 2, passed, 0.0), turned)
+
+
+def _up_to(far_m: FloatArray, limit_m: float) -> FloatArray:
+    """Return 1 up to a distance and 0 beyond, a step of the table that the limit parts its share."""
+    return np.clip((limit_m - far_m) / _STEP_M + 0.5, 0, 1)
+
+
+def _darkness(miss_m: FloatArray, radius_m: float, outer_m: float) -> FloatArray:
+    """Return what the tube takes off light that passes it at a distance, or ends on it."""
+    far = np.abs(miss_m)
+    return np.where(far < radius_m, 1.0, np.where(far < outer_m, _RING, 0.0))
+
+
+def _miss_of_reflection(
+    sighting: Sighting, collector: Collector, beside_m: FloatArray, turned_rad: FloatArray
+) -> FloatArray:
+    """Return how far from the axis lines of sight pass after the mirror behind the tube; infinite beside the mirror."""
+    axis_x, axis_z = sighting.axis_m
+    down = np.array([axis_x - sighting.eye_x_m, axis_z - sighting.eye_z_m])
+    to_x, to_z = down / np.hypot(*down)
+    # Towards larger x, where lines that pass the axis there are turned to.
+    way_x = to_x * np.cos(turned_rad) - to_z * np.sin(turned_rad)
+    way_z = to_z * np.cos(turned_rad) + to_x * np.sin(turned_rad)
+    from_x, from_z = axis_x - beside_m * way_z, axis_z + beside_m * way_x
+    four_f = 4 * collector.focal_length_m
+    square, linear = way_x**2 / four_f, 2 * from_x * way_x / four_f - way_z
+    rest = from_x**2 / four_f - from_z
+    root = np.sqrt(np.maximum(linear**2 - 4 * square * rest, 0.0))
+    length = -2 * rest / (linear + root)
+    x, z = from_x + length * way_x, from_z + length * way_z
+    slope = 2 * x / four_f
+    against = 2 * (way_z - slope * way_x) / (1 + slope**2)
+    back_x, back_z = way_x + against * slope, way_z - against
+    miss = ((x - axis_x) * back_z - (z - axis_z) * back_x) / np.hypot(back_x, back_z)
+    return np.where((np.abs(x) < collector.aperture_width_m / 2) & (linear > 0), miss, np.inf)
+
+
+def _outer_radius(collector: Collector) -> float:
+    return collector.absorber_diameter_m / 2 if collector.glass is None else collector.glass.outer_diameter_m / 2
