@@ -20,6 +20,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from heliogauge.errors import InputError
 from heliogauge.validate import FloatArray, IntArray
 from observer.photo_edges.rectify import PixelSamples
 from observer.trough.collector import Collector, GlassTube
@@ -236,14 +237,15 @@ class _Parts:
 
     @classmethod
     def of_view(cls, sighting: Sighting, collector: Collector) -> "_Parts":
-        assert collector.glass is not None
-        radius, outer = collector.absorber_diameter_m / 2, collector.glass.outer_diameter_m / 2
-        inner = collector.glass.inner_diameter_m / 2
+        glass = collector.glass
+        if glass is None:
+            raise InputError("a tube in glass is looked for where the collector has none; give it a glass")
+        radius, outer, inner = collector.absorber_diameter_m / 2, glass.outer_diameter_m / 2, glass.inner_diameter_m / 2
         beside = np.arange(-_TABLE_M, _TABLE_M + _STEP_M / 2, _STEP_M)
         far = np.abs(beside)
         metal, within = _up_to(far, radius), _up_to(far, inner) - _up_to(far, radius)
         wall, beyond = _up_to(far, outer) - _up_to(far, inner), 1 - _up_to(far, outer)
-        light = through_glass(collector.glass, beside)
+        light = through_glass(glass, beside)
         clear = beyond + within * light.passed
         parts: list[tuple[FloatArray, float, float]] = []
         shapes = np.polynomial.legendre.legvander(np.clip(beside / radius, -1, 1), _METAL_DEGREE).T
