@@ -6,6 +6,8 @@ edge that a shadow beside it has pulled away contradicts its neighbours along it
 sign, although by little in each.
 """
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 
@@ -41,30 +43,52 @@ def confirmed_edges(
     before, share = nodes_of(grid, lines.x_m)
     nearest = before + (share > 0.5)
     kept = np.ones(side.size, dtype=bool)
-    agrees = np.zeros((grid.n_rows, grid.x_m.size), dtype=bool)
+    shape = (grid.n_rows, grid.x_m.size)
+    agrees = np.zeros(shape, dtype=bool)
+    slope, variance = (np.zeros(shape), np.zeros(shape)), (np.full(shape, np.inf), np.full(shape, np.inf))
+    # Rows know nothing of each other: only those that have lost an edge are solved again.
+    fresh = np.ones(side.size, dtype=bool)
     for _ in range(_ROUNDS):
-        slope, variance = [], []
-        for way in (1.0, -1.0):
-            found = _one_side(lines.chosen(kept & (side == way)), grid, roughness)
-            slope.append(found[0])
-            variance.append(found[1])
+        for way, s, v in zip((1.0, -1.0), slope, variance, strict=True):
+            _update_one_side(lines, kept & (side == way), fresh & (side == way), (s, v), grid, roughness)
         known = (variance[0] < _SUPPORT_RAD**2) & (variance[1] < _SUPPORT_RAD**2)
         allowed = np.maximum(_CONTRADICT_TIMES * np.sqrt(variance[0] + variance[1]), _SMALLEST_RAD)
         agrees = known & (np.abs(slope[0] - slope[1]) < allowed)
         left = kept & agrees[lines.row, nearest]
         if np.array_equal(left, kept):
             break
+        fresh = kept & ~left
         kept = left
     return kept, np.asarray(agrees)
 
 
-def _one_side(lines: TouchingLines, grid: RowGrid, roughness: Roughness) -> tuple[FloatArray, FloatArray]:
-    """Return the slope across at all nodes from the edges of one side, and its variance, shape (r, nx) each."""
-    if lines.row.size == 0:
-        shape = (grid.n_rows, grid.x_m.size)
-        return np.zeros(shape), np.full(shape, np.inf)
-    found = solve_jointly(lines, grid, roughness, np.zeros((0, 0)), with_shares=None)
-    return found.slopes[..., 0], found.random[..., 0, 0]
+def _update_one_side(
+    lines: TouchingLines,
+    some: BoolArray,
+    changed: BoolArray,
+    found: tuple[FloatArray, FloatArray],
+    grid: RowGrid,
+    roughness: Roughness,
+) -> None:
+    """Find the slope across at all nodes from the edges of one side, and its variance, in rows that have changed.
+
+    some, changed (m,): Edges of this side, and those that have come or gone.
+    found: Slopes and variances so far, shape (r, nx) each; changed in place, infinite variance in rows without edges.
+    """
+    slope, variance = found
+    moved = np.bincount(lines.row[changed], minlength=grid.n_rows) > 0
+    has_edges = np.bincount(lines.row[some], minlength=grid.n_rows) > 0
+    variance[moved & ~has_edges] = np.inf
+    rows = np.flatnonzero(moved & has_edges)
+    if rows.size == 0:
+        return
+    number = np.full(grid.n_rows, -1)
+    number[rows] = np.arange(rows.size)
+    own = lines.chosen(some & (number[lines.row] >= 0))
+    own = replace(own, row=number[own.row])
+    fewer = RowGrid(grid.x_m, grid.joined, rows.size)
+    solved = solve_jointly(own, fewer, roughness, np.zeros((0, 0)), with_shares=None)
+    slope[rows], variance[rows] = solved.slopes[..., 0], solved.random[..., 0, 0]
 
 
 def pulled_curves(curve: IntArray, row: IntArray, normalised: FloatArray, n_rows: int) -> BoolArray:

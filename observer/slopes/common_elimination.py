@@ -19,7 +19,7 @@ from observer.slopes.banded_cholesky import BandedFactor
 from observer.slopes.row_spline import Roughness, RowGrid, RowSystem, TouchingLines, assemble
 
 if TYPE_CHECKING:
-    from scipy.sparse import csr_array
+    from scipy.sparse import csc_array, csr_array
 
 
 #: Entries of a table of some rows' lines against all unknowns: 16 MB, which the allocator hands out again.
@@ -85,11 +85,11 @@ class Reduction:
         return derivatives_of(self._lines, len(self._covariance))
 
     @cached_property
-    def _by_row(self) -> "list[tuple[csr_array, csr_array]]":
-        """Derivatives of each row's lines with respect to its slopes and to the common unknowns."""
+    def _by_row(self) -> "list[tuple[csr_array, csc_array]]":
+        """Derivatives of each row's lines with respect to its slopes, and those to the common unknowns, transposed."""
         by_slopes, size = self._rows.derivatives(), 2 * self._rows.grid.x_m.size
         return [
-            (by_slopes[first:last, size * i : size * (i + 1)], self._derivatives[first:last])
+            (by_slopes[first:last, size * i : size * (i + 1)], self._derivatives[first:last].T)
             for i, (first, last) in enumerate(pairwise(self._first))
         ]
 
@@ -152,11 +152,11 @@ class Reduction:
                 lines = by_slopes.shape[0]
                 own = -(by_slopes @ solved[i - first, :, :lines])
                 own.flat[:: lines + 1] += 1.0
-                projected[done : done + lines] = (by_common.T @ own).T
+                projected[done : done + lines] = (by_common @ own).T
                 done += lines
                 if columns.size:
                     chosen = solved[i - first, :, :lines].reshape(-1, 2, lines)[columns].reshape(-1, lines)
-                    carried[i] = (by_common.T @ chosen.T).T.reshape(columns.size, 2, count)
+                    carried[i] = (by_common @ chosen.T).T.reshape(columns.size, 2, count)
             normal += self._derivatives[some].T @ projected
         return normal, carried
 

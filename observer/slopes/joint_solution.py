@@ -183,17 +183,19 @@ def solve_jointly(
     rows = common_rows(lines, grid, count) if most_rows is None else sample_rows(lines, grid, most_rows)
     is_shown = with_shares is not None and with_shares is not False
     columns = share_columns(grid) if is_shown else None
-    own, fewer = _sampled(lines, grid, rows)
-    reduced = Reduction(own, fewer, covariance).under(prior, columns=columns)
-    common = reduced.common
+    reduced = None
+    if count or is_shown:
+        own, fewer = _sampled(lines, grid, rows)
+        reduced = Reduction(own, fewer, covariance).under(prior, columns=columns)
+    common = np.zeros(0) if reduced is None else reduced.common
     all_rows = assemble(lines, grid)
     system = all_rows.under(prior)
     moved = lines.misfit_rad + np.einsum("mc,mc->m", lines.d_common, common[lines.common_index])
     slopes = system.factor.solve(all_rows.right_sides(-moved / lines.sigma_rad)).reshape(grid.n_rows, -1, 2)
     random = _of_nodes(system.factor.inverse_blocks(), grid.x_m.size)
-    posterior = np.zeros((0, 0)) if with_shares is None else inverse_of(reduced.root)
+    posterior = np.zeros((0, 0)) if with_shares is None or reduced is None else inverse_of(reduced.root)
     nothing = np.zeros((0, rows.size, grid.x_m.size))
-    if columns is None:
+    if columns is None or reduced is None:
         return SlopeErrors(slopes, random, np.zeros_like(slopes), common, posterior, rows, nothing, nothing)
     apart = np.zeros(count, dtype=bool) if not isinstance(with_shares, np.ndarray) else ~with_shares
     beside = None if looks_like is None else looks_like(rows, columns)

@@ -2,6 +2,7 @@
 
 import base64
 import re
+from urllib.parse import unquote
 
 import cv2
 import numpy as np
@@ -10,7 +11,7 @@ import pytest
 from heliogauge.errors import InputError
 from heliogauge.view.contours import zero_lines
 from heliogauge.view.still_maps import correlation_still
-from heliogauge.view.stills import LegendEntry, Sheet, colors_of, fitted_sheet, time_ticks
+from heliogauge.view.stills import LegendEntry, Sheet, _quoted, colors_of, fitted_sheet, time_ticks
 
 
 def sheet() -> Sheet:
@@ -85,3 +86,11 @@ def test_ticks_of_time_are_round() -> None:
     places = [place for place, _ in time_ticks((start, start + 7200.0), 5)]
     assert np.diff(places).tolist() == [1800.0] * 4
     assert time_ticks((start, start + 4 * 86_400.0), 5)[0][1] == "2022-04-12"
+
+
+def test_an_address_holds_all_characters() -> None:
+    every = "".join(map(chr, range(0x250))) + "% %25 <svg a='é'> 5 µm ± ☀ %%"
+    address = _quoted(every)
+    assert address.isascii()
+    assert unquote(address) == every
+    assert not set(address) & set('"#<>&\\\n')

@@ -1,5 +1,7 @@
 """Edges of shadows among the tube's: one side alone, or both sides in contradiction, is not believed."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from observer.selection.shadows import confirmed_edges, pulled_curves
@@ -70,3 +72,22 @@ def test_a_curve_that_is_off_by_little_everywhere_is_refused_one_that_scatters_i
     assert pulled[(curve == 1) & (row < 15)].all()
     assert not pulled[curve != 1].any()
     assert not pulled_curves(curve[:0], row[:0], normalised[:0], 50).any()
+
+
+def test_a_row_keeps_what_it_keeps_alone() -> None:
+    """Rows that lose edges in different rounds, and one that loses all of a side: no row takes another's solution."""
+    rng = np.random.default_rng(2)
+    x = np.tile(np.arange(-0.95, 1.0, 0.05), 12)
+    row, side = np.repeat(np.tile(np.arange(6), 2), x.size // 12), np.repeat([1.0, -1.0], x.size // 2)
+    # Row by row more of one side is shifted by more: what it leaves alone falls out a round later.
+    shifted = (side > 0) & (np.abs(x - 0.1) < 0.18 * row)
+    error = rng.normal(0, 1e-4, x.size) + np.where(shifted, 1.5e-3 * row * (1 + x), 0.0)
+    lines = lines_of(x, row, error)
+    edges, nodes = confirmed_edges(lines, side, GRID, SMOOTH)
+    assert 0.2 < edges.mean() < 0.9
+    for number in range(6):
+        own = row == number
+        alone = replace(lines.chosen(own), row=np.zeros(np.count_nonzero(own), dtype=int))
+        kept, agreed = confirmed_edges(alone, side[own], replace(GRID, n_rows=1), SMOOTH)
+        np.testing.assert_array_equal(kept, edges[own])
+        np.testing.assert_array_equal(agreed[0], nodes[number])
