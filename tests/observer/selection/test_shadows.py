@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 
 from observer.selection.shadows import confirmed_edges, pulled_curves
-from observer.slopes.row_spline import Roughness, RowGrid, TouchingLines
+from observer.slopes.joint_solution import solve_jointly
+from observer.slopes.row_spline import Roughness, RowGrid, TouchingLines, nodes_of
 
 GRID = RowGrid(np.linspace(-1.0, 1.0, 80), np.ones(79, dtype=bool), 6)
 SMOOTH = Roughness(1e-4, along_rad=1e-4)
@@ -74,20 +75,31 @@ def test_a_curve_that_is_off_by_little_everywhere_is_refused_one_that_scatters_i
     assert not pulled_curves(curve[:0], row[:0], normalised[:0], 50).any()
 
 
-def test_a_row_keeps_what_it_keeps_alone() -> None:
-    """Rows that lose edges in different rounds, and one that loses all of a side: no row takes another's solution."""
+def test_rows_that_lost_edges_are_solved_again_and_no_others_need_it() -> None:
+    """Against solving all rows of both sides from all edges that are left, in each round."""
     rng = np.random.default_rng(2)
+    # Under it edges say little of places beside them.
+    rough = replace(SMOOTH, across=1.0)
     x = np.tile(np.arange(-0.95, 1.0, 0.05), 12)
     row, side = np.repeat(np.tile(np.arange(6), 2), x.size // 12), np.repeat([1.0, -1.0], x.size // 2)
     # Row by row more of one side is shifted by more: what it leaves alone falls out a round later.
     shifted = (side > 0) & (np.abs(x - 0.1) < 0.18 * row)
     error = rng.normal(0, 1e-4, x.size) + np.where(shifted, 1.5e-3 * row * (1 + x), 0.0)
     lines = lines_of(x, row, error)
-    edges, nodes = confirmed_edges(lines, side, GRID, SMOOTH)
-    assert 0.2 < edges.mean() < 0.9
-    for number in range(6):
-        own = row == number
-        alone = replace(lines.chosen(own), row=np.zeros(np.count_nonzero(own), dtype=int))
-        kept, agreed = confirmed_edges(alone, side[own], replace(GRID, n_rows=1), SMOOTH)
-        np.testing.assert_array_equal(kept, edges[own])
-        np.testing.assert_array_equal(agreed[0], nodes[number])
+    before, share = nodes_of(GRID, x)
+    nearest = before + (share > 0.5)
+    kept, left_in = np.ones(x.size, dtype=bool), []
+    for _ in range(4):
+        both = []
+        for way in (1.0, -1.0):
+            some = lines.chosen(kept & (side == way))
+            both.append(solve_jointly(some, GRID, rough, np.zeros((0, 0)), with_shares=None))
+        slope, variance = [one.slopes[..., 0] for one in both], [one.random[..., 0, 0] for one in both]
+        known = (variance[0] < 1e-6) & (variance[1] < 1e-6)
+        agrees = known & (np.abs(slope[0] - slope[1]) < np.maximum(4 * np.sqrt(variance[0] + variance[1]), 5e-4))
+        kept = kept & agrees[row, nearest]
+        left_in.append(np.count_nonzero(kept))
+    assert left_in[3] < left_in[2] < left_in[1] < left_in[0] < x.size
+    edges, nodes = confirmed_edges(lines, side, GRID, rough)
+    np.testing.assert_array_equal(edges, kept)
+    np.testing.assert_array_equal(nodes, agrees)
