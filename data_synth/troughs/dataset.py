@@ -139,14 +139,14 @@ def write_trough_dataset(
         rngs = np.random.default_rng(chosen.seed).spawn(len(scene.views))
 
         def shoot(view: TroughView, rng: np.random.Generator) -> None:
-            _write_photo(working / (view.name + suffix), photographer.take(view, rng), chosen.jpeg_quality)
+            write_photo(working / (view.name + suffix), photographer.take(view, rng), chosen.jpeg_quality)
 
         # Arrays of 16 000 rays leave the interpreter's lock often enough for two threads to take 0.55 of one's time.
         with progress.stage("take photos", len(rngs)) as stage, ThreadPoolExecutor(os.cpu_count() or 1) as pool:
             for _ in pool.map(shoot, scene.views, rngs):
                 stage.advance()
         with progress.stage("write truth"):
-            _write_knowledge(working, scene, suffix, chosen)
+            write_knowledge(working, scene, suffix, chosen)
             _write_truth(working, scene, photographer, suffix, chosen.seed)
 
 
@@ -376,7 +376,11 @@ def _gimbal_angles_deg(enu_from_cam: FloatArray) -> tuple[float, float, float]:
     return float(np.degrees(yaw)), float(np.degrees(pitch)), float(np.degrees(roll))
 
 
-def _write_knowledge(working: Path, scene: TroughScene, suffix: str, options: TroughOptions) -> None:
+def write_knowledge(working: Path, scene: TroughScene, suffix: str, options: TroughOptions) -> None:
+    """Write what whoever measures knows: measurement.toml and its tables.
+
+    suffix: How the photos' names end.
+    """
     content = observer_content(scene, suffix)
     if options.rtk_sigma_m is not None:
         _write_positions(working / POSITIONS_FILE, scene, suffix, options)
@@ -529,7 +533,8 @@ def _true_points(scene: TroughScene, seen: list[PhotoPoints], suffix: str) -> di
     }
 
 
-def _write_photo(path: Path, image: UnsignedArray, jpeg_quality: int | None) -> None:
+def write_photo(path: Path, image: UnsignedArray, jpeg_quality: int | None) -> None:
+    """Write a photo as JPEG, or without a quality as its name says."""
     if jpeg_quality is None:
         write_image(path, image)
         return
