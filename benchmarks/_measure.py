@@ -1,8 +1,11 @@
 """What the benchmarks share: tables of measured beside asked, processor time by stage, synthetic input in memory."""
 
 import os
+import subprocess
+import sys
 import tempfile
 import time
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -46,6 +49,27 @@ class StageClock(SilentProgress):
 
     def finished(self, stage: RunningStage, duration_s: float) -> None:
         self.cpu_s[stage.name] += time.process_time()
+
+
+@dataclass(frozen=True)
+class CommandCost:
+    """What a command took by the system's count: processor time [s], largest memory [MiB].
+
+    What its parent has taken so far is a floor of its memory.
+    """
+
+    cpu_s: float
+    mib: float
+
+
+def command_cost(*arguments: str) -> CommandCost:
+    """Run ``heliogauge`` as a process of its own, from its start to its end."""
+    process = subprocess.Popen([sys.executable, "-m", "heliogauge", *arguments], stdout=subprocess.DEVNULL)
+    _, status, used = os.wait4(process.pid, 0)
+    process.returncode = os.waitstatus_to_exitcode(status)
+    if process.returncode:
+        raise SystemExit(f"heliogauge {' '.join(arguments)}: status {process.returncode}")
+    return CommandCost(used.ru_utime + used.ru_stime, used.ru_maxrss / 1024)
 
 
 def evaluation_inputs(scene: FringeScene, knowledge: Knowledge, seed: int = 0) -> tuple[Setup, MirrorInput]:

@@ -16,34 +16,22 @@ import argparse
 import multiprocessing
 import os
 import shutil
-import subprocess
 import sys
 import tempfile
-import time
 import tomllib
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 import cv2
 import numpy as np
-from _measure import row, title
+from _measure import command_cost, row, title
 
 from data_synth.troughs import write_wide_field
 from heliogauge.measurement.writer import dump_toml
 
 ASKED_MIB = 1536
-
-
-@dataclass(frozen=True)
-class Cost:
-    """What a command took: processor time [s], largest memory [MiB], wall time [s]."""
-
-    cpu_s: float
-    mib: float
-    wall_s: float
 
 
 def first_modules(field: Path, folder: Path, modules: int) -> None:
@@ -60,17 +48,6 @@ def first_modules(field: Path, folder: Path, modules: int) -> None:
             os.link(photo, folder / photo.name)
 
 
-def measured(folder: Path, out: Path, jobs: int, report: bool) -> Cost:
-    """Run the command; processor time and memory are the system's, of this process alone."""
-    command = [sys.executable, "-m", "heliogauge", "measure", str(folder), "-o", str(out), "--jobs", str(jobs), "-q"]
-    begin = time.perf_counter()
-    process = subprocess.Popen(command + ([] if report else ["--no-report"]), stdout=subprocess.DEVNULL)
-    _, status, used = os.wait4(process.pid, 0)
-    if os.waitstatus_to_exitcode(status):
-        raise SystemExit(f"{' '.join(command)}: status {os.waitstatus_to_exitcode(status)}")
-    return Cost(used.ru_utime + used.ru_stime, used.ru_maxrss / 1024, time.perf_counter() - begin)
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("modules", type=int, nargs="*", default=[5, 10])
@@ -81,7 +58,7 @@ def main() -> None:
     chosen = parser.parse_args()
     cv2.setNumThreads(1)
     title(f"A field through heliogauge measure, {chosen.photos} photos of each module, {chosen.jobs} job(s)")
-    last = None
+    last, without = None, ["--no-report"] if chosen.no_report else []
     with tempfile.TemporaryDirectory(dir=chosen.scratch) as scratch:
         field = Path(scratch) / "field"
         # In a process of its own: what a process has taken is counted for those that it starts.
@@ -90,7 +67,7 @@ def main() -> None:
         for modules in sorted(chosen.modules):
             folder, out = Path(scratch) / f"first-{modules}", Path(scratch) / f"results-{modules}"
             first_modules(field, folder, modules)
-            cost = measured(folder, out, chosen.jobs, not chosen.no_report)
+            cost = command_cost("measure", str(folder), "-o", str(out), "--jobs", str(chosen.jobs), "-q", *without)
             solved = sum((out / f"module-{k:03}" / "slope_map.nc").exists() for k in range(modules))
             row(f"{modules} modules, {modules * chosen.photos} photos: measured", f"{solved}", f"{modules}", "")
             row("  CPU", f"{cost.cpu_s:.1f} s", "", "")

@@ -107,26 +107,28 @@ def _in_photo(results: TroughResults, name: str, points_m: FloatArray) -> FloatA
 def _edge_marks(results: TroughResults, name: str) -> tuple[PhotoMarks, ...]:
     """Return the edges of the reflection in a photo: both sides, and those that were not used."""
     edges = results.edges
-    own = edges.photo == results.photos.index(name)
-    points = np.stack([edges.x_m, edges.y_m, results.collector.surface.height(edges.x_m, edges.y_m)], axis=1)
+    own = np.flatnonzero(edges.photo == results.photos.index(name))
+    used, side = edges.used[own], edges.side[own]
     kinds = (
-        ("lower edges", edges.used & (edges.side < 0), _LOWER, False),
-        ("upper edges", edges.used & (edges.side > 0), _UPPER, False),
-        ("edges not used", ~edges.used, _REJECTED, True),
+        ("lower edges", used & (side < 0), _LOWER, False),
+        ("upper edges", used & (side > 0), _UPPER, False),
+        ("edges not used", ~used, _REJECTED, True),
     )
     marks = []
     for words, chosen, color, refused in kinds:
-        rows = np.flatnonzero(own & chosen)
+        rows = own[chosen]
         rows = rows[:: max(1, -(-rows.size // _MOST_EDGES))]
-        residuals = _MRAD * edges.residual_rad
+        x, y = edges.x_m[rows], edges.y_m[rows]
+        points = np.stack([x, y, results.collector.surface.height(x, y)], axis=1)
+        residuals = _MRAD * edges.residual_rad[rows]
         labels = [
             FATE_TEXTS[EdgeFate[str(edges.fate[row]).upper()]]
             if refused
-            else f"x {edges.x_m[row]:.2f} m, y {edges.y_m[row]:.2f} m: residual {residuals[row]:+.3f} mrad"
-            for row in rows
+            else f"x {edges.x_m[row]:.2f} m, y {edges.y_m[row]:.2f} m: residual {residual:+.3f} mrad"
+            for row, residual in zip(rows, residuals, strict=True)
         ]
         if rows.size:
-            marks.append(PhotoMarks(words, _in_photo(results, name, points[rows]), color, labels, refused=refused))
+            marks.append(PhotoMarks(words, _in_photo(results, name, points), color, labels, refused=refused))
     return tuple(marks)
 
 

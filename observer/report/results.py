@@ -28,6 +28,7 @@ class EdgeTable:
     sigma_x_m (m,): Standard deviation of the position [m].
     residual_rad (m,): What remains of the angle [rad].
     fate (m,): `EdgeFate.code` of each.
+    used (m,): Those that the result rests on.
     """
 
     photo: IntArray
@@ -37,11 +38,7 @@ class EdgeTable:
     sigma_x_m: FloatArray
     residual_rad: FloatArray
     fate: npt.NDArray[np.str_]
-
-    @property
-    def used(self) -> BoolArray:
-        """Those that the result rests on."""
-        return np.asarray(self.fate == EdgeFate.USED.code)
+    used: BoolArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -126,7 +123,8 @@ def _read_edges(path: Path, photos: tuple[str, ...]) -> EdgeTable:
         numbers(columns, name) for name in ("x_m", "y_m", "side", "sigma_x_m", "residual_rad")
     )
     photo = np.array([place[name] for name in columns["image"]], dtype=np.intp)
-    return EdgeTable(photo, x, y, side, sigma, residual, np.array(columns["fate"], dtype=np.str_))
+    fate = np.array(columns["fate"], dtype=np.str_)
+    return EdgeTable(photo, x, y, side, sigma, residual, fate, np.asarray(fate == EdgeFate.USED.code))
 
 
 def numbers(columns: Columns, name: str) -> FloatArray:
