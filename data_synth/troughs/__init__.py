@@ -10,6 +10,6 @@ if TYPE_CHECKING:
     from data_synth.troughs.dataset import write_trough_dataset as write_trough_dataset
     from data_synth.troughs.presets import TroughChoice as TroughChoice
     from data_synth.troughs.presets import trough_scene as trough_scene
-    from data_synth.troughs.wide_field import write_wide_field as write_wide_field
+    from data_synth.troughs.wide_field.dataset import write_wide_field as write_wide_field
 
 __getattr__, __dir__, __all__ = lazy_face(__name__)

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from data_synth.troughs.photo import Photographer
-from data_synth.troughs.wide_field import MOST_MODULES, RepeatedPass, module_scenes, write_wide_field
+from data_synth.troughs.wide_field.dataset import write_wide_field
+from data_synth.troughs.wide_field.repeated_pass import MOST_MODULES, RepeatedPass, module_scenes
 from heliogauge.errors import InputError
 from heliogauge.images.photos import read_luma
 from heliogauge.results.json_file import read_json
