@@ -86,7 +86,8 @@ def open_trough(folder: str | Path = ".") -> TroughResults:
     angles, _ = read_arrays(folder / ANGLES, names)
     base = open_results(folder)
     rows, columns = _outline(base.slope_map.aperture)
-    _, poses = read_cameras_json(folder / "cameras.json")
+    # Read already; a folder without the file is refused here.
+    poses = base.poses or read_cameras_json(folder / "cameras.json")[1]
     _, by_targets = read_cameras_json(folder / "network" / "cameras.json")
     photos = tuple(poses)
     return TroughResults(
