@@ -1,5 +1,6 @@
 """``heliogauge beam``: photos of beams on targets to centres, sizes and flux."""
 
+import datetime
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -65,3 +66,49 @@ def compare_command(
 
     options = CompareOptions(surface, heliostat, position_m, mount, fit)
     return Job(out, lambda progress: run(load_beams(folder), options, progress))
+
+
+@app.command("plan")
+@writes_results(report=False)
+def plan_command(
+    folder: BeamFolder,
+    out: OutFolder,
+    wanted_mrad: Annotated[
+        float, typer.Option(help="Sigma of a facet's canting that is wanted, RMS over the facets.")
+    ] = 0.1,
+    day: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="YYYY-MM-DD", help="Day on which photos can be taken (repeatable); default: equinox and solstices."
+        ),
+    ] = None,
+    most: Annotated[int, typer.Option(min=1, help="Suns at most.")] = 20,
+    surface: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Surface of the mirror, as for `beam compare`.", show_default=False),
+    ] = None,
+    heliostat: Annotated[str | None, typer.Option(help="Its name in a file of ARTIST.", show_default=False)] = None,
+    position_m: Annotated[
+        tuple[float, float, float] | None,
+        typer.Option("--position", metavar="E N U", help="Its middle in the field [m].", show_default=False),
+    ] = None,
+) -> Job:
+    """Plan photos from a trial of two or three: which suns and how many frames tell the canting: plan.csv."""
+    from calibration.beam.keys import load_beams
+    from calibration.beam.pipeline.compare import CompareOptions
+    from calibration.beam.planning.plan import BeamPlanOptions, run
+
+    days = tuple(_day(text) for text in day or ())
+    trial = CompareOptions(surface, heliostat, position_m)
+    options = BeamPlanOptions(1e-3 * wanted_mrad, days, most, trial)
+    return Job(out, lambda progress: run(load_beams(folder), options, progress))
+
+
+def _day(text: str) -> datetime.date:
+    """Return the day that an argument names."""
+    from heliogauge.errors import InputError
+
+    try:
+        return datetime.date.fromisoformat(text)
+    except ValueError as error:
+        raise InputError(f"day={text}: a day such as 2026-06-21 is needed ({error})") from error

@@ -172,8 +172,21 @@ def facet_fluxes(scene: Scene, mirror: Mirror, grid: FluxGrid) -> FloatArray:
         seen by way of mirrors it is the number of suns.
     EstimationError: No ray meets the target's plane.
     """
-    kernel = scene.sun_picture(grid.step_m)
+    kernel = _sharpened(scene.sun_picture(grid.step_m))
     return np.stack([_spread_out(scene, one, kernel, grid) for one in mirror.facets])
+
+
+def _sharpened(picture: FloatArray) -> FloatArray:
+    """Take from the sun's picture what sharing landings among four pixels adds to its width.
+
+    A landing at the share w between two columns has the variance w (1 - w), 1/6 on average: as much as a scatter of
+    0.4 mrad on a grid of five pixels across the sun's radius. One twelfth of the Laplacian has the variance -1/6.
+    """
+    wider = np.pad(picture, 1)
+    around = cv2.filter2D(
+        wider, cv2.CV_64F, np.array([[0.0, 1, 0], [1, -4, 1], [0, 1, 0]]), borderType=cv2.BORDER_CONSTANT
+    )
+    return np.asarray(wider - around / 12, dtype=np.float64)
 
 
 def _spread_out(scene: Scene, facet: Facet, kernel: FloatArray, grid: FluxGrid) -> FloatArray:

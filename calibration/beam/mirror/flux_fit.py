@@ -22,7 +22,17 @@ from heliogauge.short_repr import ShortRepr
 from heliogauge.sunlight.sun_shapes import BuieSun, SunShape
 from heliogauge.validate import FloatArray, IntArray, freeze
 
-__all__ = ["FluxFit", "FluxPhoto", "MirrorStand", "aureole_ratio", "compare_as_it_is", "correlation", "fit_flux"]
+__all__ = [
+    "FluxFit",
+    "FluxPhoto",
+    "MirrorStand",
+    "aureole_ratio",
+    "compare_as_it_is",
+    "correlation",
+    "fit_flux",
+    "flux_information",
+    "zero_mean_basis",
+]
 
 _MOST_STEPS = 25
 #: Widths of the blocks within which residuals are taken as alike, in discs of the sun; the largest effect counts.
@@ -183,6 +193,26 @@ def fit_flux(photos: Sequence[FluxPhoto], mirror: Mirror, stand: MirrorStand, sc
     return _Fit(photos, mirror, stand, scatter_rad, free=True).solve()
 
 
+def flux_information(photo: FluxPhoto, mirror: Mirror, stand: MirrorStand, fit: FluxFit) -> FloatArray:
+    """Return what a photo tells of canting, curvature and scatter, its own aim, brightness and level taken out.
+
+    fit: Where the mirror is: canting, curvature, scatter.
+    Returns (2(k - 1) + 2, same): Normal matrix for residuals in shares of the photo's RMS flux, over all of its
+        pixels together; canting in the basis of `zero_mean_basis`, x and y of each mode in turn.
+    """
+    one = _Fit([photo], mirror, stand, fit.scatter_rad, free=True)
+    rows = one.at(_State(fit.canting_rad, fit.curvature_1pm, fit.scatter_rad, photo.aim_m[None, :])).rows
+    basis, _ = np.linalg.qr(rows[:, -2:])
+    told = rows[:, :-2] - basis @ (basis.T @ rows[:, :-2])
+    return np.asarray(told.T @ told)
+
+
+def zero_mean_basis(facets: int) -> FloatArray:
+    """Return an orthonormal basis of cantings that add up to zero, shape (facets, facets - 1)."""
+    ones = np.ones((facets, 1)) / np.sqrt(facets)
+    return np.asarray(np.linalg.svd(np.eye(facets) - ones @ ones.T)[0][:, : facets - 1])
+
+
 class _Linear(NamedTuple):
     """Residuals and their derivatives by all parameters, over all photos, and the block of each pixel by each width."""
 
@@ -223,9 +253,7 @@ class _Fit:
         self._state = _State(
             np.zeros((self._count, 2)), 0.0, scatter_rad, np.array([photo.aim_m for photo in photos], dtype=np.float64)
         )
-        # A basis of cantings that add up to zero.
-        ones = np.ones((self._count, 1)) / np.sqrt(self._count)
-        self._zero_mean = np.linalg.svd(np.eye(self._count) - ones @ ones.T)[0][:, : self._count - 1]
+        self._zero_mean = zero_mean_basis(self._count)
         self._globals = 2 * (self._count - 1) + 2 if free else 0
 
     def solve(self) -> FluxFit:
@@ -290,6 +318,10 @@ class _Fit:
                 f"suns, or fewer "
                 "facets"
             )
+
+    def at(self, state: _State) -> _Linear:
+        """Return residuals and derivatives where the mirror is so."""
+        return self._linear(state)
 
     # --- model ------------------------------------------------------------------------------------------------------
 

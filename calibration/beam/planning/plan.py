@@ -1,0 +1,230 @@
+"""From a trial of a beam to the suns and frames that give a wanted sigma of the canting."""
+
+import datetime
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import ClassVar
+
+import numpy as np
+
+from calibration.beam.files.comparison import Comparison
+from calibration.beam.keys import BeamsMeasurement
+from calibration.beam.mirror.flux_fit import FluxPhoto, flux_information
+from calibration.beam.pipeline import compare
+from calibration.beam.planning.sun_choice import ChosenSun, Trial, choose_suns, photo_of_sun, trial_of
+from heliogauge.doubts import Doubt, Severity, gather_doubts
+from heliogauge.errors import EstimationError, InputError
+from heliogauge.geometry.sun import Site, sun_angles, sun_directions
+from heliogauge.results.folder import Summary, write_table_csv
+from heliogauge.results.frame import InstrumentResult
+from heliogauge.running.progress import Progress, SilentProgress
+from heliogauge.short_repr import ShortRepr
+from heliogauge.validate import FloatArray, positive
+
+__all__ = ["BeamPlan", "BeamPlanOptions", "run"]
+
+#: Times of a day that are compared: the sun moves by its own diameter on a mirror's target in minutes, but what a
+#: photo tells changes over hours.
+_PER_DAY = 9
+#: Lowest sun: below, the air's refraction and its dimming change within a photo's disc of the sun.
+_LOWEST_RAD = np.radians(10.0)
+
+#: Equinox and solstices: the sun of all other days stands between theirs.
+_SEASONS = tuple(datetime.date(2026, month, 21) for month in (3, 6, 12))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BeamPlanOptions(ShortRepr):
+    """What is wanted.
+
+    wanted_rad: Sigma of a facet's canting, RMS over the facets [rad].
+    days: Days on which photos can be taken; none: the equinox and both solstices.
+    most: Suns at most.
+    trial: How the trial is compared: surface, place and mount of the mirror.
+    """
+
+    wanted_rad: float = 1e-4
+    days: tuple[datetime.date, ...] = ()
+    most: int = 20
+    trial: compare.CompareOptions = field(default_factory=compare.CompareOptions)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BeamPlan(InstrumentResult):
+    """Suns in the order of what they add.
+
+    trial: The comparison of the trial.
+    worth: What it says of a unit of information.
+    suns: The suns, each with the information of all up to it.
+    times (n,): Instants, UTC.
+    angles_rad (n, 2): Azimuth from the north over east, and elevation, of each [rad].
+    wanted_rad: What is wanted [rad].
+    """
+
+    kind: ClassVar[str] = "beam-plan"
+    trial: Comparison
+    worth: Trial
+    suns: tuple[ChosenSun, ...]
+    times: tuple[str, ...]
+    angles_rad: FloatArray
+    wanted_rad: float
+
+    @property
+    def sigmas_rad(self) -> FloatArray:
+        """Sigma of a canting with one frame at each sun up to it, shape (n,) [rad]."""
+        return np.array([self.worth.sigma_rad(one.information) for one in self.suns])
+
+    @property
+    def frames(self) -> list[int | None]:
+        """Frames at each sun up to it that give what is wanted; None where no number does."""
+        return [self.worth.frames_for(one.information, self.wanted_rad) for one in self.suns]
+
+    @property
+    def cheapest(self) -> tuple[int, int] | None:
+        """Suns and frames at each with the fewest photos that give what is wanted; None where none do."""
+        plans = [(number, frames) for number, frames in enumerate(self.frames, start=1) if frames is not None]
+        return min(plans, key=lambda one: (one[0] * one[1], one[0])) if plans else None
+
+    def summarise(self) -> Summary:
+        """Collect the headline numbers of the plan."""
+        best, after = self.cheapest, self.trial.after
+        numbers: dict[str, float | int | None] = {
+            "wanted_sigma_canting_rad": self.wanted_rad,
+            "suns_count": None if best is None else best[0],
+            "frames_count": None if best is None else best[1],
+            "trial_photos_count": len(self.trial.photos),
+            "trial_sigma_canting_rad": None if after is None else float(np.sqrt(np.mean(after.sigma_canting_rad**2))),
+            "least_planned_sigma_canting_rad": float(self.sigmas_rad[-1]) if np.isfinite(self.sigmas_rad[-1]) else None,
+            "noise_share": self.worth.noise / self.worth.variance,
+        }
+        texts = {
+            "sigma": "1 standard deviation of a facet's canting, RMS over facets and directions, for a mirror as the "
+            "trial shows it and photos like those of the trial",
+            "noise_share": "share of the variance that is the pixels' noise, which more frames average; the rest is "
+            "what the model lacks",
+        }
+        why = "no number of frames and suns gives what is wanted: what the model lacks is more than that"
+        missing = {} if best is not None else {"suns_count": why, "frames_count": why}
+        return self._summary(numbers, texts, missing)
+
+    def write_files(self, folder: Path) -> None:
+        """Write plan.csv."""
+        sigmas = 1e3 * self.sigmas_rad
+        write_table_csv(
+            folder / "plan.csv",
+            {
+                "suns": list(range(1, len(self.suns) + 1)),
+                "time_utc": list(self.times),
+                "sun_azimuth_deg": np.degrees(self.angles_rad[:, 0]),
+                "sun_elevation_deg": np.degrees(self.angles_rad[:, 1]),
+                "sigma_canting_mrad": np.where(np.isfinite(sigmas), sigmas, np.nan),
+                "sigma_canting_many_frames_mrad": [
+                    value if np.isfinite(value) else np.nan
+                    for value in (1e3 * self.worth.sigma_rad(one.information, 10**9) for one in self.suns)
+                ],
+                "frames": ["" if one is None else str(one) for one in self.frames],
+            },
+        )
+
+    def headline(self) -> str:
+        """Return the plan in a few lines."""
+        best, wanted = self.cheapest, 1e3 * self.wanted_rad
+        lines = [f"{self.name}: suns for a canting of \u00b1 {wanted:.3g} mrad, {self.worth.facets} facets"]
+        shown = range(len(self.suns) if best is None else best[0])
+        for number in shown:
+            sigma = 1e3 * float(self.sigmas_rad[number])
+            said = f"\u00b1 {sigma:.2g} mrad with it" if np.isfinite(sigma) else "not determined yet"
+            azimuth, elevation = np.degrees(self.angles_rad[number])
+            lines.append(
+                f"  {number + 1:2d}  {self.times[number]}  sun at {azimuth:.0f} deg, {elevation:.0f} deg high  {said}"
+            )
+        if best is None:
+            lines.append("  wanted sigma not reached: fewer facets in the light at a time (cover the others)")
+        else:
+            lines.append(f"  enough: {best[0]} suns, frames at each: {best[1]}")
+        return "\n".join(lines)
+
+
+def run(
+    measurement: BeamsMeasurement, options: BeamPlanOptions | None = None, progress: Progress | None = None
+) -> BeamPlan:
+    """Plan photos of a beam that tell the canting of its mirror.
+
+    measurement: A folder with a trial: photos of the beam at two or three suns.
+    InputError: Files that cannot be used, no site, or no sun on these days.
+    EstimationError: The trial does not determine the canting at all.
+    """
+    options, progress = options or BeamPlanOptions(), progress or SilentProgress()
+    positive("wanted sigma", options.wanted_rad, "rad")
+    site = measurement.model.site
+    if site is None:
+        raise InputError(f"{measurement.folder}: [site] is needed in measurement.toml: latitude and longitude")
+    trial = compare.run(measurement, options.trial, progress)
+    if trial.after is None or len(trial.mirror.facets) < 2:
+        raise EstimationError(
+            "the trial gives no canting to start from: it needs a mirror of two or more facets and photos at two or "
+            f"three suns ({'; '.join(one.text for one in trial.doubts) or 'no fit'})"
+        )
+    worth = trial_of(trial.after, trial.photos, trial.mirror, trial.stand)
+    place = Site(site.latitude_deg, site.longitude_deg, site.altitude_m)
+    times = _times(options.days or _SEASONS, place)
+    to_sun = sun_directions(times, place) if times.size else np.zeros((0, 3))
+    informations, numbers = [], []
+    with progress.stage("suns", len(times)) as stage:
+        for number in range(len(times)):
+            photo = _photo(trial, to_sun[number])
+            if photo is not None:
+                informations.append(flux_information(photo, trial.mirror, trial.stand, trial.after))
+                numbers.append(number)
+            stage.advance()
+    chosen = choose_suns(informations, worth.facets, options.most)
+    kept = [numbers[one.number] for one in chosen]
+    plan = BeamPlan(
+        name=trial.name,
+        trial=trial,
+        worth=worth,
+        suns=tuple(chosen),
+        times=tuple(f"{np.datetime_as_string(times[one], unit='m')}Z" for one in kept),
+        angles_rad=np.stack(sun_angles(times[kept], place), axis=1),
+        wanted_rad=options.wanted_rad,
+        doubts=trial.doubts,
+        durations_s=dict(progress.durations_s),
+        input_sha256=trial.input_sha256,
+    )
+    if plan.cheapest is not None:
+        return plan
+    sigma_mrad = 1e3 * float(plan.sigmas_rad[-1])
+    many_mrad = 1e3 * worth.sigma_rad(chosen[-1].information, 10**9)
+    doubt = Doubt(
+        "wanted_sigma_not_reached",
+        f"{len(chosen)} suns leave the canting at {sigma_mrad:.2g} mrad, with any number of frames at {many_mrad:.2g} "
+        f"mrad; wanted are {1e3 * options.wanted_rad:.2g} mrad: cover facets, so that fewer are in the light at a time, "
+        "or allow more days and suns",
+        {"sigma_canting_rad": 1e-3 * sigma_mrad},
+        Severity.SERIOUS,
+    )
+    return replace(plan, doubts=gather_doubts(trial.doubts, [doubt]))
+
+
+def _photo(trial: Comparison, to_sun: FloatArray) -> FluxPhoto | None:
+    """Return the photo of a sun; None where the mirror cannot light the target."""
+    if trial.after is None:
+        return None
+    try:
+        return photo_of_sun(trial.photos[0], to_sun, trial.mirror, trial.stand, trial.after)
+    except (InputError, EstimationError):
+        return None
+
+
+def _times(days: tuple[datetime.date, ...], site: Site) -> np.ndarray[tuple[int], np.dtype[np.datetime64]]:
+    """Return instants spread evenly over the hours of each day with the sun high enough."""
+    found = []
+    for day in days:
+        # Solar noon is in the middle of 24 hours about it, wherever the zone.
+        start = np.datetime64(day.isoformat(), "m") - np.timedelta64(round(4 * site.longitude_deg), "m")
+        minutes = start + np.arange(0, 24 * 60, 5).astype("timedelta64[m]")
+        _, elevation = sun_angles(minutes.astype("datetime64[ms]"), site)
+        up = minutes[elevation > _LOWEST_RAD]
+        if up.size:
+            found.append(up[np.linspace(0, up.size - 1, _PER_DAY).round().astype(int)])
+    return np.concatenate(found).astype("datetime64[ms]") if found else np.zeros(0, dtype="datetime64[ms]")
