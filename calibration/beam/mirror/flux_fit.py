@@ -44,6 +44,9 @@ _SETTLED_RAD = 1e-6
 #: Sigma of a canting beyond which it is of no use: the beam of the facet is turned by twice as much, 0.93 mrad, a fifth
 #: of the sun's radius [rad].
 _TOLD_RAD = 0.1 * 4.65e-3
+#: Pairs of facets whose exchange is tried, the nearest first; steps after which an exchange that costs so much more is
+#: given up; turns by less than so many sigmas are the same minimum.
+_EXCHANGES, _EXCHANGE_STEPS, _HOPELESS, _SAME_SIGMAS = 10, 3, 1.5, 3.0
 #: Steps of the differences that stand for derivatives [rad, 1/m, rad].
 _STEP_RAD, _STEP_1PM, _STEP_SCATTER_RAD = 1e-4, 2e-4, 2e-4
 #: Least and largest scatter: below, the sun's disc hides it; beyond, it is no scatter [rad].
@@ -106,6 +109,9 @@ class FluxFit(ShortRepr):
     correlations (n,): Between measured and expected flux.
     steps: Steps of the fit.
     covariance_canting (2k, 2k): Covariance of the canting, x and y of each facet in turn [rad^2].
+    worth: Covariance of the canting over that of white noise of variance one.
+    rival_log_odds: Natural logarithm of the odds of the answer against the best one with facets exchanged; infinite
+        where no exchange is a minimum of its own, or none was tried.
     """
 
     canting_rad: FloatArray
@@ -121,11 +127,22 @@ class FluxFit(ShortRepr):
     correlations: FloatArray
     steps: int
     covariance_canting: FloatArray
+    worth: float = float("nan")
+    rival_log_odds: float = float("inf")
 
     @property
     def is_canting_told(self) -> bool:
-        """Whether the photos tell the canting: to a fifth of the sun's radius in the beam, RMS over the facets."""
-        return float(np.sqrt(np.mean(self.sigma_canting_rad**2))) < _TOLD_RAD
+        """Whether the photos tell the canting.
+
+        To a fifth of the sun's radius in the beam, RMS over the facets, and with odds of 20 against facets exchanged.
+        """
+        sigma = float(np.sqrt(np.mean(self.sigma_canting_rad**2)))
+        return sigma < _TOLD_RAD and not self.may_be_exchanged
+
+    @property
+    def may_be_exchanged(self) -> bool:
+        """Whether the photos say nearly as well that some facets stand where others do: odds below 20."""
+        return self.rival_log_odds < float(np.log(20.0))
 
     @property
     def slope_error_bound_rad(self) -> float:
@@ -257,10 +274,23 @@ class _Fit:
         self._globals = 2 * (self._count - 1) + 2 if free else 0
 
     def solve(self) -> FluxFit:
+        steps = self._descend(_MOST_STEPS)
+        if steps is None:
+            raise EstimationError(
+                f"flux: the fit did not settle in {_MOST_STEPS} steps; is it the beam of this mirror, and the sun "
+                f"of this time?"
+            )
+        found = self._result(self._linear(self._state), steps)
+        if not self._free or self._count < 2 or not found.is_canting_told:
+            return found
+        return self._compared_with_exchanged(found)
+
+    def _descend(self, most_steps: int) -> int | None:
+        """Go down from where the mirror is; return the steps, None where they were not enough."""
         linear = self._linear(self._state)
         cost, damping = float(linear.residuals @ linear.residuals), 1e-3
         steps = 0
-        while steps < _MOST_STEPS:
+        while steps < most_steps:
             steps += 1
             normal = linear.rows.T @ linear.rows
             gradient = linear.rows.T @ linear.residuals
@@ -280,16 +310,95 @@ class _Fit:
                     break
                 damping *= 6
             if not moved or self._is_settled(step, cost - lower, cost):
-                break
+                return steps
             linear = self._linear(self._state)
             cost = float(linear.residuals @ linear.residuals)
-        else:
-            raise EstimationError(
-                f"flux: the fit did not settle in {_MOST_STEPS} steps; is it the beam of this mirror, and the sun "
-                f"of this "
-                "time?"
-            )
-        return self._result(self._linear(self._state), steps)
+        return None
+
+    def _compared_with_exchanged(self, found: FluxFit) -> FluxFit:
+        """Look whether the photos say as well, or better, that two facets stand where each other's pictures are.
+
+        Pictures of facets are nearly alike. What tells them apart is how they move with the sun, so there is a minimum
+        near each exchange; from the design's canting a fit may run into a wrong one.
+        """
+        tried: set[tuple[int, int]] = set()
+        best, state, cost = found, self._state, self._cost()
+        rival = float("inf")
+        while True:
+            pairs = [pair for pair in self._nearest_pairs(best) if pair not in tried][:_EXCHANGES]
+            better = False
+            for pair in pairs:
+                tried.add(pair)
+                self._state = self._exchanged(state, pair)
+                if self._descend(_EXCHANGE_STEPS) is None and self._cost() > _HOPELESS * cost:
+                    continue
+                self._descend(_MOST_STEPS)
+                other = self._cost()
+                apart = float(np.abs(self._state.canting - state.canting).max())
+                if apart < _SAME_SIGMAS * float(best.sigma_canting_rad.max()):
+                    continue
+                if other < cost:
+                    rival, state, cost, better = cost, self._state, other, True
+                    best = self._result(self._linear(self._state), best.steps)
+                    tried.clear()
+                    break
+                rival = min(rival, other)
+            if not better:
+                break
+        self._state = state
+        # Residuals are alike over blocks: a unit of information is worth as much less as the covariance is larger.
+        return replace(best, rival_log_odds=(rival - cost) / (2 * best.worth))
+
+    def _cost(self) -> float:
+        residuals = self._linear(self._state, derivatives=False).residuals
+        return float(residuals @ residuals)
+
+    def _landings(self, canting: FloatArray) -> FloatArray:
+        """Return where the light of each facet lands in each photo, relative to all of it, shape (k, n, 2) [m]."""
+        mirror = canted(curved(self._mirror, self._state.curvature), canting)
+        places = np.zeros((self._count, len(self._photos), 2))
+        for number, photo in enumerate(self._photos):
+            scene = photo.scene(self._stand, self._state.aims[number], self._state.scatter)
+            for facet, one in enumerate(mirror.facets):
+                points, power = scene.landings_m(one)
+                places[facet, number] = power @ points / power.sum()
+        return np.asarray(places - places.mean(axis=0))
+
+    def _nearest_pairs(self, fit: FluxFit) -> list[tuple[int, int]]:
+        """Return pairs of facets, those whose pictures are nearest to each other first."""
+        places = self._landings(fit.canting_rad)
+        pairs = [(one, other) for one in range(self._count) for other in range(one)]
+        return sorted(pairs, key=lambda pair: float(np.sum((places[pair[0]] - places[pair[1]]) ** 2)))
+
+    def _exchanged(self, state: _State, pair: tuple[int, int]) -> _State:
+        """Return the mirror with two facets turned so that their pictures stand where the other's were."""
+        self._state = state
+        here = self._landings(state.canting)
+        canting = state.canting.copy()
+        for one, other in (pair, pair[::-1]):
+            rates = self._rates(state, one)
+            wanted = (here[other] - here[one]).ravel()
+            canting[one] += np.linalg.lstsq(rates, wanted, rcond=None)[0]
+        return replace(state, canting=canting - canting.mean(axis=0))
+
+    def _rates(self, state: _State, facet: int) -> FloatArray:
+        """Return how the landing of a facet moves with its own turn, all photos below each other, (2n, 2) [m/rad]."""
+        columns = []
+        one = canted(curved(self._mirror, state.curvature), state.canting)
+        for axis in (0, 1):
+            sides = []
+            for sign in (1, -1):
+                turn = np.zeros((self._count, 2))
+                turn[facet, axis] = sign * _STEP_RAD
+                moved = canted(one, turn).facets[facet]
+                places = []
+                for number, photo in enumerate(self._photos):
+                    scene = photo.scene(self._stand, state.aims[number], state.scatter)
+                    points, power = scene.landings_m(moved)
+                    places.append(power @ points / power.sum())
+                sides.append(np.array(places))
+            columns.append(((sides[0] - sides[1]) / (2 * _STEP_RAD)).ravel())
+        return np.stack(columns, axis=1)
 
     def _is_settled(self, step: FloatArray, gain: float, cost: float) -> bool:
         small = float(np.abs(step[: max(self._globals - 2, 0)]).max(initial=0.0)) < _SETTLED_RAD
@@ -443,7 +552,14 @@ class _Fit:
             freeze(np.array(correlations)),
             steps,
             freeze(cantings),
+            _worth(covariance, normal, 2 * half) if self._free and half else nan,
         )
+
+
+def _worth(covariance: FloatArray, normal: FloatArray, count: int) -> float:
+    """Return the covariance of the first parameters over that of white noise of variance one."""
+    unit = np.linalg.inv(normal)[:count, :count]
+    return float(np.trace(covariance[:count, :count]) / np.trace(unit))
 
 
 def _alike(linear: _Linear, normal: FloatArray, index: IntArray) -> FloatArray:

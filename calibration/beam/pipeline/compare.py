@@ -331,13 +331,18 @@ def _doubts(result: Comparison) -> list[Doubt]:
         away_m = float(np.linalg.norm(result.photos[0].target.center_m - result.stand.position_m))
         sun_m = 2 * _SUN_RADIUS_RAD * away_m
         sigma_mrad = 1e3 * float(np.sqrt(np.mean(after.sigma_canting_rad**2)))
+        overlap = (
+            f"sigma {sigma_mrad:.1f} mrad, for the sun's picture of {sun_m:.2f} m on the target is as wide as "
+            f"{sun_m / wide_m:.1f} facets, so their pictures overlap in all {len(result.photos)} photos"
+        )
+        odds = np.exp(min(after.rival_log_odds, 50.0))
+        exchanged = f"with facets exchanged the photos fit nearly as well (odds {odds:.2g} to 1)"
         doubts.append(
             Doubt(
                 "canting_not_determined",
-                f"the canting of {len(facets)} facets is not determined (sigma {sigma_mrad:.1f} mrad): the sun's "
-                f"picture of {sun_m:.2f} m on the target is as wide as {sun_m / wide_m:.1f} facets, so their pictures "
-                f"overlap in all {len(result.photos)} photos; more suns far apart, or fewer facets in the light at a "
-                f"time (cover the others)",
+                f"the canting of {len(facets)} facets is not determined: "
+                f"{exchanged if after.may_be_exchanged else overlap}; more suns far apart (`beam plan` says which), or "
+                "fewer facets in the light at a time (cover the others)",
                 {"sigma_canting_rad": 1e-3 * sigma_mrad, "facets_count": len(facets)},
             )
         )

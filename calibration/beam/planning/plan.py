@@ -21,7 +21,7 @@ from heliogauge.running.progress import Progress, SilentProgress
 from heliogauge.short_repr import ShortRepr
 from heliogauge.validate import FloatArray, positive
 
-__all__ = ["BeamPlan", "BeamPlanOptions", "run"]
+__all__ = ["BeamPlan", "BeamPlanOptions", "promised_rad", "run"]
 
 #: Times of a day that are compared: the sun moves by its own diameter on a mirror's target in minutes, but what a
 #: photo tells changes over hours.
@@ -198,12 +198,28 @@ def run(
     doubt = Doubt(
         "wanted_sigma_not_reached",
         f"{len(chosen)} suns leave the canting at {sigma_mrad:.2g} mrad, with any number of frames at {many_mrad:.2g} "
-        f"mrad; wanted are {1e3 * options.wanted_rad:.2g} mrad: cover facets, so that fewer are in the light at a time, "
-        "or allow more days and suns",
+        f"mrad; wanted are {1e3 * options.wanted_rad:.2g} mrad: cover facets, so that fewer are in the light at a "
+        "time, or allow more days and suns",
         {"sigma_canting_rad": 1e-3 * sigma_mrad},
         Severity.SERIOUS,
     )
     return replace(plan, doubts=gather_doubts(trial.doubts, [doubt]))
+
+
+def promised_rad(plan: BeamPlan, to_sun: FloatArray, frames: int = 1) -> float:
+    """Return the sigma of the canting that a plan promises of any suns; infinite where not determined [rad].
+
+    to_sun (n, 3): The suns.
+    frames: Photos at each.
+    InputError: None at which the mirror can light the target.
+    """
+    trial = plan.trial
+    photos = [photo for one in to_sun if (photo := _photo(trial, one)) is not None]
+    if trial.after is None or not photos:
+        raise InputError("suns: there is none at which the mirror can light the target")
+    after = trial.after
+    told = np.sum([flux_information(one, trial.mirror, trial.stand, after) for one in photos], axis=0)
+    return plan.worth.sigma_rad(told, frames)
 
 
 def _photo(trial: Comparison, to_sun: FloatArray) -> FluxPhoto | None:

@@ -74,6 +74,7 @@ COMMANDS = FOR_ALL + [
     "beam synth",
     "beam measure",
     "beam compare",
+    "beam plan",
     "heliostat init",
     "heliostat synth",
     "heliostat measure",
