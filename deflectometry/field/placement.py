@@ -46,13 +46,13 @@ class OrientedCamera:
     """A camera before a mirror.
 
     cam_from_mirror: Its pose to the mirror's frame.
-    sigma_rotation_rad: Standard deviation of a turn, the largest of the three axes.
+    covariance_turn (3, 3): Of a small turn of the camera about its own axes, its place known [rad^2].
     residual_rms_px: What its points leave.
     """
 
     camera: Camera
     cam_from_mirror: RigidTransform
-    sigma_rotation_rad: float
+    covariance_turn: FloatArray
     residual_rms_px: float
 
     @property
@@ -84,7 +84,6 @@ def orient_camera(
         np.vstack([one, other / np.linalg.norm(other) * weight])
         for one, other in zip((sights, rays), across, strict=True)
     ]
-    middle = sights.mean(axis=0)
     turn = nearest_rotation(orthogonal_procrustes(stacked[0], stacked[1])[0].T)
     pose = RigidTransform(turn, -turn @ eye_m)
     if (points_m @ pose.rotation.T + pose.translation_m)[:, 2].min() <= 0:
@@ -110,8 +109,5 @@ def orient_camera(
             f"calibration put it; check its image_px, the order of the points, and the camera's place_m "
             f"(the mirror is {float(np.linalg.norm(points_m.mean(axis=0) - eye_m)):.4g} m away)"
         )
-    covariance = np.linalg.inv(normal)
-    # Along the sight a turn moves nothing but rolls the image: what counts is across.
-    across_sight = np.eye(3) - np.outer(turn @ middle, turn @ middle) / float(middle @ middle)
-    largest = float(np.linalg.eigvalsh(across_sight @ covariance @ across_sight)[-1])
-    return OrientedCamera(camera, pose, float(np.sqrt(largest)), float(np.sqrt(np.mean(residual_px**2))))
+    covariance = np.asarray(np.linalg.inv(normal), dtype=np.float64)
+    return OrientedCamera(camera, pose, covariance, float(np.sqrt(np.mean(residual_px**2))))

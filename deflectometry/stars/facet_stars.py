@@ -285,13 +285,18 @@ def _adjust(
     return Lean(values, np.asarray(np.linalg.inv(normal), dtype=np.float64), star, residual, probability)
 
 
-def linear_response(light: FacetLight, moved: FacetLight, lean: Lean, sky_shift: FloatArray) -> FloatArray:
-    """Return how lean and bows change when sights and camera are those of `moved`, or stars move by a shift (n, 3)."""
+def linear_response(
+    light: FacetLight, moved: FacetLight, lean: Lean, sky_shift: FloatArray, sky_sigma_rad: float
+) -> FloatArray:
+    """Return how lean and bows change when sights and camera are those of `moved`, or stars move by a shift (n, 3).
+
+    sky_sigma_rad: As in the adjustment: its weights are those of the covariance.
+    """
     used = lean.star >= 0
     seen = seen_directions(light, lean.values)
     across = _across(seen)
     change = np.einsum("nij,nj->ni", across, seen_directions(moved, lean.values) - seen - sky_shift)
     by_values = _jacobian(light, lean.values, across)
-    inverse = np.linalg.inv(_noise(light, lean.values, across))
+    inverse = np.linalg.inv(_noise(light, lean.values, across) + sky_sigma_rad**2 * np.eye(2))
     right = np.einsum("nki,nkl,nl->i", by_values[used], inverse[used], -change[used])
     return np.asarray(lean.covariance @ right)

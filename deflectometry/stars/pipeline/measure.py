@@ -22,6 +22,7 @@ from deflectometry.pipeline.headline import (
 )
 from deflectometry.pipeline.inputs import build_facets, build_mounts
 from deflectometry.pipeline.result import write_canting
+from deflectometry.setup.setup_steps import principal_steps
 from deflectometry.shape.assemble import assemble_maps
 from deflectometry.shape.facet_canting import CANTING_SIGN, FacetCanting, canting_of_facets, doubt_of_canting
 from deflectometry.shape.smooth_shape import Align, alignment_words
@@ -41,7 +42,7 @@ from deflectometry.stars.sky import Catalogue, StarsAbove, stars_above
 from deflectometry.stars.spots import Spots, find_spots
 from heliogauge.doubts import Doubt, Severity, gather_doubts
 from heliogauge.errors import EstimationError, InputError
-from heliogauge.geometry.rigid import RigidTransform
+from heliogauge.geometry.rigid import RigidTransform, vector_from_rotation
 from heliogauge.geometry.sun import Site, sun_angles, utc_times
 from heliogauge.geometry.surfaces import Facet
 from heliogauge.images.photos import read_frames
@@ -444,61 +445,54 @@ def _moved_leans(
     """Return what one sigma of each common input does to lean and bows of each facet, shape (f, 5)."""
     model = measurement.model
     found: list[tuple[str, FloatArray]] = []
-    place, mirror = 1e-3 * model.camera.sigma_place_mm, 1e-3 * model.mirror.sigma_place_mm
-    shift = float(np.hypot(place, mirror))
-    for axis in np.eye(3):
-        if shift > 0:
-            found.append(
-                (
-                    "places",
-                    np.array(
-                        [
-                            _response(one, lean, shift * axis, None)
-                            for one, lean in zip(night.lights, leans, strict=True)
-                        ]
-                    ),
-                )
-            )
-        turn = camera.sigma_rotation_rad * axis
-        found.append(
-            (
-                "camera orientation",
-                np.array(
-                    [_response(one, lean, None, (camera, turn)) for one, lean in zip(night.lights, leans, strict=True)]
-                ),
-            )
-        )
+    shift = 1e-3 * float(np.hypot(model.camera.sigma_place_mm, model.mirror.sigma_place_mm))
+    lights = list(zip(night.lights, leans, strict=True))
+    if shift > 0:
+        for step in shift * np.eye(3):
+            elsewhere = _oriented_beside(measurement, night, step)
+            turn = -vector_from_rotation(elsewhere.cam_from_mirror.rotation @ camera.cam_from_mirror.rotation.T)
+            # The points of the mirror stay in their pixels: a camera that was elsewhere was turned as well.
+            found.append(("places", np.array([_response(one, lean, step, camera, turn) for one, lean in lights])))
+    for turn in principal_steps(camera.covariance_turn):
+        values = [_response(one, lean, np.zeros(3), camera, turn) for one, lean in lights]
+        found.append(("camera orientation", np.array(values)))
     pole = np.array([0.0, np.cos(np.radians(model.site.latitude_deg)), np.sin(np.radians(model.site.latitude_deg))])
     clock = _TURN_PER_S * model.evaluation.sigma_time_s
     if clock > 0:
         # All stars turn about the pole, and every facet's normal follows by half of it across the sight.
-        values = [_clock(night, one, lean, clock * pole) for one, lean in zip(night.lights, leans, strict=True)]
+        values = [_clock(night, one, lean, clock * pole) for one, lean in lights]
         found.append(("clock", np.array(values)))
     return found
 
 
+def _oriented_beside(measurement: StarsMeasurement, night: _Night, shift_m: FloatArray) -> OrientedCamera:
+    """Return the camera as its points turn it where it stands beside its place by a shift in the mirror's frame."""
+    beside = night.field_from_mirror.inverse()
+    return oriented(
+        measurement.model.camera, measurement.folder, RigidTransform(beside.rotation, beside.translation_m + shift_m)
+    )
+
+
 def _response(
-    light: FacetLight, lean: Lean | None, shift_m: FloatArray | None, turned: tuple[OrientedCamera, FloatArray] | None
+    light: FacetLight, lean: Lean | None, shift_m: FloatArray, camera: OrientedCamera, turn: FloatArray
 ) -> FloatArray:
-    """Return how lean and bows follow a camera that was elsewhere or turned by so much."""
+    """Return how lean and bows follow a camera that was elsewhere and whose sights turned, about its own axes."""
     if lean is None:
         return np.zeros(5)
-    if shift_m is not None:
-        moved = replace(light, eye_m=light.eye_m + light.facet.ensemble_from_facet.rotation.T @ shift_m)
-    elif turned is not None:
-        camera, turn = turned
-        own = (camera.cam_from_mirror @ light.facet.ensemble_from_facet).rotation.T @ turn
-        moved = replace(light, sights=light.sights + np.cross(own, light.sights))
-    else:
-        moved = light
-    return linear_response(light, moved, lean, np.zeros((light.photo.size, 3)))
+    own = (camera.cam_from_mirror @ light.facet.ensemble_from_facet).rotation.T @ turn
+    moved = replace(
+        light,
+        eye_m=light.eye_m + light.facet.ensemble_from_facet.rotation.T @ shift_m,
+        sights=light.sights + np.cross(own, light.sights),
+    )
+    return linear_response(light, moved, lean, np.zeros((light.photo.size, 3)), _SKY_SIGMA_RAD)
 
 
 def _clock(night: _Night, light: FacetLight, lean: Lean | None, turn: FloatArray) -> FloatArray:
     if lean is None:
         return np.zeros(5)
     own = (night.field_from_mirror @ light.facet.ensemble_from_facet).rotation.T @ turn
-    return linear_response(light, light, lean, -np.cross(own, seen_directions(light, lean.values)))
+    return linear_response(light, light, lean, -np.cross(own, seen_directions(light, lean.values)), _SKY_SIGMA_RAD)
 
 
 def _pointing(leans: Sequence[Lean | None], moved: Sequence[FloatArray]) -> Pointing:
