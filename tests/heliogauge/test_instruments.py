@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from heliogauge.errors import InputError
-from heliogauge.instruments import Kind, every_kind, instrument_named, instruments, read_resource, resolve
+from heliogauge.instruments import Kind, every_kind, instrument_named, instruments, near_match, read_resource, resolve
 from heliogauge.measurement.templates import write_template
 
 KINDS = every_kind()
@@ -146,3 +146,8 @@ def test_a_folder_of_data_with_a_name_of_ours_does_no_harm(tmp_path: Path) -> No
     program = "from heliogauge.instruments import instruments; n = len(instruments()); import observer"
     answer = run_python(program + "; print(n, observer.run)", tmp_path)
     assert answer.stdout.startswith(f"{len(instruments())} <function"), answer.stderr
+
+
+def test_long_lists_of_names_end_with_their_number() -> None:
+    said = near_match("zebra", [f"quantity_{number}" for number in range(230)])
+    assert said.endswith("quantity_39 and 190 more")

@@ -4,7 +4,7 @@ import datetime
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal, Self
+from typing import Annotated, Literal, Self, get_args
 
 from pydantic import Field, model_validator
 
@@ -37,20 +37,7 @@ TestName = Literal[
     "given",
     "year",
 ]
-TESTS: tuple[TestName, ...] = (
-    "day",
-    "drift",
-    "backlash",
-    "repeat",
-    "wind",
-    "sun_camera",
-    "reflectance",
-    "quality",
-    "control",
-    "power",
-    "given",
-    "year",
-)
+TESTS: tuple[TestName, ...] = get_args(TestName)
 Files = Text | Annotated[tuple[Text, ...], Field(min_length=1)]
 
 

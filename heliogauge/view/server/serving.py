@@ -114,6 +114,7 @@ class _Handler(BaseHTTPRequestHandler):
         except MetrologyError as error:
             return message_page("This cannot be shown", str(error), HTTPStatus.UNPROCESSABLE_ENTITY)
         except Exception:
+            # The border of a request: a bug of one page leaves the others, and the terminal shows it.
             traceback.print_exc()
             words = "A bug of heliogauge: the terminal where it was started shows where."
             return message_page("This page could not be made", words, HTTPStatus.INTERNAL_SERVER_ERROR)
