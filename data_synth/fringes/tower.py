@@ -1,5 +1,7 @@
 """A heliostat seen at night from its tower: the fringes are on the tower's target, 200 m away (C-35, C-23)."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from data_synth.fringes.knowledge import Knowledge
@@ -32,6 +34,13 @@ KNOWLEDGE = Knowledge(
     sigma_focal_px=20.0,
     sigma_center_px=5.0,
 )
+
+
+def tower_knowledge(scale: float = 1.0) -> Knowledge:
+    """Return what a survey knows, the lens in the pixels of a camera that has fewer of them."""
+    return replace(KNOWLEDGE, sigma_focal_px=scale * 20.0, sigma_center_px=scale * 5.0)
+
+
 #: Canting of a facet beyond this looks past the target in part of it [rad].
 _CANTING_RAD = 1.0e-3
 
@@ -56,6 +65,14 @@ def tower_scene(*, scale: float = 1.0, turned_away_rad: float = 0.0) -> FringeSc
             errors = SurfaceErrors((canting, *standard_errors(1.5, 1.0).terms))
             design = Design("sphere", {"radius_m": 400.0})
             facets.append(SyntheticFacet(f"facet_{row}_{column}", rectangle(1.5, 1.0), design, errors, pose))
+    scene = _at_night("heliostat from the tower", tuple(facets), scale)
+    if turned_away_rad == 0.0:
+        check_screen_covers(scene)
+    return scene
+
+
+def _at_night(name: str, facets: tuple[SyntheticFacet, ...], scale: float) -> FringeScene:
+    """Return facets before camera and target, seen at night."""
     # Haze and stray light take contrast, the light is little: 10 bit, 2 DN of noise and that of the photons.
     lighting = Lighting(black=0.08, ambient=0.05, indirect=0.02, background_albedo=0.15, soiling=0.08)
     sensor = Sensor(bits=10, exposure=0.7, offset_dn=16.0, read_noise_dn=2.0, shot_gain_dn=0.06)
@@ -64,8 +81,4 @@ def tower_scene(*, scale: float = 1.0, turned_away_rad: float = 0.0) -> FringeSc
     cam_from_wall = RigidTransform(turn, np.array([0.3, 5.0, -0.4]))
     target = cam_from_wall.apply(TARGET.points_m(np.array(0.5), np.array(0.5)))
     bench = Bench(CAMERA.scaled(scale), aim(PLACE_M, target, np.array([0.0, 0.0, 1.0])), TARGET, cam_from_wall)
-    pattern = make_pattern(PERIODS, PERIODS)
-    scene = FringeScene("heliostat from the tower", bench, tuple(facets), pattern, lighting, sensor, 1.5 * scale)
-    if turned_away_rad == 0.0:
-        check_screen_covers(scene)
-    return scene
+    return FringeScene(name, bench, facets, make_pattern(PERIODS, PERIODS), lighting, sensor, 1.5 * scale)

@@ -11,7 +11,7 @@ from deflectometry.pose.find_pose import LocatedMirror, MirrorInput, find_pose
 from deflectometry.pose.mirror_outline import mirror_masks
 from deflectometry.pose.mirrors_in_image import find_mirrors
 from deflectometry.setup.camera_and_screen import Setup
-from deflectometry.shape.common_modes import common_modes
+from deflectometry.shape.common_modes import common_modes, moved_inputs
 from deflectometry.shape.facet_pixels import solve_shape_of_pixels, thinned, usable_facets
 from deflectometry.shape.fine_structure import fine_share
 from deflectometry.shape.gridding import grid_slopes, plan_grid
@@ -109,12 +109,14 @@ def evaluate_source(
     with progress.stage("uncertainty"):
         few = [thinned(sample, max(MODE_PIXELS // len(samples), 60)) for sample in samples]
         modes = common_modes(setup, few, solution, located.pose, align=align)
+        # Pose and set-up are those of all facets: what follows them is found once.
+        inputs = tuple(moved_inputs(setup, solution.cam_from_mirror, located.pose))
         fine = {
             one.facet.name: fine_share(
                 setup,
                 one,
                 solution,
-                located.pose,
+                inputs,
                 images[one.facet.name],
                 surfaces[one.facet.name],
                 located.edge_width_px,

@@ -129,13 +129,19 @@ def _rejection_doubt(evaluation: Evaluation) -> Iterator[Doubt]:
 
 
 def turn_in_sigmas(evaluation: Evaluation) -> float:
-    """Return how far the orientation from the reflection is off the one from the outline; 0 without an outline."""
+    """Return how far the orientation from the reflection is off the one from the outline; 0 without an outline.
+
+    Where two tilts fit the outline alike, so do those between them if the mirror faces the camera: foreshortening goes
+    with the square of the tilt, and its sigma to first order says nothing. Half the way to the other tilt counts.
+    """
     located = evaluation.located
     if evaluation.choices.align is not Align.NORMAL or located.evidence is None:
         return 0.0
     before, after = located.pose.cam_from_mirror, evaluation.solution.cam_from_mirror
     turn = RigidTransform(after.rotation @ before.rotation.T, np.zeros(3)).rotation_vector_rad
     covariance = located.pose.covariance[:3, :3] + (_MOUNTING_RAD**2 + evaluation.sigma_turn_rad**2) * np.eye(3)
+    other = located.evidence.other_tilt_rad
+    covariance = covariance + 0.25 * np.outer(other, other)
     return float(np.sqrt(turn @ np.linalg.solve(covariance, turn)))
 
 

@@ -1,14 +1,14 @@
 """How well the size of a mirror's waviness is known: blur lowers it, and a wrong scale of the screen stretches it."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import cv2
 import numpy as np
 
 from deflectometry.pose.outline_edges import edge_blur_px
-from deflectometry.pose.pose_observations import UncertainPose
 from deflectometry.setup.camera_and_screen import Setup
-from deflectometry.shape.common_modes import moved_inputs
+from deflectometry.shape.common_modes import MovedInput
 from deflectometry.shape.facet_pixels import PixelSamples, spread_indices, trace_samples
 from deflectometry.shape.pixel_slopes import SlopeImage
 from deflectometry.shape.smooth_shape import FittedSurface, ShapeSolution, slopes_at
@@ -29,7 +29,7 @@ def fine_share(
     setup: Setup,
     sample: PixelSamples,
     solution: ShapeSolution,
-    located: UncertainPose,
+    inputs: Sequence[MovedInput],
     image: SlopeImage,
     surface: FittedSurface,
     edge_width_px: float,
@@ -37,19 +37,23 @@ def fine_share(
     """Return the relative standard deviation of the waviness in x and in y, shape (2,).
 
     sample, image, surface: Pixels, slopes and smooth shape of one facet.
-    located: The mirror's pose.
+    inputs: Camera, screen and pose with one of them moved after the other, from `moved_inputs`.
     edge_width_px: Width of the mirror's edges in the image; NaN where it was not measured [px].
 
     Common modes are smooth: they hold what one sigma of the set-up does to the mirror's shape, but not that waviness is
     measured on the scale of the screen's size and distance. The image is blurred as its edges are wide, and waviness
     with it; the share that this takes away is about the share that the same blur takes away once more.
     """
-    scale = _scale_share(setup, sample, solution, located, surface)
+    scale = _scale_share(setup, sample, solution, inputs, surface)
     return np.asarray(np.hypot(scale, _blur_share(image, edge_width_px)))
 
 
 def _scale_share(
-    setup: Setup, sample: PixelSamples, solution: ShapeSolution, located: UncertainPose, surface: FittedSurface
+    setup: Setup,
+    sample: PixelSamples,
+    solution: ShapeSolution,
+    inputs: Sequence[MovedInput],
+    surface: FittedSurface,
 ) -> FloatArray:
     """Return what one sigma of each input does to the change of slope with the display point, as a share (2,)."""
     chosen = spread_indices(len(sample.pixels_px), _PIXELS)
@@ -57,7 +61,7 @@ def _scale_share(
     cam_from_mirror = solution.cam_from_mirror
     start = np.linalg.inv(_slopes_by_display(setup, few, cam_from_mirror, surface))
     total = np.zeros(2)
-    for one in moved_inputs(setup, cam_from_mirror, located):
+    for one in inputs:
         ratio = _slopes_by_display(one.setup, few, one.cam_from_mirror, surface) @ start
         total += np.square(np.nanmedian(np.diagonal(ratio, axis1=1, axis2=2), axis=0) - 1.0)
     return np.asarray(np.sqrt(total))

@@ -7,6 +7,7 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 from deflectometry.pose.pose_observations import UncertainPose
+from deflectometry.shape.common_modes import moved_inputs
 from deflectometry.shape.facet_pixels import PixelSamples
 from deflectometry.shape.fine_structure import fine_share
 from deflectometry.shape.pixel_slopes import SlopeImage
@@ -36,7 +37,8 @@ def share(laboratory, cam_from_mirror, image: SlopeImage, width_px: float) -> np
     solution = ShapeSolution(cam_from_mirror, (surface,), np.zeros((1, 2)), 1)
     pose = UncertainPose(cam_from_mirror, np.zeros((6, 6)))
     sample = PixelSamples(FACET, pixels, screen, screen)
-    return fine_share(laboratory, sample, solution, pose, image, surface, width_px)
+    inputs = tuple(moved_inputs(laboratory, cam_from_mirror, pose))
+    return fine_share(laboratory, sample, solution, inputs, image, surface, width_px)
 
 
 @pytest.mark.parametrize("noise", [0.0, 2e-5])
