@@ -220,7 +220,6 @@ class Tracer:
             x, y = back.x + length * back.dx, back.y + length * back.dy
             in_mirror = self.mirror.within(x, y) & (self.mirror.panel(x, y) >= 0)
             share = face.share[away]
-            by_mirror, free = np.flatnonzero(in_mirror), np.flatnonzero(~in_mirror)
             tone = np.empty(away.size, dtype=np.float32)
             free = np.flatnonzero(~in_mirror)
             if free.size:
