@@ -12,7 +12,7 @@ from data_synth.optics.mirror import SyntheticFacet
 from heliogauge.short_repr import ShortRepr
 from heliogauge.validate import Float32Array, FloatArray
 
-#: Rays along each side of a pixel: a dot of 4 px is then crossed by 300 of them, its centre right to 0.003 px.
+#: Rays along each side of a pixel: a dot of 4 px is then crossed by 300 of them, each standing for its own area.
 _RAYS = 6
 #: Light beside the mirror.
 _BESIDE = 0.02
@@ -155,7 +155,10 @@ def _wall_light(dots: DotScene, truth: DotTruth, u: FloatArray, v: FloatArray) -
     apart = np.hypot(across - near_across[number], down - near_down[number])
     # Brighter on one side, as a wall under one lamp is.
     ground = 0.45 + 0.1 * np.nan_to_num(u)
-    light = np.where(there & (apart < dots.radius_m), 0.3 * ground, ground)
+    # Each ray stands for its own small area: how much of that a dot covers, its edge taken as straight.
+    step_m = float(np.nanmedian(np.hypot(np.diff(across, axis=1), np.diff(down, axis=1))))
+    cover = np.clip((dots.radius_m - apart) / step_m + 0.5, 0.0, 1.0)
+    light = np.where(there, ground * (1.0 - 0.7 * cover), ground)
     if dots.marked:
         first = dots.origin[1] * columns + dots.origin[0]
         beside = np.hypot(

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from deflectometry.dots.dot_size import shift_of_size
 from deflectometry.dots.found_dots import FoundDots
 from deflectometry.setup.dot_screen import DotScreen
 from deflectometry.sources.display_edge import DisplayEdge
@@ -27,11 +28,13 @@ class DotSource(ShortRepr):
     image (h, w): The mirror without the dots: its ground [DN].
     dots: The dots, numbered as in the table: those of each lattice, where facets show several; None before they are.
     screen: The field of dots.
+    near_dots (h, w): Where a dot may be taken for an edge of the mirror, or hides it; None where nobody looked.
     """
 
     image: Float32Array
     dots: tuple[FoundDots, ...] | None
     screen: DotScreen
+    near_dots: BoolArray | None = None
 
     @property
     def size_px(self) -> tuple[int, int]:
@@ -41,6 +44,15 @@ class DotSource(ShortRepr):
     def mirror_image(self) -> Float32Array:
         """Return an image in which the mirror is bright: the ground of the dots [DN]."""
         return self.image
+
+    @property
+    def mixes_edges(self) -> bool:
+        """Whether a dot near an edge is measured with what is beside the mirror: the edge is taken out before."""
+        return False
+
+    def clutter(self) -> BoolArray | None:
+        """Return the pixels (h, w) that show a dot with its blur."""
+        return self.near_dots
 
     def screen_map(self, region: BoolArray) -> ScreenMap:
         """Return which dot each sample sees; the samples stand in the rows and columns of the table.
@@ -59,6 +71,7 @@ class DotSource(ShortRepr):
         places = np.full((blocks, rows, columns, 2), np.nan)
         covariance = np.full((blocks, rows, columns, 2, 2), np.nan)
         contrast = np.full((blocks, rows, columns), np.nan, dtype=np.float32)
+        cut = np.zeros((blocks, rows, columns), dtype=np.bool_)
         listed = np.zeros((rows, columns), dtype=np.bool_)
         listed[: self.screen.shape[0]] = np.isfinite(self.screen.xyz_m[..., 0])
         for block, dots in enumerate(self.dots):
@@ -66,8 +79,11 @@ class DotSource(ShortRepr):
             there = (column >= 0) & (column < columns) & (row >= 0) & (row < self.screen.shape[0])
             at = block, row[there], column[there]
             places[at], covariance[at] = dots.centers_px[there], dots.covariance_px2[there]
-            contrast[at] = dots.contrast_dn[there]
-        measured = (np.isfinite(places[..., 0]) & listed).reshape(-1, columns)
+            contrast[at], cut[at] = dots.contrast_dn[there], dots.is_cut[there]
+            shapes = np.full((rows, columns, 2, 2), np.nan)
+            shapes[at[1:]] = dots.outlines_px2[there]
+            places[block], covariance[block] = self._middles(places[block], covariance[block], shapes, cut[block])
+        measured = (np.isfinite(places[..., 0]) & listed & ~cut).reshape(-1, columns)
         bridged = np.concatenate([_bridged(one) for one in places])
         grid = LatticeGrid(bridged, blocks)
         steps = 1.0 / (columns - 1), 1.0 / (self.screen.shape[0] - 1)
@@ -81,6 +97,7 @@ class DotSource(ShortRepr):
         own = self.screen.sigma_at(u, v)[..., :2] / self.screen.spacing_m * steps
         sigma_u, sigma_v = np.hypot(sigma_u, own[..., 0]), np.hypot(sigma_v, own[..., 1])
         flags = np.where(measured, 0, int(SampleFlag.NOT_SEEN)).astype(np.uint32)
+        flags[cut.reshape(-1, columns)] = np.uint32(SampleFlag.MIRROR_EDGE)
         maps = [np.where(measured, one, np.nan) for one in (u, v, sigma_u, sigma_v)]
         noise = NoiseModel(max(1e-6, *(one.residual_dn for one in self.dots)))
         return ScreenMap(
@@ -93,6 +110,26 @@ class DotSource(ShortRepr):
             noise,
             grid=grid,
         )
+
+    def _middles(
+        self, places_px: FloatArray, covariance_px2: FloatArray, shapes_px2: FloatArray, cut: BoolArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return where the photo shows the middles of dots of one lattice, and how sure that is.
+
+        Shapes: places_px (rows, columns, 2), covariance_px2, shapes_px2 (rows, columns, 2, 2), cut (rows, columns).
+        """
+        rows = self.screen.shape[0]
+        known = np.full((*places_px.shape[:2], 3), np.nan)
+        known[:rows] = self.screen.xyz_m
+        whole = np.where(cut[..., None], np.nan, places_px)
+        shift = shift_of_size(whole, known, shapes_px2)
+        known_shift = np.isfinite(shift[..., 0])
+        if not known_shift.any():
+            return places_px, covariance_px2
+        # At the rim the mirror's curvature is not known: there a shift as usual may be.
+        usual = shift[known_shift].T @ shift[known_shift] / np.count_nonzero(known_shift)
+        covariance = np.where(known_shift[..., None, None], covariance_px2, covariance_px2 + usual)
+        return places_px - np.nan_to_num(shift), covariance
 
     @property
     def _block(self) -> tuple[int, int]:
@@ -127,7 +164,10 @@ class DotSource(ShortRepr):
                     )
                     for one in self.dots
                 )
-            yield words, replace(self, image=image, dots=dots)
+            near = self.near_dots
+            if near is not None:
+                near = np.ascontiguousarray(near[:: signs[1], :: signs[0]])
+            yield words, replace(self, image=image, dots=dots, near_dots=near)
 
 
 def _bridged(places_px: FloatArray) -> FloatArray:
@@ -147,6 +187,8 @@ def _sigma_of_steps(places_px: FloatArray, covariance_px2: FloatArray) -> tuple[
     Shapes: places_px (rows, columns, 2), covariance_px2 (rows, columns, 2, 2).
     """
     steps = np.stack([_steps(places_px, 1), _steps(places_px, 0)], axis=-1)
+    # A dot without neighbours along one of them has the usual step there.
+    steps = np.where(np.isfinite(steps), steps, np.nanmedian(steps, axis=(0, 1)))
     with np.errstate(invalid="ignore", divide="ignore"):
         determinant = steps[..., 0, 0] * steps[..., 1, 1] - steps[..., 0, 1] * steps[..., 1, 0]
         inverse = np.stack(
@@ -158,9 +200,6 @@ def _sigma_of_steps(places_px: FloatArray, covariance_px2: FloatArray) -> tuple[
         )
         inverse /= determinant[..., None, None]
         own = np.einsum("...ij,...jk,...ik->...i", inverse, covariance_px2, inverse)
-    # At the end of a row that has but one neighbour across, those of the usual dot.
-    usual = np.nanmedian(own, axis=(0, 1))
-    own = np.where(np.isfinite(own), own, usual)
     return np.sqrt(own[..., 0]), np.sqrt(own[..., 1])
 
 

@@ -20,6 +20,10 @@ _SMALLEST_PX, _LARGEST_PX, _LEAST_CONTRAST_DN, _MOST_TILT_RAD = 3.0, 60.0, 8.0, 
 _SMALL_PX = 4.0
 #: Logarithm of the contrast of a dot that only the lattice expects over that of its neighbours, at most: half or twice.
 _LIKE_NEIGHBOURS = np.log(2.0)
+#: Dots whose blur and size stand for all: both are known to a tenth from each.
+_BLUR_DOTS = 60
+#: Standard deviation of a pixel's own width [px].
+_PIXEL_PX = 12.0**-0.5
 #: Fewer dots than this have no lattice: a row and a column of five with what is between them.
 FEWEST_DOTS = 25
 #: Neighbours that may be the next ones of a lattice, and those whose usual steps hold around a dot.
@@ -43,6 +47,8 @@ class FoundDots:
     residual_dn: Usual noise of a pixel about the fitted dots [DN].
     n_coarse: Dots that no blurred disc fits: the last ones, with the centre of their outline.
     shapes_px2 (n, 2, 2): Shape of each dot's ellipse; None where nobody measured it [px^2].
+    blur_px: Usual blur of a dot's edge, as the standard deviation of a Gaussian, pixel included [px].
+    cut (n,): Dots that the mirror's edge cuts: they have a number, but no centre; None: none.
     """
 
     centers_px: FloatArray
@@ -52,6 +58,20 @@ class FoundDots:
     residual_dn: float
     n_coarse: int = 0
     shapes_px2: FloatArray | None = None
+    blur_px: float = 0.0
+    cut: BoolArray | None = None
+
+    @property
+    def is_cut(self) -> BoolArray:
+        """Which dots the mirror's edge cuts, shape (n,)."""
+        return np.zeros(len(self.number), dtype=np.bool_) if self.cut is None else self.cut
+
+    @property
+    def outlines_px2(self) -> FloatArray:
+        """Shape of each dot's ellipse; circles of a quarter of the dots' distance where nobody measured it [px^2]."""
+        if self.shapes_px2 is not None:
+            return self.shapes_px2
+        return np.tile((0.25 * self.spacing_px) ** 2 * np.eye(2), (len(self.number), 1, 1))
 
     @property
     def spacing_px(self) -> float:
@@ -85,6 +105,8 @@ class FoundDots:
             self.residual_dn,
             int(np.count_nonzero(index >= first_coarse)),
             None if self.shapes_px2 is None else self.shapes_px2[index],
+            self.blur_px,
+            None if self.cut is None else self.cut[index],
         )
 
     def renumbered(self, number: IntArray) -> "FoundDots":
@@ -170,7 +192,7 @@ def _measured(image_dn: npt.NDArray[Any], spots: _Spots, number: IntArray, on_la
             f"of {len(places)} dots only {np.count_nonzero(good)} have a centre; check focus and exposure: dots need "
             "4 px and more"
         )
-    expected, their_number = _expected(places, number)
+    expected, their_number = expected_dots(places, number)
     like, usual_dn = _like_neighbours(expected, chosen, centres.contrast_dn)
     more = _centres(image_dn, spots, like, float(np.median(centres.residual_dn[good])))
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -179,6 +201,9 @@ def _measured(image_dn: npt.NDArray[Any], spots: _Spots, number: IntArray, on_la
     off = centres.centers_px[good] - places[good]
     coarse = np.diag([robust_scale(off[:, axis]) ** 2 for axis in (0, 1)])
     n_coarse = int(np.count_nonzero(~good))
+    shapes = np.concatenate([centres.shapes_px2[good], more.shapes_px2[there], chosen.shapes_px2[~good]])
+    blur_px, share = _blur_and_size(image_dn, chosen.chosen(good), centres.shapes_px2[good])
+    shapes *= share
     return FoundDots(
         np.concatenate([centres.centers_px[good], more.centers_px[there], places[~good]]),
         np.concatenate([centres.covariance_px2[good], more.covariance_px2[there], np.tile(coarse, (n_coarse, 1, 1))]),
@@ -186,8 +211,24 @@ def _measured(image_dn: npt.NDArray[Any], spots: _Spots, number: IntArray, on_la
         np.concatenate([centres.contrast_dn[good], more.contrast_dn[there], np.full(n_coarse, np.nan)]),
         float(np.median(np.concatenate([centres.residual_dn[good], more.residual_dn[there]]))),
         n_coarse,
-        np.concatenate([centres.shapes_px2[good], more.shapes_px2[there], chosen.shapes_px2[~good]]),
+        shapes,
+        blur_px,
     )
+
+
+def _blur_and_size(image_dn: npt.NDArray[Any], dots: _Spots, shapes_px2: FloatArray) -> tuple[float, float]:
+    """Return the blur of dots' edges, pixel included [px], and how large dots are without it, from some of them.
+
+    shapes_px2 (n, 2, 2): Shapes as measured: those of outlines are as large as the blur makes them [px^2].
+    Returns: The blur and the share of the shapes; 1 and 1 where no template fits any dot.
+    """
+    which = np.linspace(0, len(dots.places_px) - 1, _BLUR_DOTS).astype(np.intp)
+    fitted = measure_centers(image_dn, dots.chosen(which).ellipses())
+    found = [(row, one) for row, one in zip(which.tolist(), fitted, strict=True) if isinstance(one, TargetCenter)]
+    if not found:
+        return 1.0, 1.0
+    share = [(one.ellipse.radius_px / Ellipse(np.zeros(2), shapes_px2[row]).radius_px) ** 2 for row, one in found]
+    return float(np.hypot(np.median([one.blur_px for _, one in found]), _PIXEL_PX)), float(np.median(share))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -429,7 +470,7 @@ def _shared(number: IntArray, on_lattice: BoolArray) -> BoolArray:
     return shared
 
 
-def _expected(places_px: FloatArray, number: IntArray) -> tuple[FloatArray, IntArray]:
+def expected_dots(places_px: FloatArray, number: IntArray) -> tuple[FloatArray, IntArray]:
     """Return where further dots are expected, between or beside two of a row or column, and their numbers."""
     low = number.min(axis=0) - 1
     columns, rows = number.max(axis=0) - low + 2
@@ -463,3 +504,11 @@ def _like_neighbours(places_px: FloatArray, dots: _Spots, contrast_dn: FloatArra
     with np.errstate(invalid="ignore"):
         usual = np.median(np.where(np.isfinite(contrast_dn), contrast_dn, np.nanmedian(contrast_dn))[nearest], axis=1)
     return _Spots(places_px, dots.shapes_px2[nearest].mean(axis=1)), usual
+
+
+def like_neighbours(places_px: FloatArray, dots_px: FloatArray, shapes_px2: FloatArray) -> list[Ellipse]:
+    """Return the outlines of dots at places (n, 2), as large as those around them."""
+    if not len(places_px):
+        return []
+    spots, _ = _like_neighbours(places_px, _Spots(dots_px, shapes_px2), np.ones(len(dots_px)))
+    return spots.ellipses()

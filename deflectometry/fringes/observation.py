@@ -52,6 +52,14 @@ class Observation(ShortRepr):
         """Return the fringes' mean amplitude, shape (h, w) [DN, or the response's unit]."""
         return modulation_image(self.frames, self.pattern, response=self.response)
 
+    @property
+    def mixes_edges(self) -> bool:
+        """Whether a sample near an edge shows what is beside the mirror: a pixel does."""
+        return True
+
+    def clutter(self) -> None:
+        """Fringes are averaged out: nothing in the mirror looks like its edge."""
+
     def screen_map(self, region: BoolArray) -> ScreenMap:
         """Measure the display point that each pixel of a region sees."""
         counted = None

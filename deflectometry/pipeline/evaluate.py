@@ -87,7 +87,8 @@ def evaluate_source(
             located = find_pose(source, setup, mirror)
         except EstimationError as error:
             raise _at_display_edge(source, error) from error
-        masks = mirror_masks(setup.camera, located.outline_pose, located.facets, margin_px=located.margin_px)
+        margin_px = located.margin_px if source.mixes_edges else 0.0
+        masks = mirror_masks(setup.camera, located.outline_pose, located.facets, margin_px=margin_px)
     with progress.stage("screen points"):
         screen_map = source.screen_map(masks.facet_index >= 0)
         grid = screen_map.grid

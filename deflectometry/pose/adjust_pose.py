@@ -25,7 +25,7 @@ from heliogauge.doubts import Doubt, gather_doubts
 from heliogauge.errors import EstimationError, InputError
 from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.geometry.surfaces import Facet
-from heliogauge.validate import FloatArray, freeze
+from heliogauge.validate import BoolArray, FloatArray, freeze
 
 #: Below this probability of so large a disagreement the distance and the image are reported as contradicting.
 MIN_PROBABILITY = 0.01
@@ -118,13 +118,19 @@ class MirrorPose:
 
 
 def pose_from_outline(
-    image_dn: npt.ArrayLike, camera: Camera, facets: Sequence[Facet], knowledge: Knowledge | None = None
+    image_dn: npt.ArrayLike,
+    camera: Camera,
+    facets: Sequence[Facet],
+    knowledge: Knowledge | None = None,
+    *,
+    clutter: BoolArray | None = None,
 ) -> MirrorPose:
     """Find the pose of a mirror in the camera frame, from an image in which the mirror is bright.
 
     image_dn (h, w): Modulation of the fringes, or bright minus dark [DN].
     facets: The facets with their outlines and places; one for a single facet.
     knowledge: Measured distances, known points, expected roll.
+    clutter (h, w): Where something else may be taken for an edge, or hides it.
     Returns: The pose. Which corner of a symmetric mirror is which follows from the expected roll.
     InputError: Image and camera differ in size.
     EstimationError: No mirror in view, cut by the border, or an outline that does not fit the design.
@@ -145,7 +151,7 @@ def pose_from_outline(
     starts = start_poses(camera, regions, facets, knowledge.roll_rad)
     facet_px = np.sqrt(float(np.median([region.area_px for region in regions])))
     size_px = float(np.ptp(np.concatenate([region.contour_px for region in regions]), axis=0).max())
-    search = OutlineSearch(image, camera, facets, found.noise_dn, facet_px)
+    search = OutlineSearch(image, camera, facets, found.noise_dn, facet_px, clutter)
     fits = [search.follow(start.cam_from_mirror, knowledge.points) for start in starts]
     # A tilt that no edge fits has no residual, and is no rival.
     fits = sorted((fit for fit in fits if np.isfinite(fit.rms_px)), key=lambda fit: fit.rms_px) or fits

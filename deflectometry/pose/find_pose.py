@@ -3,6 +3,8 @@
 from dataclasses import dataclass
 from functools import partial
 
+import numpy as np
+
 from deflectometry.pose.adjust_pose import MirrorPose, pose_from_outline, pose_from_points
 from deflectometry.pose.given_pose import check_given_pose
 from deflectometry.pose.pose_observations import Knowledge, UncertainPose
@@ -57,6 +59,11 @@ class LocatedMirror:
     doubts: tuple[Doubt, ...] = ()
     edge_width_px: float = float("nan")
 
+    @property
+    def sigma_outline_px(self) -> float:
+        """How far the outline may be off the edges of the mirror [px]: as the edge points scatter about it."""
+        return 0.0 if self.evidence is None else float(np.nan_to_num(self.evidence.residual_rms_px))
+
 
 def find_pose(source: Source, setup: Setup, mirror: MirrorInput) -> LocatedMirror:
     """Find where the mirror is: from the pose as given, from its outline, or from its reflection alone.
@@ -67,7 +74,7 @@ def find_pose(source: Source, setup: Setup, mirror: MirrorInput) -> LocatedMirro
     """
     image = source.mirror_image()
     if mirror.facets and mirror.known_pose is not None:
-        checked = check_given_pose(image, setup.camera, mirror.facets, mirror.known_pose)
+        checked = check_given_pose(image, setup.camera, mirror.facets, mirror.known_pose, source.clutter())
         words = f"given in measurement.toml; its outline lies {checked.residual_rms_px:.3f} px RMS off the edges"
         return LocatedMirror(
             mirror.facets,
@@ -80,7 +87,7 @@ def find_pose(source: Source, setup: Setup, mirror: MirrorInput) -> LocatedMirro
         )
     if not mirror.facets:
         return _find_without_outline(source, image, setup, mirror)
-    evidence = pose_from_outline(image, setup.camera, mirror.facets, mirror.knowledge)
+    evidence = pose_from_outline(image, setup.camera, mirror.facets, mirror.knowledge, clutter=source.clutter())
     words = (
         f"outline in the image: {evidence.n_points} edge points, residual {evidence.residual_rms_px:.3f} px RMS, "
         f"{evidence.n_rejected} rejected"

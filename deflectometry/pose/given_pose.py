@@ -14,7 +14,7 @@ from heliogauge.doubts import Doubt
 from heliogauge.errors import EstimationError
 from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.geometry.surfaces import Facet
-from heliogauge.validate import Float32Array
+from heliogauge.validate import BoolArray, Float32Array
 
 #: A sharp image: half a pixel's diagonal is what a pixel needs to lie wholly on the mirror.
 SHARP_MARGIN_PX = 0.5 * float(np.sqrt(2.0))
@@ -49,10 +49,12 @@ def check_given_pose(
     camera: Camera,
     facets: Sequence[Facet],
     given: UncertainPose,
+    clutter: BoolArray | None = None,
 ) -> OutlineCheck:
     """Look where the edges of a mirror with a given pose really are, and how wide.
 
     image_dn (h, w): Modulation of the fringes, or bright minus dark [DN].
+    clutter (h, w): Where something else may be taken for an edge, or hides it.
     Returns: The pose and margin for the mask, and how far the outline of the given pose is off the edges.
     """
     pose = given.cam_from_mirror
@@ -61,7 +63,7 @@ def check_given_pose(
         found = find_mirrors(image)
         regions = mirror_regions(found, len(facets))
         facet_px = float(np.sqrt(np.median([region.area_px for region in regions])))
-        fit = OutlineSearch(image, camera, facets, found.noise_dn, facet_px).follow(pose, KnownPoints())
+        fit = OutlineSearch(image, camera, facets, found.noise_dn, facet_px, clutter).follow(pose, KnownPoints())
         _refuse_strayed(fit, camera, facets, pose, facet_px)
     except EstimationError as error:
         doubt = Doubt(

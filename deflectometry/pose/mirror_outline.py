@@ -193,6 +193,45 @@ def mirror_masks(
     return MirrorMasks(freeze(index), freeze(flags))
 
 
+def outline_distance_px(
+    camera: Camera, cam_from_mirror: RigidTransform, facets: Sequence[Facet], reach_px: float
+) -> FloatArray:
+    """Return how far each pixel lies within the outline of its facet, negative beside all, shape (h, w) [px].
+
+    reach_px: Distance beyond which pixels are just far from the outline: the largest value, and the smallest [px].
+    """
+    shape = (camera.height_px, camera.width_px)
+    inside = np.full(shape, -reach_px)
+    for facet in facets:
+        outline = sample_outlines([facet], 32)
+        projected = project_outline(camera, cam_from_mirror, outline, 0.0)
+        corners = camera.project((cam_from_mirror @ facet.ensemble_from_facet).apply(facet.corners_m))
+        ring = np.concatenate([corners[:, None], projected.pixels_px], axis=1).reshape(-1, 2)
+        own = np.where(polygon_mask(shape, ring), reach_px, -reach_px)
+        for start, end in zip(ring, np.roll(ring, -1, axis=0), strict=True):
+            _near_side(own, start, end, reach_px)
+        np.maximum(inside, own, out=inside)
+    return inside
+
+
+def _near_side(inside_px: FloatArray, start_px: FloatArray, end_px: FloatArray, reach_px: float) -> None:
+    """Put the distance from one side into the pixels near it, where it is less than that from the sides before."""
+    low = np.floor(np.minimum(start_px, end_px) - reach_px).astype(int)
+    high = np.ceil(np.maximum(start_px, end_px) + reach_px).astype(int) + 1
+    (left, top), (right, bottom) = np.maximum(low, 0), np.minimum(high, inside_px.shape[::-1])
+    if left >= right or top >= bottom:
+        return
+    part = inside_px[top:bottom, left:right]
+    x, y = np.meshgrid(np.arange(left, right) - start_px[0], np.arange(top, bottom) - start_px[1])
+    along = end_px - start_px
+    length = float(np.linalg.norm(along))
+    unit = along / max(length, 1e-12)
+    before = np.clip(unit[0] * x + unit[1] * y, 0.0, length)
+    far = np.hypot(x - before * unit[0], y - before * unit[1])
+    nearer = far < np.abs(part)
+    part[nearer] = (np.sign(part) * far)[nearer]
+
+
 def _moved(ring: FloatArray, normals: FloatArray, outwards_px: float) -> FloatArray:
     """Move the outline along its normals; a corner moves to where its two moved sides meet."""
     before, after = np.roll(normals[:, -1], 1, axis=0), normals[:, 0]

@@ -132,6 +132,7 @@ class OutlineSearch:
     image_dn (h, w): The image [DN].
     noise_dn: Noise of one pixel [DN].
     facet_px: Size of a facet in the image [px].
+    clutter (h, w): Where something else may be taken for an edge, or hides it; None: nowhere.
     """
 
     image_dn: Float32Array
@@ -139,6 +140,7 @@ class OutlineSearch:
     facets: Sequence[Facet]
     noise_dn: float
     facet_px: float
+    clutter: BoolArray | None = None
 
     def follow(self, pose: RigidTransform, points: KnownPoints) -> OutlineFit:
         """Move a pose until the projected outline lies on the edges.
@@ -151,7 +153,7 @@ class OutlineSearch:
             # The first passes only have to come near.
             coarse = number < len(_REACHES) - 2
             outline = sample_outlines(self.facets, 32 if coarse else round(self.facet_px))
-            edges = self._measure(pose, outline, max(reach * self.facet_px, 1.5), width)
+            edges = self._measure(pose, outline, max(reach * self.facet_px, 1.5), width, avoid=not coarse)
             width = edges.width_px
             residuals, derivatives = edges.rows(self.camera, pose)
             known = points.rows(self.camera, pose)
@@ -167,8 +169,12 @@ class OutlineSearch:
         return OutlineFit(pose, edges, used, sigma, rms, max(correlation_points(series), shared))
 
     def _measure(
-        self, pose: RigidTransform, outline: OutlinePoints, reach_px: float, width: float | None
+        self, pose: RigidTransform, outline: OutlinePoints, reach_px: float, width: float | None, *, avoid: bool
     ) -> OutlineEdges:
+        """Measure the edges near an outline.
+
+        avoid: Leave out what clutter may have moved.
+        """
         corner_reach = 3.0 if width is None else width + 1.0
         projected = project_outline(self.camera, pose, outline, corner_reach)
         usable = projected.usable
@@ -181,6 +187,12 @@ class OutlineSearch:
         )
         found = np.isfinite(measured.offset_px)
         # An edge with less than half the usual step is that of something else.
+        expected = usable.sum(axis=1)
+        if avoid and self.clutter is not None and found.any():
+            places = pixels + np.nan_to_num(measured.offset_px)[:, None] * normals
+            hidden = _in_clutter(self.clutter, places, normals, measured.width_px)
+            expected = expected - np.bincount(np.argwhere(usable)[hidden, 0], minlength=len(expected))
+            found &= ~hidden
         if found.any():
             found[found] = measured.contrast_dn[found] > 0.5 * np.median(measured.contrast_dn[found])
         if found.sum() < 8:
@@ -195,11 +207,19 @@ class OutlineSearch:
             place=np.argwhere(usable)[found],
             points_per_side=usable.shape[1],
             facet_of_side=outline.facet_index,
-            expected_on_side=usable.sum(axis=1),
+            expected_on_side=expected,
             width_px=measured.width_px,
             # Half of it: the floor only keeps a perfect image from claiming sigma 0, the residuals decide otherwise.
             floor_px=0.5 * float(np.median(measured.sigma_px[found])),
         )
+
+
+def _in_clutter(clutter: BoolArray, pixels_px: FloatArray, normals: FloatArray, width_px: float) -> BoolArray:
+    """Return whether the profile of each edge point (n,), its edge and what is inside it, passes clutter."""
+    along = np.arange(-width_px - 1.0, 0.5 * width_px, 0.5)
+    column, row = np.rint(pixels_px.T[..., None] + normals.T[..., None] * along).astype(np.intp)
+    height, width = clutter.shape
+    return np.asarray(clutter[np.clip(row, 0, height - 1), np.clip(column, 0, width - 1)].any(axis=1))
 
 
 #: Windows by which edges are found widen them by this much, quadratically: on drawn edges of six kinds with a blur of

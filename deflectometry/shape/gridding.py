@@ -7,6 +7,7 @@ from typing import NamedTuple, TypeVar
 import cv2
 import numpy as np
 
+from deflectometry.shape.kriging import krige
 from deflectometry.shape.pixel_slopes import SlopeImage
 from deflectometry.shape.smooth_shape import Align, FittedSurface, alignment_words
 from heliogauge.camera.model import Camera
@@ -25,6 +26,8 @@ MOST_NODES = 1_000_000
 DENSE_NODES = 250_000
 #: Nodes that are interpolated at once: what belongs to them stays in a 2 MiB second-level cache.
 _BLOCK = 16384
+#: Samples that are farther apart than this leave room for waves between them [px]: a pixel sees all of its own.
+_SPARSE_PX = 2.0
 #: A map of so many nodes takes 3 GB; more was hardly meant.
 MOST_ASKED_NODES = 2e7
 
@@ -136,7 +139,7 @@ def grid_slopes(
     height_m = surface.height(*nodes)
     pixels = camera.project(cam_from_facet.apply(np.stack([*nodes, height_m], axis=-1)))
     pixels = image.grid.places(pixels) - np.array([image.column, image.row])
-    sample = _sample(image, surface, pixels, int(max(1, round(step_m / image.footprint_m))))
+    sample = _sample(image, surface, pixels, np.stack(nodes, axis=-1), int(max(1, round(step_m / image.footprint_m))))
     if not np.isfinite(sample.residual).any():
         raise EstimationError(f"grid: no pixel of facet {facet.name} has a slope; see the flags of pixels.nc")
     design, more = surface.design.gradient(*nodes), surface.correction_gradient(*nodes)
@@ -195,8 +198,13 @@ class _WeightedSums(NamedTuple):
     variance: Float32Array
 
 
-def _sample(image: SlopeImage, surface: FittedSurface, pixels: FloatArray, width: int) -> _NodeSample:
-    """Interpolate the pixels' differences from the smooth shape at positions in the image (n, 2)."""
+def _sample(
+    image: SlopeImage, surface: FittedSurface, pixels: FloatArray, places_m: FloatArray, width: int
+) -> _NodeSample:
+    """Interpolate the pixels' differences from the smooth shape at positions in the image (n, 2).
+
+    places_m (n, 2): The same positions on the mirror [m].
+    """
     smooth_x, smooth_y = surface.gradient(image.x_m, image.y_m)
     usable = np.isfinite(image.slope_x) & np.isfinite(image.slope_y)
     weight = usable.astype(np.float32)
@@ -224,12 +232,31 @@ def _sample(image: SlopeImage, surface: FittedSurface, pixels: FloatArray, width
     # A node whose nearest pixel was rejected has no value, whatever its other neighbours say.
     flags[usable_node] &= ~np.uint32(REJECTED)
     flags[~usable_node & (flags == 0)] = np.uint32(SampleFlag.NOT_SEEN)
+    if image.grid.spacing_px > _SPARSE_PX and width == 1:
+        return _between_samples(image, slopes, usable, places_m, usable_node, flags)
     sums = _interpolate(at, weight, slopes, variances, width)
     with np.errstate(invalid="ignore", divide="ignore"):
         residual = sums.residual / sums.weight
         sigma: Float32Array = np.divide(np.sqrt(sums.variance), sums.weight, dtype=np.float32)
     residual[:, ~usable_node] = sigma[:, ~usable_node] = np.nan
     return _NodeSample(residual, sigma, flags)
+
+
+def _between_samples(
+    image: SlopeImage,
+    slopes: list[FloatArray],
+    usable: BoolArray,
+    places_m: FloatArray,
+    usable_node: BoolArray,
+    flags: FlagArray,
+) -> _NodeSample:
+    """Estimate differences from the smooth shape between samples that are far apart: waves fit between them."""
+    points = np.stack([image.x_m[usable], image.y_m[usable]], axis=-1)
+    residual, sigma = (np.full((2, len(places_m)), np.nan) for _ in range(2))
+    for axis, own in enumerate((image.sigma_x, image.sigma_y)):
+        found = krige(points, slopes[axis][usable], own[usable].astype(np.float64), places_m[usable_node])
+        residual[axis, usable_node], sigma[axis, usable_node] = found.values, found.sigma
+    return _NodeSample(residual, sigma.astype(np.float32), flags)
 
 
 def _nearest(pixels: FloatArray, shape: tuple[int, int]) -> tuple[IntArray, BoolArray]:
@@ -307,4 +334,7 @@ def _noise_correlation(image: SlopeImage, sigma: Float32Array) -> float:
     pixel_variance = float(np.mean(image.sigma_x[usable].astype(np.float64) ** 2)) / np.count_nonzero(usable)
     finite = np.isfinite(sigma[0])
     node_variance = float(np.mean(sigma[0][finite].astype(np.float64) ** 2)) / np.count_nonzero(finite)
+    if image.grid.spacing_px > _SPARSE_PX:
+        # Nodes between the same samples err together, by waves as well as by noise.
+        return max(1.0, np.count_nonzero(finite) / np.count_nonzero(usable))
     return max(1.0, pixel_variance / node_variance) if node_variance > 0 else 1.0

@@ -15,8 +15,15 @@ class Source(Protocol):
     def size_px(self) -> tuple[int, int]:
         """Width and height of the images [px]."""
 
+    @property
+    def mixes_edges(self) -> bool:
+        """Whether a sample near an edge of the mirror shows what is beside it, too."""
+
     def mirror_image(self) -> Float32Array:
         """Return an image in which the mirror is bright, shape (h, w) [DN]."""
+
+    def clutter(self) -> BoolArray | None:
+        """Return the pixels (h, w) where what the mirror shows may be taken for its edge or hides it, if any."""
 
     def screen_map(self, region: BoolArray) -> ScreenMap:
         """Measure which point of the screen each sample sees.

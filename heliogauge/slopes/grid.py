@@ -33,16 +33,47 @@ def curl(slope_map: SlopeMap) -> Derivative:
     """Return ``d slope_x / dy - d slope_y / dx``: zero for the slopes of any real surface, so a check of the map.
 
     Returns: Curl and its sigma [1/m]; NaN at nodes with a missing neighbour.
+
+    It is the circulation around the square of neighbours that share no pixel, over its area, its sides by Simpson's
+    rule: zero for the slopes of every surface of fifth degree. (Differences through the middle alone make a curl of
+    waves that run aslant, ``kx ky (kx^2 - ky^2) h^2 / 6`` times their height.)
     """
     valid, reach = slope_map.valid, _reach(slope_map)
+    weights_x, weights_y = (_side_weights(grid, reach) for grid in (slope_map.x_m, slope_map.y_m))
     x_by_y = _central(np.where(valid, slope_map.slope_x, np.nan), slope_map.y_m, 0, reach)
     y_by_x = _central(np.where(valid, slope_map.slope_y, np.nan), slope_map.x_m, 1, reach)
-    variance = _central_variance(slope_map.sigma_random_x, slope_map.y_m, 0, reach)
-    variance += _central_variance(slope_map.sigma_random_y, slope_map.x_m, 1, reach)
+    turned = _along_side(x_by_y, weights_x, 1, reach) - _along_side(y_by_x, weights_y, 0, reach)
+    variance = _along_side(_central_variance(slope_map.sigma_random_x, slope_map.y_m, 0, reach), weights_x**2, 1, reach)
+    variance += _along_side(
+        _central_variance(slope_map.sigma_random_y, slope_map.x_m, 1, reach), weights_y**2, 0, reach
+    )
     for mode_x, mode_y in slope_map.common.on_grid(slope_map.x_m, slope_map.y_m):
-        turn = _central(mode_x, slope_map.y_m, 0, reach) - _central(mode_y, slope_map.x_m, 1, reach)
+        turn = _along_side(_central(mode_x, slope_map.y_m, 0, reach), weights_x, 1, reach)
+        turn -= _along_side(_central(mode_y, slope_map.x_m, 1, reach), weights_y, 0, reach)
         variance += turn**2
-    return _derivative(x_by_y - y_by_x, variance)
+    return _derivative(turned, variance)
+
+
+def _side_weights(positions_m: FloatArray, reach: int) -> FloatArray:
+    """Return the weights of Simpson's rule for the mean between neighbours of each node that has both, shape (3, n).
+
+    Of the neighbour before, the node and the neighbour behind, also where they are unevenly apart.
+    """
+    if positions_m.size <= 2 * reach:
+        return np.zeros((3, 0))
+    middle = positions_m[reach:-reach]
+    before, after = middle - positions_m[: -2 * reach], positions_m[2 * reach :] - middle
+    return np.stack([2 - after / before, (before + after) ** 2 / (before * after), 2 - before / after]) / 6
+
+
+def _along_side(values: FloatArray, weights: FloatArray, axis: int, reach: int) -> FloatArray:
+    """Return weighted sums over the neighbours along an axis, NaN where one is missing, shape as values."""
+    along = np.moveaxis(values, axis, -1)
+    result = np.full(along.shape, np.nan)
+    if weights.size:
+        ends = (slice(None, -2 * reach), slice(reach, -reach), slice(2 * reach, None))
+        result[..., reach:-reach] = sum(weight * along[..., end] for weight, end in zip(weights, ends, strict=True))
+    return np.moveaxis(result, -1, axis)
 
 
 class CurlRms(NamedTuple):
@@ -57,25 +88,30 @@ def curl_rms(slope_map: SlopeMap) -> CurlRms:
     reach, valid = _reach(slope_map), slope_map.valid
     if min(slope_map.shape) <= 2 * reach:
         return CurlRms(np.nan, np.nan)
-    middle, ahead, behind = slice(reach, -reach), slice(2 * reach, None), slice(None, -2 * reach)
+    ends = slice(None, -2 * reach), slice(reach, -reach), slice(2 * reach, None)
+    behind, _, ahead = ends
     steps_x, steps_y = (grid[ahead] - grid[behind] for grid in (slope_map.x_m, slope_map.y_m))
-    seen = valid[middle, middle] & valid[ahead, middle] & valid[behind, middle]
-    seen &= valid[middle, ahead] & valid[middle, behind]
+    along_x, along_y = (_side_weights(grid, reach) for grid in (slope_map.x_m, slope_map.y_m))
+    seen = np.ones(tuple(size - 2 * reach for size in valid.shape), dtype=np.bool_)
+    for row_end in ends:
+        for column_end in ends:
+            seen &= valid[row_end, column_end]
     squares = variances = 0.0
-    for start in range(0, len(seen), max(1, _BLOCK // seen.shape[1])):
-        rows = slice(start, min(start + max(1, _BLOCK // seen.shape[1]), len(seen)))
-        inner, later = (
-            slice(rows.start + reach, rows.stop + reach),
-            slice(rows.start + 2 * reach, rows.stop + 2 * reach),
-        )
+    rows_at_once = max(1, _BLOCK // seen.shape[1])
+    for start in range(0, len(seen), rows_at_once):
+        rows = slice(start, min(start + rows_at_once, len(seen)))
+        first, middle, last = (slice(rows.start + k * reach, rows.stop + k * reach) for k in range(3))
         known, steps = seen[rows], steps_y[rows, None]
-        slope_x, slope_y = slope_map.slope_x, slope_map.slope_y[inner]
-        turn = (slope_x[later, middle] - slope_x[rows, middle]) / steps
-        turn -= (slope_y[:, ahead] - slope_y[:, behind]) / steps_x
+        slope_x, slope_y = slope_map.slope_x, slope_map.slope_y
+        sigma_x, sigma_y = slope_map.sigma_random_x, slope_map.sigma_random_y
+        turn, variance = np.zeros(known.shape), np.zeros(known.shape)
+        for weight, end in zip(along_x, ends, strict=True):
+            turn += weight * (slope_x[last, end] - slope_x[first, end]) / steps
+            variance += weight**2 * (sigma_x[last, end] ** 2 + sigma_x[first, end] ** 2) / steps**2
+        for weight, side in zip(along_y[:, rows, None], (first, middle, last), strict=True):
+            turn -= weight * (slope_y[side, ahead] - slope_y[side, behind]) / steps_x
+            variance += weight**2 * (sigma_y[side, ahead] ** 2 + sigma_y[side, behind] ** 2) / steps_x**2
         squares += float(np.sum(np.square(turn, out=turn), where=known))
-        sigma_x, squared_y = slope_map.sigma_random_x, slope_map.sigma_random_y[inner] ** 2
-        variance = (sigma_x[later, middle] ** 2 + sigma_x[rows, middle] ** 2) / steps**2
-        variance += (squared_y[:, ahead] + squared_y[:, behind]) / steps_x**2
         variances += float(np.sum(variance, where=known))
     count = int(np.count_nonzero(seen))
     if not count:
@@ -89,18 +125,22 @@ def _curl_squares(modes: CommonModes, slope_map: SlopeMap, reach: int, seen: Boo
 
     A mode's curl is a sum of products of a function of y and one of x: its square is summed by products of matrices.
     """
-    middle, ahead, behind = slice(reach, -reach), slice(2 * reach, None), slice(None, -2 * reach)
+    ahead, behind = slice(2 * reach, None), slice(None, -2 * reach)
     of_x, of_y = modes.powers_on(slope_map.x_m, slope_map.y_m)
+    mean_x, mean_y = (
+        _along_side(powers, _side_weights(grid, reach), 1, reach)[:, reach:-reach]
+        for powers, grid in ((of_x, slope_map.x_m), (of_y, slope_map.y_m))
+    )
     d_x, d_y = (
         (powers[:, ahead] - powers[:, behind]) / (grid[ahead] - grid[behind])
         for powers, grid in ((of_x, slope_map.x_m), (of_y, slope_map.y_m))
     )
-    along_y = np.concatenate([d_y, of_y[:, middle]])
+    along_y = np.concatenate([d_y, mean_y])
     products = (along_y[:, None] * along_y[None]).reshape(-1, along_y.shape[1])
     sums = (products @ seen.astype(np.float64)).reshape(len(along_y), len(along_y), -1)
     total = 0.0
     for by_x, by_y in modes.tables():
-        along_x = np.concatenate([by_x @ of_x[:, middle], -by_y @ d_x])
+        along_x = np.concatenate([by_x @ mean_x, -by_y @ d_x])
         total += float(np.einsum("abn,an,bn->", sums, along_x, along_x, optimize=True))
     return total
 

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from photogrammetry.centers.light_moments import light_centers as light_centers
     from photogrammetry.centers.measured_centers import measure_center as measure_center
     from photogrammetry.centers.measured_centers import measure_centers as measure_centers
+    from photogrammetry.centers.target_center import REACH as REACH
     from photogrammetry.centers.target_center import TargetCenter as TargetCenter
 
 __getattr__, __dir__, __all__ = lazy_face(__name__)

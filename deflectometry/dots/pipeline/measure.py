@@ -13,6 +13,7 @@ from deflectometry.dots.found_dots import FoundDots, find_dots, find_lattices
 from deflectometry.dots.ground import POLARITIES, ground_of_dots, without_dots
 from deflectometry.dots.keys import DotPatternSection, DotsMeasurement
 from deflectometry.dots.origin import KnownDot, PlacedDots, Sight, doubt_of_places, find_lights, place_dots
+from deflectometry.dots.rim_dots import edges_without_dots, find_rim, with_rim_dots
 from deflectometry.frames.image_file_checks import check_compression, check_size
 from deflectometry.pipeline.assess import SourceMeasurement, measure_source
 from deflectometry.pipeline.choices import Options, build_choices
@@ -28,6 +29,7 @@ from heliogauge.images.photos import read_frames
 from heliogauge.measurement.load import MEASUREMENT_FILE
 from heliogauge.running.progress import Progress, SilentProgress
 from heliogauge.validate import BoolArray, Float32Array
+from photogrammetry.targets import Polarity
 
 #: Share of the mirror with dots below which a part of it has none: around a mirror with 40 dots across, half a
 #: dot's distance along the edges is 5 %, and as much may be lost to clips.
@@ -85,6 +87,19 @@ def run(measurement: DotsMeasurement, options: Options | None = None, progress: 
         source = DotSource(np.asarray(image, dtype=np.float32), None, screen)
     with progress.stage("place in the pattern"), showing(lambda: _pictures(photo)):
         located = find_pose(source, setup, mirror)
+        rim = find_rim(
+            photo,
+            found,
+            setup.camera,
+            located.outline_pose,
+            located.facets,
+            located.edge_width_px,
+            located.sigma_outline_px,
+        )
+        found = tuple(with_rim_dots(one, rim) for one in found)
+        sign = -1.0 if polarity is Polarity.BLACK_ON_WHITE else 1.0
+        edges, hidden = edges_without_dots(photo, source.image, found, rim, sign)
+        source = replace(source, image=edges, near_dots=hidden)
         masks = mirror_masks(setup.camera, located.outline_pose, located.facets, margin_px=located.margin_px)
         lattices: tuple[FacetLattice, ...]
         if several:

@@ -175,6 +175,25 @@ def test_curl_of_a_surface_is_zero_and_of_a_twist_is_not():
     assert np.isnan(curl(rotation).value_per_m[0]).all()
 
 
+@pytest.mark.parametrize("correlation", [1.0, 5.0])
+def test_waves_that_run_aslant_have_no_curl(correlation):
+    """The circulation is right to the fourth order of Simpson's rule; differences through the middle are not."""
+    grid_x, grid_y = np.linspace(-0.6, 0.6, 41), np.linspace(-0.4, 0.4, 41)
+    x, y = np.meshgrid(grid_x, grid_y)
+    fifth = curl(make_map(4 * x**3 * y, x**4, nx=41, ny=41, correlation=correlation)).value_per_m
+    assert np.nanmax(np.abs(fifth)) < 1e-12
+    k = 2 * np.pi / 0.36 * np.array([0.9, np.sqrt(1 - 0.9**2)])
+    wave = 10e-3 / (k[0] * k[1]) * np.cos(k[0] * x + k[1] * y)
+    turned = curl(make_map(k[0] * wave, k[1] * wave, nx=41, ny=41, correlation=correlation)).value_per_m
+    reach = int(np.ceil(np.sqrt(correlation)))
+    step = 0.03 * reach
+    assert np.nanmax(np.abs(turned)) < 10e-3 * (np.linalg.norm(k) * step) ** 4 / 180
+    inner = slice(reach, -reach)
+    middle = k[0] * (wave[2 * reach :, inner] - wave[: -2 * reach, inner]) / (2 * 0.02 * reach)
+    middle -= k[1] * (wave[inner, 2 * reach :] - wave[inner, : -2 * reach]) / (2 * step)
+    assert np.abs(middle).max() > 5 * np.nanmax(np.abs(turned))
+
+
 def test_curvature_of_a_paraboloid_is_one_over_twice_its_focal_length():
     in_x, in_y = curvature(make_map())
     np.testing.assert_allclose(in_x.value_per_m[:, 1:-1], 0.05, rtol=1e-12)
