@@ -70,7 +70,9 @@ class PlannedNoiseSection(Section):
     """How well edges are found, in pixels."""
 
     reflection_px: Positive = Field(0.05, description="Standard deviation of an edge of the reflection [px].")
-    absorber_px: Positive = Field(0.05, description="Standard deviation of the tube's middle [px].")
+    absorber_px: Positive = Field(
+        0.05, description="Standard deviation of the tube's middle [px]; behind glass some 0.3."
+    )
 
 
 class MonteCarloSection(Section):

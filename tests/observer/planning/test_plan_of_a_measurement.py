@@ -37,13 +37,16 @@ def test_a_plan_states_what_the_measurement_then_states(tmp_path: Path) -> None:
     pixel_m = 12.0 / 1030.0
     target_px = float(np.sqrt(np.median(bundle.problem.observations.covariance_px2[:, 0, 0])))
     edge_px = float(np.median(edges.sigma_x_m)) / pixel_m
+    # Behind glass the tube's middle is less sure than an edge, and all rows of a photo have a part of it in common.
+    bearings = measured.seen.bearings
+    tube_px = float(np.median(np.hypot(bearings.sigma_rad, bearings.shared_rad))) * 12.0 / pixel_m
     bars = "[[scale_bar]]" + said.partition("[[scale_bar]]")[2].partition("[evaluation]")[0]
     (plan / "measurement.toml").write_text(
         'kind = "observer-plan"\nname = "small"\n'
         + said[said.index("[collector]") : said.index("[images]")]
         + f"[targets]\nsigma_px = {target_px}\n{bars}\n"
         + '[[flight]]\nheight_m = 12.0\nreach_m = 2.9\nphotos = 24\n[mirror]\nlike = "../earlier"\n'
-        + f"[noise]\nreflection_px = {edge_px}\nabsorber_px = {edge_px}\n"
+        + f"[noise]\nreflection_px = {edge_px}\nabsorber_px = {tube_px}\n"
     )
     planned = pipeline_plan.run(load_observer_plan(plan))
     sigmas = [one.sigma_slope()[0][one.valid] for one in (planned.simulated.slope_map, slope_map)]
