@@ -3,9 +3,7 @@
 Run ``OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python benchmarks/screen_geometry.py``; ``--wall`` stops after the wall.
 """
 
-import csv
 import resource
-import shutil
 import subprocess
 import sys
 import tempfile
@@ -23,51 +21,12 @@ from deflectometry.fringes import Observation, ScreenMapLimits
 from deflectometry.pipeline import Choices, evaluate_source
 from deflectometry.screen_geometry import load_screen, read_screen, run
 from heliogauge.geometry.alignment import align_points
-from heliogauge.measurement.writer import write_measurement
 from heliogauge.running.progress import SilentProgress
+from tests.deflectometry.screen_geometry.published_wall import write_published_wall
 
 SEEDS = range(3)
 #: From the mirror of the small drawn measurement to its camera and screen [m].
 DISTANCE_M = float(np.linalg.norm(preset_scene("small").bench.cam_from_mirror.translation_m))
-
-
-def wall_folder(folder: Path) -> None:
-    """Write what is known of the published wall: camera, and coordinates of the markers to 1 mm."""
-    data = OPENCSP / "screen_dots"
-    for file in data.glob("*.JPG"):
-        shutil.copyfile(file, folder / file.name)
-    with h5py.File(data / "camera_calibration.h5") as file:
-        matrix, lens = file["Camera/intrinsic_mat"][()], file["Camera/distortion_coef"][()]
-    with (data / "aruco_corner_locations.csv").open() as text:
-        rows = [one for one in csv.reader(text) if not one[0].startswith("#")]
-    control = [
-        {
-            "target": f"{one[0]}.{int(one[1]) - 4 * int(one[0])}",
-            "xyz_m": [float(value) for value in one[2:5]],
-            "sigma_mm": 1.0,
-        }
-        for one in rows
-    ]
-    camera = {
-        "name": "camera",
-        "width_px": 2160,
-        "height_px": 1440,
-        "focal_px": matrix[1, 1],
-        "aspect": matrix[1, 1] / matrix[0, 0] - 1,
-        "center_x_px": matrix[0, 2],
-        "center_y_px": matrix[1, 2],
-    } | dict(zip(("k1", "k2", "p1", "p2"), lens.tolist(), strict=True))
-    content = {
-        "kind": "screen-geometry",
-        "name": "dot wall",
-        "camera": [camera],
-        "images": {"photos": "*.JPG"},
-        "targets": {"dictionary": "DICT_4X4_1000"},
-        "dots": {"dots": "dark", "origin": "light"},
-        "shape": {"frame": "network"},
-        "control_point": control,
-    }
-    write_measurement(folder, content)
 
 
 def command(folder: Path, out: Path) -> float:
@@ -85,7 +44,7 @@ def published_wall(scratch: Path) -> None:
         return
     folder = scratch / "wall"
     folder.mkdir()
-    wall_folder(folder)
+    write_published_wall(OPENCSP / "screen_dots", folder)
     cpu = command(folder, scratch / "wall_out")
     start = time.process_time()
     for file in folder.glob("*.JPG"):

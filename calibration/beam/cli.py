@@ -18,6 +18,11 @@ BeamFolder = Annotated[
         show_default=False,
     ),
 ]
+HeliostatName = Annotated[str | None, typer.Option(help="Its name in a file of ARTIST.", show_default=False)]
+Position = Annotated[
+    tuple[float, float, float] | None,
+    typer.Option("--position", metavar="E N U", help="Its middle in the field [m].", show_default=False),
+]
 
 
 @app.command("measure")
@@ -47,11 +52,8 @@ def compare_command(
             show_default=False,
         ),
     ] = None,
-    heliostat: Annotated[str | None, typer.Option(help="Its name in a file of ARTIST.", show_default=False)] = None,
-    position_m: Annotated[
-        tuple[float, float, float] | None,
-        typer.Option("--position", metavar="E N U", help="Its middle in the field [m].", show_default=False),
-    ] = None,
+    heliostat: HeliostatName = None,
+    position_m: Position = None,
     mount: Annotated[
         Literal["azimuth-elevation", "east-axis"] | None,
         typer.Option(help="How it turns; default: as [mirror] says, or by the files.", show_default=False),
@@ -87,11 +89,8 @@ def plan_command(
         Path | None,
         typer.Option(metavar="FILE", help="Surface of the mirror, as for `beam compare`.", show_default=False),
     ] = None,
-    heliostat: Annotated[str | None, typer.Option(help="Its name in a file of ARTIST.", show_default=False)] = None,
-    position_m: Annotated[
-        tuple[float, float, float] | None,
-        typer.Option("--position", metavar="E N U", help="Its middle in the field [m].", show_default=False),
-    ] = None,
+    heliostat: HeliostatName = None,
+    position_m: Position = None,
 ) -> Job:
     """Plan photos from a trial of two or three: which suns and how many frames tell the canting: plan.csv."""
     from calibration.beam.keys import load_beams

@@ -29,7 +29,7 @@ from observer.pipeline.cameras import Cameras, adjust_cameras
 from observer.pipeline.corners import find_corners
 from observer.pipeline.headline import absorber_numbers
 from observer.pipeline.inputs import read_inputs
-from observer.pipeline.photos import Finder, measure_targets
+from observer.pipeline.reading.photos import Finder, measure_targets
 from observer.pipeline.target_list import check_list, keep_placed
 from observer.trough.collector import Collector
 from photogrammetry import pipeline as photogrammetry_pipeline

@@ -35,7 +35,7 @@ from observer.corners.start_pose import (
 )
 from observer.corners.tie import SearchedCollector, SearchedPhoto, Tied, tie
 from observer.photo_edges.views import View
-from observer.pipeline.photos import Finder, FirstLook
+from observer.pipeline.reading.photos import Finder, FirstLook
 from observer.product.pictures import empty_slices
 from observer.targets.module_targets import spans_an_area
 from photogrammetry.detection import Detections

@@ -24,10 +24,10 @@ from observer.keys import ObserverMeasurement, SunSection, TroughSection
 from observer.light.trace import Sunlight
 from observer.photo_edges.tone import Tone
 from observer.pipeline.corners import CornerSearch
-from observer.pipeline.photos import Finder, build_finder
-from observer.pipeline.target_kinds import TargetKinds, target_kinds
+from observer.pipeline.reading.photos import Finder, build_finder
+from observer.pipeline.reading.target_kinds import TargetKinds, target_kinds
+from observer.pipeline.reading.tone import Encoding, Encodings
 from observer.pipeline.tilts import Tilts, read_tilts
-from observer.pipeline.tone import Encoding, Encodings
 from observer.slopes.row_spline import Roughness
 from observer.trough.absorber_path import AbsorberPath
 from observer.trough.collector import Collector, GlassTube

@@ -18,10 +18,10 @@ from observer.photo_edges.outline import clipped_share, photos_from_above, plate
 from observer.pipeline.cameras import Cameras
 from observer.pipeline.inputs import Inputs
 from observer.pipeline.mirror import PlacedAbsorber, SolvedMirror
-from observer.pipeline.photos import FirstLook
+from observer.pipeline.reading.photos import FirstLook
+from observer.pipeline.reading.tone import Encodings
 from observer.pipeline.stated_camera import is_camera_wrong, stated_camera_doubt
 from observer.pipeline.target_list import CheckedList
-from observer.pipeline.tone import Encodings
 from observer.product.longitudinal import incidence_doubt
 from observer.selection.edge_refusal import unchecked_doubt
 from observer.slopes.edge_gaps import gaps_doubt

@@ -19,7 +19,7 @@ from observer.pipeline.inputs import Inputs, read_inputs
 from observer.pipeline.intercept import evaluate_intercept
 from observer.pipeline.judgement import judge
 from observer.pipeline.mirror import SolvedMirror, place_absorber, refine_poses, solve_mirror
-from observer.pipeline.photos import FirstLook, SeenInPhotos, look_again, look_first
+from observer.pipeline.reading.photos import FirstLook, SeenInPhotos, look_again, look_first
 from observer.pipeline.result import Result
 from observer.pipeline.stated_camera import blamed
 from observer.pipeline.target_list import check_list, keep_placed

@@ -12,7 +12,7 @@ from observer.absorber.position import AbsorberSolution, solve_absorber
 from observer.absorber.product import absorber_doubts
 from observer.doubts.photos import sparse_doubt
 from observer.pipeline.inputs import Inputs
-from observer.pipeline.photos import SeenInPhotos
+from observer.pipeline.reading.photos import SeenInPhotos
 from observer.product.slope_map import AngleMaps, angle_maps, known_theta_r, slope_map_of, slopes_to_tube
 from observer.selection.solve_and_refuse import Reflector, solve_reflector
 from observer.slopes.pose_modes import Photos

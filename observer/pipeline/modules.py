@@ -16,7 +16,7 @@ from observer.keys import ModuleSection, ObserverMeasurement
 from observer.pipeline.corners import find_corners_of_each
 from observer.pipeline.inputs import AXES, Inputs, build_collector, build_inputs, listed_coordinates, read_tables
 from observer.pipeline.measure import Options, evaluate
-from observer.pipeline.photos import FirstLook, look_first_at_each
+from observer.pipeline.reading.photos import FirstLook, look_first_at_each
 from observer.pipeline.target_list import CheckedList, leave_out_lines
 from observer.studies import overview as pipeline_overview
 from observer.targets.module_targets import ListedPlaces, beside, in_frame

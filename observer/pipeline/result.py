@@ -34,7 +34,7 @@ from observer.pipeline.headline import (
     surface_text,
 )
 from observer.pipeline.intercept import InterceptResult, intercept_numbers, write_intercept
-from observer.pipeline.photos import SeenInPhotos
+from observer.pipeline.reading.photos import SeenInPhotos
 from observer.product.pictures import Overlay
 from observer.product.slope_map import AngleMaps
 from observer.selection.edge_refusal import EdgeFate

@@ -12,7 +12,7 @@ from heliogauge.errors import EstimationError, MetrologyError, NotConvergedError
 from heliogauge.measurement.models import Intrinsic
 from heliogauge.running.progress import SilentProgress
 from observer.doubts.photos import scatter_doubt
-from observer.pipeline.photos import FirstLook
+from observer.pipeline.reading.photos import FirstLook
 from photogrammetry import pipeline as photogrammetry_pipeline
 from photogrammetry.keys import PhotogrammetryMeasurement
 from photogrammetry.pipeline import collect_photos

@@ -7,7 +7,7 @@ import numpy as np
 from heliogauge.doubts import Doubt, Severity
 from heliogauge.validate import FloatArray
 from observer.pipeline.inputs import AXES
-from observer.pipeline.photos import Finder, FirstLook
+from observer.pipeline.reading.photos import Finder, FirstLook
 from observer.targets.list_checks import (
     exchanged_pairs,
     intersect,

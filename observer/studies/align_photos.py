@@ -22,7 +22,7 @@ from observer.pipeline.cameras import Cameras, adjust_turning
 from observer.pipeline.corners import find_corners
 from observer.pipeline.inputs import read_inputs
 from observer.pipeline.mirror import place_absorber
-from observer.pipeline.photos import look_again, look_first
+from observer.pipeline.reading.photos import look_again, look_first
 from observer.pipeline.target_list import check_list, keep_placed
 from observer.product.panel_alignment import PanelTilts, image_edges
 from observer.product.tilts_from_photos import SeenPanels, tilts_from_photos

@@ -5,7 +5,6 @@ The photos are traced by `data_synth`, which shares no equation with the estimat
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -17,6 +16,7 @@ from deflectometry.dots.keys import load_dots
 from deflectometry.dots.pipeline.measure import run
 from deflectometry.pipeline.result import Result
 from heliogauge.validate import FloatArray
+from tests.deflectometry.dots.known_dots import known_dots
 
 pytestmark = pytest.mark.slow
 
@@ -35,21 +35,6 @@ def _scene() -> DotScene:
     drawn = dot_scene("ensemble", "light")
     facets = tuple(drawn.scene.facets[k] for k in (0, 1, 5))
     return replace(drawn, marked=False, scene=replace(drawn.scene, facets=facets))
-
-
-def _known(scene: DotScene) -> list[dict[str, Any]]:
-    """Return a dot in the middle of each facet, as one who looks at the photo would name it."""
-    wall, known = scene.scene.bench.wall, []
-    for facet in scene.scene.facets:
-        x, y = scene.scene.bench.project_outline(facet).mean(axis=0)
-        around = np.stack(np.meshgrid(x + np.arange(-8.0, 9.0), y + np.arange(-8.0, 9.0)), axis=-1).reshape(-1, 2)
-        seen = scene.scene.bench.trace(facet, around[:, 0], around[:, 1])
-        column = (seen.u - 0.5) * wall.width_m / scene.pitch_m + 0.5 * (scene.count[0] - 1) - scene.origin[0]
-        row = scene.origin[1] - (seen.v - 0.5) * wall.height_m / scene.pitch_m - 0.5 * (scene.count[1] - 1)
-        best = np.argmin(np.hypot(column - np.rint(column), row - np.rint(row)))
-        number = {"column": int(np.rint(column[best])), "row": int(np.rint(row[best]))}
-        known.append({"image_px": around[best].tolist(), **number})
-    return known
 
 
 def _errors(result: Result, scene: DotScene) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -79,7 +64,7 @@ def _errors(result: Result, scene: DotScene) -> tuple[FloatArray, FloatArray, Fl
 
 def test_errors_of_all_facets_together_are_as_large_as_their_covariance_says(tmp_path: Path) -> None:
     scene = _scene()
-    stated = {"pattern": {"dots": "dark", "known_dot": _known(scene)}}
+    stated = {"pattern": {"dots": "dark", "known_dot": known_dots(scene)}}
     chi_squares, rests = [], []
     for seed in range(_SEEDS):
         folder = tmp_path / str(seed)

@@ -14,6 +14,7 @@ from deflectometry.dots.pipeline.measure import run
 from heliogauge.errors import InputError
 from heliogauge.measurement.writer import write_measurement
 from heliogauge.validate import FloatArray
+from tests.deflectometry.dots.known_dots import known_dots
 
 
 def _lattice(places: FloatArray, number: FloatArray) -> FoundDots:
@@ -51,21 +52,6 @@ def folder(scene: DotScene, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def _known(scene: DotScene) -> list[dict[str, object]]:
-    """Return a dot in the middle of each facet, as one who looks at the photo would name it."""
-    wall, known = scene.scene.bench.wall, []
-    for facet in scene.scene.facets:
-        x, y = scene.scene.bench.project_outline(facet).mean(axis=0)
-        around = np.stack(np.meshgrid(x + np.arange(-8.0, 9.0), y + np.arange(-8.0, 9.0)), axis=-1).reshape(-1, 2)
-        seen = scene.scene.bench.trace(facet, around[:, 0], around[:, 1])
-        column = (seen.u - 0.5) * wall.width_m / scene.pitch_m + 0.5 * (scene.count[0] - 1) - scene.origin[0]
-        row = scene.origin[1] - (seen.v - 0.5) * wall.height_m / scene.pitch_m - 0.5 * (scene.count[1] - 1)
-        best = np.argmin(np.hypot(column - np.rint(column), row - np.rint(row)))
-        number = {"column": int(np.rint(column[best])), "row": int(np.rint(row[best]))}
-        known.append({"image_px": around[best].tolist(), **number})
-    return known
-
-
 def _changed(folder: Path, out: Path, pattern: dict[str, object]) -> Path:
     out.mkdir()
     for name in ("photo.png", "dots.csv"):
@@ -83,7 +69,7 @@ def test_a_facet_without_the_light_is_placed_by_the_others_with_odds(
     doubt = next(one for one in result.doubts if one.code == "dot_origin_open")
     assert scene.scene.facets[0].name in doubt.text
     assert scene.scene.facets[1].name not in doubt.text
-    told = run(load_dots(_changed(folder, tmp_path / "told", {"dots": "dark", "known_dot": _known(scene)})))
+    told = run(load_dots(_changed(folder, tmp_path / "told", {"dots": "dark", "known_dot": known_dots(scene)})))
     for facet in scene.scene.facets:
         one, other = (each.evaluation.images[facet.name].slope_x for each in (result, told))
         assert np.nanmax(np.abs(one - other)) < 1e-4

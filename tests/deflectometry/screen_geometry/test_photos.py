@@ -1,6 +1,5 @@
 """Photos of screens to their geometry: drawn ones against their truth, the published dot wall against its places."""
 
-import csv
 import shutil
 from pathlib import Path
 
@@ -17,6 +16,7 @@ from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.images.photos import read_image, write_image
 from heliogauge.measurement.writer import write_measurement
 from heliogauge.validate import FloatArray
+from tests.deflectometry.screen_geometry.published_wall import write_published_wall
 
 
 def _aligned(points_m: FloatArray, truth_m: FloatArray) -> RigidTransform:
@@ -59,47 +59,9 @@ def test_display_by_markers_at_its_rims(tmp_path: Path) -> None:
 
 
 def _wall(shared_data: Path, folder: Path, *photos: int) -> Result:
-    """Measure the published dot wall with the markers' published coordinates, 1 mm each.
-
-    photos: Which of the five; all by default.
-    """
-    data = shared_data / "opencsp" / "screen_dots"
+    """Measure the published dot wall, or some of its photos."""
     folder.mkdir()
-    every = sorted(data.glob("*.JPG"))
-    for file in [every[k] for k in photos] if photos else every:
-        shutil.copyfile(file, folder / file.name)
-    with h5py.File(data / "camera_calibration.h5") as file:
-        matrix, lens = file["Camera/intrinsic_mat"][()], file["Camera/distortion_coef"][()]
-    with (data / "aruco_corner_locations.csv").open() as text:
-        rows = [row for row in csv.reader(text) if not row[0].startswith("#")]
-    control = [
-        {
-            "target": f"{row[0]}.{int(row[1]) - 4 * int(row[0])}",
-            "xyz_m": [float(one) for one in row[2:5]],
-            "sigma_mm": 1.0,
-        }
-        for row in rows
-    ]
-    camera = {
-        "name": "camera",
-        "width_px": 2160,
-        "height_px": 1440,
-        "focal_px": matrix[1, 1],
-        "aspect": matrix[1, 1] / matrix[0, 0] - 1,
-        "center_x_px": matrix[0, 2],
-        "center_y_px": matrix[1, 2],
-    } | dict(zip(("k1", "k2", "p1", "p2"), lens.tolist(), strict=True))
-    content = {
-        "kind": "screen-geometry",
-        "name": "dot wall",
-        "camera": [camera],
-        "images": {"photos": "*.JPG"},
-        "targets": {"dictionary": "DICT_4X4_1000"},
-        "dots": {"dots": "dark", "origin": "light"},
-        "shape": {"frame": "network"},
-        "control_point": control,
-    }
-    write_measurement(folder, content)
+    write_published_wall(shared_data / "opencsp" / "screen_dots", folder, *photos)
     return run(load_screen(folder))
 
 

@@ -13,8 +13,8 @@ from heliogauge.measurement.load import load
 from heliogauge.running.progress import SilentProgress
 from observer.photo_edges.tone import Tone, ToneEvidence, tone_evidence
 from observer.pipeline.inputs import Inputs, read_inputs
-from observer.pipeline.photos import look_first
-from observer.pipeline.tone import Encodings, find_encodings
+from observer.pipeline.reading.photos import look_first
+from observer.pipeline.reading.tone import Encodings, find_encodings
 
 NO_EDGES = np.zeros((0, 13))
 LINEAR, SRGB, NOTHING = (1.0, 1.08), (0.93, 1.0), None

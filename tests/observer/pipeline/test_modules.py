@@ -17,9 +17,9 @@ from heliogauge.running.progress import SilentProgress
 from observer.keys import load_observer
 from observer.pipeline import measure as pipeline
 from observer.pipeline import modules as pipeline_modules
-from observer.pipeline import photos as photos_module
-from observer.pipeline.photo_poses import PlacedPhoto
-from observer.pipeline.photos import FirstLook
+from observer.pipeline.reading import photos as photos_module
+from observer.pipeline.reading.photo_poses import PlacedPhoto
+from observer.pipeline.reading.photos import FirstLook
 from observer.pipeline.result import Result
 from photogrammetry.detection import Detections
 from photogrammetry.pipeline import OnePhoto

@@ -9,7 +9,7 @@ from heliogauge.camera.model import Camera
 from heliogauge.errors import EstimationError, NotConvergedError
 from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.measurement.models import PhotosSection
-from observer.pipeline.photos import FirstLook
+from observer.pipeline.reading.photos import FirstLook
 from observer.pipeline.stated_camera import explained, stated_camera_doubt
 from observer.product.pictures import empty_slices
 from observer.trough.collector import ls2

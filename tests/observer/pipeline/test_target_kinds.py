@@ -8,8 +8,8 @@ import pytest
 from heliogauge.camera.model import Camera
 from heliogauge.errors import InputError
 from heliogauge.geometry.rigid import RigidTransform, rotation_from_vector
-from observer.pipeline.photo_poses import place_photo
-from observer.pipeline.target_kinds import target_kinds
+from observer.pipeline.reading.photo_poses import place_photo
+from observer.pipeline.reading.target_kinds import target_kinds
 from photogrammetry.detection import Detections
 from photogrammetry.matching import KnownTargets, provisional_pose
 from photogrammetry.pipeline import OnePhoto

@@ -26,9 +26,9 @@ from observer.photo_edges.reflection_edges import ReflectionEdges, joined, refle
 from observer.photo_edges.tone import Tone, ToneEvidence, linear_light, numbers_for_the_eye
 from observer.photo_edges.tube_bearings import Bearings, tube_bearings
 from observer.photo_edges.views import Shot, View
-from observer.pipeline.photo_poses import PlacedPhoto, place_photo
-from observer.pipeline.target_kinds import TargetKinds
-from observer.pipeline.tone import Encodings, Sample, find_encodings, look_at_tone, sizes_of, some_of
+from observer.pipeline.reading.photo_poses import PlacedPhoto, place_photo
+from observer.pipeline.reading.target_kinds import TargetKinds
+from observer.pipeline.reading.tone import Encodings, Sample, find_encodings, look_at_tone, sizes_of, some_of
 from observer.product.pictures import Slices, empty_slices
 from observer.trough.expectation import Expectation
 from photogrammetry.detection import TargetSearch, measure_at
