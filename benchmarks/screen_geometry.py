@@ -15,6 +15,8 @@ import h5py
 import numpy as np
 from _measure import OPENCSP, StageClock, evaluation_inputs, row, title
 
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
 from data_synth.fringes import Knowledge, expected_light, preset_scene
 from data_synth.screens import ScreenChoice, write_screen_dataset
 from deflectometry.fringes import Observation, ScreenMapLimits
