@@ -45,11 +45,16 @@ def common_share(
         u, v = np.meshgrid((x[columns] - center[0]) / scale, (at_y - center[1]) / scale)
         terms = monomials(u, v, _DEGREE).reshape(-1, u.size)
         allowed = np.array([j <= degree for n in range(_DEGREE + 1) for j in range(n + 1)])
-        fitted = np.zeros((modes.shape[0], 2, terms.shape[0]))
         weighted = (terms[allowed] * weight.ravel()).T, (modes * weight).reshape(len(modes), -1).T
-        fitted[:, 0, allowed] = np.linalg.lstsq(*weighted, rcond=None)[0].T
+        of_terms = np.linalg.lstsq(*weighted, rcond=None)[0].T
+        if len(of_terms) > len(of_terms.T):
+            # There are no more independent polynomials than terms.
+            _, size, independent = np.linalg.svd(of_terms, full_matrices=False)
+            of_terms = size[:, None] * independent
+        fitted = np.zeros((len(of_terms), 2, terms.shape[0]))
+        fitted[:, 0, allowed] = of_terms
         coefficients.append(fitted)
-        sources += [source] * len(modes)
+        sources += [source] * len(fitted)
     if not sources:
         return no_common_modes(), whole
     common = CommonModes(tuple(sources), np.concatenate(coefficients), center, scale)

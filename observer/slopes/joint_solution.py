@@ -20,9 +20,10 @@ _FEW_LINES = 0.5
 _ROWS_FOR_ROUGHNESS = 16
 #: Photos whose lines suffice for that.
 _PHOTOS_FOR_ROUGHNESS = 70
-#: Combinations of common unknowns that are kept as modes of the whole map, and the share of the variance they have.
-_MODES = 10
+#: Share of the variance that the combinations of common unknowns have which are kept as modes of the whole map, and the
+#: part of the rest that may be left out before the strongest are chosen.
 _MODES_SHARE = 0.99
+_MODES_SLACK = 0.1
 #: Columns at which the share of the common unknowns is computed; it is smooth within a panel.
 _COLUMNS_FOR_SHARES = 64
 #: Decimal exponents of the roughness [rad^2 / m^3, rad^2 / m^5] that are searched, by its order: from a mirror that
@@ -292,21 +293,28 @@ def _shares(reduced: Reduced, apart: BoolArray, beside: FloatArray | None) -> tu
 
 
 def _strongest(changes: npt.NDArray[np.float32]) -> FloatArray:
-    """Return the principal parts of changes by independent unknowns of unit variance, shapes (c, k) and (s, k)."""
-    from scipy.linalg import eigh
+    """Return the principal parts of changes by independent unknowns of unit variance, shapes (c, k) and (s, k).
 
-    if len(changes) == 0:
-        return np.zeros((0, changes.shape[1]))
-    is_wide = changes.shape[0] > changes.shape[1]
-    products = np.asarray(changes.T @ changes if is_wide else changes @ changes.T, dtype=np.float64)
-    size = len(products)
-    values, vectors = eigh(products, subset_by_index=(max(size - _MODES, 0), size - 1), check_finite=False)
-    values, vectors = values[::-1], vectors[:, ::-1]
-    enough = np.cumsum(values) < _MODES_SHARE * np.trace(products)
-    kept = min(values.size, int(np.count_nonzero(enough)) + 1)
-    if is_wide:
-        return np.asarray(np.sqrt(np.maximum(values[:kept], 0.0))[:, None] * vectors[:, :kept].T)
-    return np.asarray(vectors[:, :kept].T @ changes)
+    As many as hold their share of the variance. They are found from a Cholesky root of the covariance of all places
+    that takes the place with the largest variance that is left as the next one: a column of it costs as little as one
+    mode, where all eigenvectors of a thousand unknowns would take as long as the slopes.
+    """
+    left = np.square(changes).sum(axis=0, dtype=np.float64)
+    whole = float(left.sum())
+    most = min(changes.shape)
+    root = np.zeros((most, changes.shape[1]))
+    count = 0
+    while count < most and left.sum() > _MODES_SLACK * (1 - _MODES_SHARE) * whole:
+        place = int(np.argmax(left))
+        column = (changes[:, place] @ changes) - root[:count, place] @ root[:count]
+        root[count] = column / np.sqrt(left[place])
+        left = np.maximum(left - root[count] ** 2, 0.0)
+        left[place] = 0.0
+        count += 1
+    values, vectors = np.linalg.eigh(root[:count] @ root[:count].T)
+    enough = np.cumsum(values[::-1]) < _MODES_SHARE * whole
+    kept = min(count, int(np.count_nonzero(enough)) + 1)
+    return np.asarray(vectors[:, ::-1][:, :kept].T @ root[:count])
 
 
 def _between_columns(values: FloatArray, columns: IntArray, grid: RowGrid) -> FloatArray:
