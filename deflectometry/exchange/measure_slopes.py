@@ -8,7 +8,8 @@ from typing import ClassVar, Literal, Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from deflectometry.exchange.slope_files import MAP_SUFFIXES, SlopePoints, read_slopes
+from deflectometry.exchange.slope_files import MAP_SUFFIXES, read_slopes
+from deflectometry.exchange.slope_points import SlopePoints
 from deflectometry.pipeline.headline import Numbers, facet_numbers, headline_text, reasons
 from heliogauge.doubts import Doubt
 from heliogauge.errors import EstimationError, InputError

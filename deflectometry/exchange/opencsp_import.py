@@ -25,13 +25,8 @@ from deflectometry.exchange.opencsp_files import (
     TableRecord,
     read_opencsp_file,
 )
-from deflectometry.exchange.slope_files import (
-    SLOPES_FILE,
-    SlopePoints,
-    points_words,
-    write_points,
-    write_slopes_measurement,
-)
+from deflectometry.exchange.slope_files import SLOPES_FILE, write_points, write_slopes_measurement
+from deflectometry.exchange.slope_points import SlopePoints, points_words
 from heliogauge.doubts import Doubt
 from heliogauge.errors import InputError
 from heliogauge.geometry.rigid import RigidTransform

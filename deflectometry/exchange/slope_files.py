@@ -8,6 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from deflectometry.exchange.slope_points import SlopePoints, points_words, refuse_implausible
+from deflectometry.exchange.surface_files import read_surface
 from heliogauge.errors import InputError
 from heliogauge.files.texts import read_text
 from heliogauge.measurement.imported import IMPORTED, write_imported
@@ -16,39 +18,15 @@ from heliogauge.results.slope_export import fit_monomials
 from heliogauge.results.slope_map_file import read_slope_map
 from heliogauge.results.tables import read_columns_csv, read_table_csv, write_table_csv
 from heliogauge.results.whole_folder import WholeFolder
-from heliogauge.validate import BoolArray, FloatArray
+from heliogauge.validate import FloatArray
 
 SLOPES_FILE, MAP_FILE = "slopes.csv", "slopes.nc"
 COLUMNS = ("x_m", "y_m", "slope_x", "slope_y")
 SIGMAS = ("sigma_slope_x", "sigma_slope_y")
 #: Files that are slope maps of ours.
 MAP_SUFFIXES = (".nc", ".nc4")
-# Beyond every mirror, and where squares are still far from what a number can hold: 10 km, and 89.94 deg.
-_FARTHEST_M, _STEEPEST = 1e4, 1e3
 #: Headers have six decimals: a fit to the points they were made of returns them to one of the last.
 _SAME_COEFFICIENT = 1e-6
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class SlopePoints:
-    """Slopes of a mirror at points, in any order.
-
-    x_m, y_m (n,): Where they were measured, right and up seen from the front [m].
-    slope_x, slope_y (n,): dz/dx and dz/dy; NaN where the mirror was looked at and nothing was found.
-    sigma_x, sigma_y (n,): Their standard deviations, NaN where they are not known [rad].
-    """
-
-    x_m: FloatArray
-    y_m: FloatArray
-    slope_x: FloatArray
-    slope_y: FloatArray
-    sigma_x: FloatArray
-    sigma_y: FloatArray
-
-    @property
-    def measured(self) -> BoolArray:
-        """Points that have both slopes, shape (n,)."""
-        return np.asarray(np.isfinite(self.slope_x) & np.isfinite(self.slope_y))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -111,31 +89,6 @@ def read_soltrace(file: Path) -> VshotFile:
     return VshotFile(points, coefficients, fitted)
 
 
-def refuse_implausible(file: Path, points: SlopePoints) -> SlopePoints:
-    """Check that numbers can be those of a mirror.
-
-    file: For messages.
-    Returns: The same points.
-    InputError: Places or slopes beyond all mirrors, or a sigma that is none.
-    """
-    rows = (
-        ("x", points.x_m, -_FARTHEST_M, _FARTHEST_M, "metres"),
-        ("y", points.y_m, -_FARTHEST_M, _FARTHEST_M, "metres"),
-        ("slope_x", points.slope_x, -_STEEPEST, _STEEPEST, "dz/dx"),
-        ("slope_y", points.slope_y, -_STEEPEST, _STEEPEST, "dz/dy"),
-        ("sigma_slope_x", points.sigma_x, 0.0, _STEEPEST, "standard deviations of slopes"),
-        ("sigma_slope_y", points.sigma_y, 0.0, _STEEPEST, "standard deviations of slopes"),
-    )
-    for name, values, least, most, what in rows:
-        odd = values[(values < least) | (values > most)]
-        if odd.size:
-            raise InputError(
-                f"{file}: {name} = {odd[0]:.6g} ({odd.size} such values); {what} from {least:g} to {most:g} are "
-                "needed: correct the unit or the rows"
-            )
-    return points
-
-
 def read_slopes(file: Path) -> SlopePoints:
     """Read a slope map: NetCDF of ours, or a table with columns x_m, y_m, slope_x, slope_y (and their sigmas).
 
@@ -181,8 +134,6 @@ def import_slopes(
     Returns: What was taken over, in a sentence.
     InputError: The file cannot be read, the design is not one, or the folder is in use.
     """
-    from deflectometry.exchange.surface_files import read_surface
-
     if form == "surface":
         points, wrong = read_surface(file, heliostat, facet, without_canting=without_canting), ""
     else:
@@ -217,10 +168,3 @@ def write_slopes_measurement(working: Path, name: str, file: str, design: Mappin
     """Write measurement.toml of ``kind = "slopes"`` for a table or map in the same folder."""
     content = {"kind": "slopes", "name": name, "slopes": {"file": file}, "mirror": dict(design)}
     write_measurement(working, content, comment=comment)
-
-
-def points_words(points: SlopePoints) -> str:
-    """Say how many points there are and how far they reach."""
-    missing = int(np.count_nonzero(~points.measured))
-    without = f" ({missing} without slopes)" if missing else ""
-    return f"{points.x_m.size} points{without} over {np.ptp(points.x_m):.4g} x {np.ptp(points.y_m):.4g} m"

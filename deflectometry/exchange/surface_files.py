@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from deflectometry.exchange.slope_files import SlopePoints, refuse_implausible
+from deflectometry.exchange.slope_points import SlopePoints, refuse_implausible
 from heliogauge.errors import InputError
 from heliogauge.files.hdf5 import open_hdf5
 from heliogauge.files.regular import read_regular

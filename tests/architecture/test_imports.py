@@ -247,17 +247,17 @@ def circles(graph: Mapping[str, Iterable[str]]) -> list[list[str]]:
 
 
 def _graph(*, by_owner: bool) -> dict[str, set[str]]:
-    names = {module.name for module in all_modules()}
+    # A face loads its modules when asked, and every module loads the faces above it: no circle.
+    names = {module.name for module in all_modules() if not module.is_face}
     graph: dict[str, set[str]] = {}
     for module in all_modules():
         here = owner(module.name) if by_owner else module.name
         for found in imports_of(module.tree):
-            target = found.target if found.target in names else ""
             if by_owner and module.name != DEMONSTRATION and found.target.split(".")[0] in PACKAGES:
                 graph.setdefault(here, set()).update({owner(found.target)} - {here})
-            elif not by_owner and found.at_import_time and target and target != here:
-                # A face loads its modules when asked, and every module loads the faces above it: no circle.
-                graph.setdefault(here, set()).add(target)
+            elif not by_owner and found.target in names - {here} and not module.is_face:
+                # Also what is imported inside a function: it ties two modules as closely.
+                graph.setdefault(here, set()).add(found.target)
     return graph
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from calibration.camera.adjustment.mixed_adjustment import MixedAdjustment, adjust_mixed
 from calibration.camera.boards import Chessboard, CircleGrid, renumbering
 from calibration.camera.corners.detection import BoardPoints
-from calibration.camera.files.result import rms_length
+from calibration.camera.files.findings import rms_length
 from calibration.camera.start_values.board_network import LEAST_PHOTOS, BoardNetwork
 from calibration.camera.start_values.orientation import Orientations, find_orientations
 from heliogauge.errors import EstimationError

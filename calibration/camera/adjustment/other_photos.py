@@ -8,7 +8,7 @@ from calibration.camera.adjustment.board_adjustment import Adjusted, turned
 from calibration.camera.adjustment.mixed_adjustment import MixedAdjustment, Sizes, adjust_mixed
 from calibration.camera.boards import Board, Chessboard, CircleGrid
 from calibration.camera.corners.detection import BoardPoints
-from calibration.camera.files.result import rms_length
+from calibration.camera.files.findings import rms_length
 from calibration.camera.start_values.board_network import BoardNetwork
 from heliogauge.camera.model import Camera
 from heliogauge.errors import EstimationError

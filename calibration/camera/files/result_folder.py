@@ -3,18 +3,19 @@
 from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 
 from calibration.camera.boards import TargetField
-from calibration.camera.files.result import (
+from calibration.camera.files.findings import (
     BoardShape,
     CommonErrors,
+    Findings,
     HeldOutPhoto,
     Intrinsic,
     PhotoResult,
     Quality,
-    Result,
 )
 from calibration.camera.judgement.comparison import compare
 from calibration.camera.judgement.network import coverage
@@ -42,6 +43,8 @@ from heliogauge.results.folder import (
 from heliogauge.results.thumbnails import read_thumbnails, write_thumbnails
 from heliogauge.validate import FloatArray
 
+_Form = TypeVar("_Form", bound=Findings)
+
 _IMAGE_NUMBERS = ("x_px", "y_px", "residual_x_px", "residual_y_px", "sigma_x_px", "sigma_y_px", "correlation")
 _IMAGE_COLUMNS = ("image", "target", *_IMAGE_NUMBERS, "flag")
 _COMPARED = "compared_camera.json"
@@ -54,7 +57,7 @@ _POINT_ROWS = ("point x", "point y", "point z")
 _METRES, _PITCHES = "m", "pitch"
 
 
-def write_tables(result: Result, folder: Path) -> None:
+def write_tables(result: Findings, folder: Path) -> None:
     """Write everything but figures and summary.json: cameras, points, tables."""
     poses = {
         photo.name: PhotoPose(result.camera_name, photo.cam_from_board, photo.covariance, photo.rms_px)
@@ -189,7 +192,7 @@ def _unit(shape: BoardShape) -> str:
     return _METRES if shape.board.is_metric else _PITCHES
 
 
-def _write_image_points(result: Result, folder: Path) -> None:
+def _write_image_points(result: Findings, folder: Path) -> None:
     every = result.shape.board.names
     columns: dict[str, list[object]] = {key: [] for key in _IMAGE_COLUMNS}
     for photo in result.photos:
@@ -209,7 +212,7 @@ def _write_image_points(result: Result, folder: Path) -> None:
     write_table_csv(folder / "image_points.csv", columns)
 
 
-def _write_photos(result: Result, folder: Path) -> None:
+def _write_photos(result: Findings, folder: Path) -> None:
     angles = np.degrees([tilt_and_roll(photo.cam_from_board) for photo in result.photos])
     distances = [float(np.linalg.norm(photo.cam_from_board.translation_m)) for photo in result.photos]
     used = {
@@ -235,13 +238,12 @@ def _write_photos(result: Result, folder: Path) -> None:
     write_table_csv(folder / "photos.csv", used)
 
 
-def open_calibration(folder: str | Path = ".") -> Result:
-    """Read a folder of results; maps and profile are computed again from the camera with its covariance.
+def read_tables(folder: Path, form: type[_Form]) -> _Form:
+    """Read what `write_tables` and the summary hold.
 
-    folder: The folder; the working directory without it, where reports run.
-    Returns: As it was written, but for the rejected points' residuals and the poses of photos held out.
+    form: What to make of it.
+    Returns: As `calibration.camera.files.result.open_calibration` says.
     """
-    folder = Path(folder)
     summary = read_summary(folder / "summary.json")
     is_metric = _METRES in read_table_csv(folder / "board.csv", ("unit",))["unit"]
     unit = _METRES if is_metric else _PITCHES
@@ -258,7 +260,7 @@ def open_calibration(folder: str | Path = ".") -> Result:
     distance = float(np.median([np.linalg.norm(photo.cam_from_board.translation_m) for photo in photos]))
     other = read_camera_json(folder / _COMPARED) if (folder / _COMPARED).exists() else None
     left_out = read_table_csv(folder / _LEFT_OUT, ("image", "reason"))
-    return Result(
+    return form(
         camera_name,
         camera,
         _read_intrinsics(folder),

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from calibration.camera.files.result import Result
+from calibration.camera.files.findings import Findings
 from calibration.camera.judgement.comparison import Comparison
 from heliogauge.reporting.notation import number_text
 from heliogauge.results.frame import Numbers
@@ -13,7 +13,7 @@ _UNLIKELY = 0.01
 _KEYS = {name: f"{name}_factor" for name in ("k1", "k2", "k3", "p1", "p2")} | {"aspect": "aspect_ratio"}
 
 
-def headline_numbers(result: Result) -> Numbers:
+def headline_numbers(result: Findings) -> Numbers:
     """Return the headline numbers with their sigmas."""
     quality, sigma, camera = result.quality, result.sigma, result.camera
     numbers: dict[str, float | int | None] = {
@@ -62,7 +62,7 @@ def headline_numbers(result: Result) -> Numbers:
     return numbers
 
 
-def not_determined(result: Result) -> dict[str, str]:
+def not_determined(result: Findings) -> dict[str, str]:
     """Return why numbers of `headline_numbers` are missing."""
     missing: dict[str, str] = {}
     if not np.isfinite(result.quality.rms_as_drawn_px):
@@ -79,12 +79,12 @@ def not_determined(result: Result) -> dict[str, str]:
     return missing
 
 
-def _departure(result: Result) -> float:
+def _departure(result: Findings) -> float:
     """RMS distance of points from where they were drawn, in pitches."""
     return float(np.sqrt((result.shape.departure_m**2).sum(axis=1).mean())) / result.shape.board.pitch_m
 
 
-def texts(result: Result) -> dict[str, str]:
+def texts(result: Findings) -> dict[str, str]:
     """Return what must be known beside the numbers: board, datum, units, meaning of sigma."""
     board = result.shape.board
     held = "estimated, smooth departures and each point's own" if result.shape.prior_sigma_m.any() else "held as drawn"
@@ -105,7 +105,7 @@ def texts(result: Result) -> dict[str, str]:
     }
 
 
-def _datum_text(result: Result) -> str:
+def _datum_text(result: Findings) -> str:
     shape = result.shape
     if np.isinf(shape.prior_sigma_m).any():
         return shape.datum
@@ -117,7 +117,7 @@ def _datum_text(result: Result) -> str:
     )
 
 
-def headline_text(result: Result) -> str:
+def headline_text(result: Findings) -> str:
     """Return the headline numbers as lines for the terminal."""
     quality, camera, sigma = result.quality, result.camera, result.sigma
     s = camera.sigma_parameters

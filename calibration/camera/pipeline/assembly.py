@@ -2,16 +2,16 @@
 
 import numpy as np
 
-from calibration.camera.files.result import (
+from calibration.camera.files.findings import (
     BoardShape,
     CommonErrors,
     Intrinsic,
     PhotoResult,
     Quality,
-    Result,
     rms_length,
     sigma_of_shape,
 )
+from calibration.camera.files.result import Result
 from calibration.camera.judgement.network import coverage
 from calibration.camera.judgement.projection_sigma import radial_profile, sigma_map
 from calibration.camera.pipeline.solving import Solved

@@ -17,7 +17,7 @@ from calibration.camera.adjustment.other_photos import (
 from calibration.camera.adjustment.true_centers import with_true_centers
 from calibration.camera.boards import CircleGrid, TargetField
 from calibration.camera.corners.detection import BoardPoints
-from calibration.camera.files.result import HeldOutPhoto
+from calibration.camera.files.findings import HeldOutPhoto
 from calibration.camera.start_values.board_network import LEAST_PHOTOS, BoardNetwork
 from calibration.camera.start_values.orientation import Orientations
 from heliogauge.errors import EstimationError

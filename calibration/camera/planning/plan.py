@@ -7,8 +7,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from calibration.camera.files.result import Result, sigma_of_shape
-from calibration.camera.files.result_folder import open_calibration
+from calibration.camera.files.findings import sigma_of_shape
+from calibration.camera.files.result import Result, open_calibration
 from calibration.camera.judgement.projection_sigma import sigma_map
 from calibration.camera.planning.candidate_views import Lengths, nearer_side, place_words
 from calibration.camera.planning.next_photos import Expectation, NextPhoto, adjusted_again, choose_photos

@@ -5,8 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from calibration.camera.files.result import Result
-from calibration.camera.files.result_folder import open_calibration
+from calibration.camera.files.result import Result, open_calibration
 from calibration.camera.files.summary import verdict_text
 from calibration.camera.report import stills, views
 from calibration.camera.start_values.intrinsics import tilt_and_roll

@@ -4,7 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from calibration.camera.files.result import PhotoResult, Result
+from calibration.camera.files.findings import PhotoResult
+from calibration.camera.files.result import Result
 from calibration.camera.report import stills
 from heliogauge.images.thumbnails import decode_thumbnail
 from heliogauge.reporting.look import FAINT, LINE_X, LINE_Y

@@ -8,7 +8,7 @@ from typing import ClassVar
 import numpy as np
 
 from deflectometry.exchange.measure_slopes import grid_points
-from deflectometry.exchange.slope_files import SlopePoints
+from deflectometry.exchange.slope_points import SlopePoints
 from deflectometry.laser.keys import LaserMeasurement, LaserModel
 from deflectometry.laser.pipeline.scan_file import read_scan
 from deflectometry.laser.scan import LaserScan

@@ -8,7 +8,7 @@ from typing import ClassVar
 import numpy as np
 
 from deflectometry.exchange.measure_slopes import grid_points
-from deflectometry.exchange.slope_files import SlopePoints
+from deflectometry.exchange.slope_points import SlopePoints
 from deflectometry.pipeline.choices import Options
 from deflectometry.pipeline.headline import Numbers, facet_numbers, headline_text, reasons
 from deflectometry.scans.keys import SurfaceScanMeasurement, SurfaceScanModel

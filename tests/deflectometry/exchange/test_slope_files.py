@@ -8,7 +8,8 @@ import pytest
 
 import heliogauge as hg
 from deflectometry.exchange.measure_slopes import grid_points, load_slopes, run
-from deflectometry.exchange.slope_files import SlopePoints, import_slopes, read_slopes, read_soltrace
+from deflectometry.exchange.slope_files import import_slopes, read_slopes, read_soltrace
+from deflectometry.exchange.slope_points import SlopePoints
 from deflectometry.report import sections
 from heliogauge.errors import EstimationError, InputError
 from heliogauge.geometry.surfaces import paraboloid, plane

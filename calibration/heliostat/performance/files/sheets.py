@@ -2,48 +2,19 @@
 
 import re
 from collections import Counter
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
-from calibration.heliostat.performance.entries import Conformity, Decision, Entry, Limit
+from calibration.heliostat.performance.entries import Conformity
 from calibration.heliostat.performance.files.result import value_text
-from heliogauge.doubts import Doubt
+from calibration.heliostat.performance.report.sheet_page import sheet_page
+from calibration.heliostat.performance.sheet import Sheet, decision_rule
 from heliogauge.errors import InputError
 from heliogauge.results.folder import Summary, write_table_csv
 from heliogauge.results.frame import InstrumentResult
 
 SHEET_FILE = "sheet.csv"
-
-
-@dataclass(frozen=True, slots=True)
-class SheetLine:
-    """An entry with its limit and what that makes of it."""
-
-    entry: Entry
-    limit: Limit | None
-    decision: Decision
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Sheet:
-    """The data sheet of one heliostat.
-
-    lines: Its entries, also those that were not measured.
-    about: What is said of heliostat, laboratory and place.
-    tables: Rows that pictures are made of, by name.
-    """
-
-    name: str
-    lines: tuple[SheetLine, ...]
-    about: Mapping[str, str]
-    doubts: tuple[Doubt, ...]
-    tables: Mapping[str, dict[str, list[str]]] = field(default_factory=dict)
-
-    def count(self, conformity: Conformity) -> int:
-        """Return how many lines have a conformity."""
-        return sum(one.decision.conformity is conformity for one in self.lines)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -75,7 +46,6 @@ class Sheets(InstrumentResult):
 
         InputError: PDF is asked for and cannot be made; `--no-pdf` leaves it out.
         """
-        from calibration.heliostat.performance.report.sheet_page import sheet_page
         from heliogauge.reporting.print_pdf import write_pdf
 
         names = file_names([sheet.name for sheet in self.sheets])
@@ -122,17 +92,6 @@ class Sheets(InstrumentResult):
                 if one.decision.conformity in (Conformity.FAIL, Conformity.CONDITIONAL_FAIL, Conformity.UNDECIDED)
             ]
         return "\n".join(lines)
-
-
-def decision_rule(confidence: float) -> str:
-    """Return the rule of decision in a sentence."""
-    return (
-        f"Pass: conformity has a probability of at least {100 * confidence:g} %, the uncertainty counted; fail: "
-        "of at most "
-        f"{100 * (1 - confidence):g} %; conditional: between (ISO 14253-1:2017; ILAC-G8:09/2019, 4.2.3, "
-        "non-binary with "
-        "guard band)"
-    )
 
 
 def file_names(names: list[str]) -> list[str]:

@@ -7,39 +7,13 @@ from pathlib import Path
 from calibration.heliostat.performance.entries import Conformity, Decision, Entry, Limit, decide
 from calibration.heliostat.performance.files.limits import Limits, read_limits
 from calibration.heliostat.performance.files.result import ENTRIES_FILE, KIND, read_entries
-from calibration.heliostat.performance.files.sheets import Sheet, SheetLine, Sheets
+from calibration.heliostat.performance.files.sheets import Sheets
+from calibration.heliostat.performance.sheet import STANDARD, Sheet, SheetLine
 from heliogauge.doubts import Doubt, Severity, gather_doubts
 from heliogauge.errors import InputError
 from heliogauge.instruments import near_match
 from heliogauge.results.folder import SUMMARY_FILE, Summary, hash_files, read_summary, read_table_csv
 from heliogauge.running.progress import Progress, SilentProgress
-
-#: What every sheet has, measured or not (Stage-STE 12.6, 1.4 and 1.4.1).
-STANDARD: tuple[tuple[str, str, str], ...] = (
-    ("day", "beam_rms_rad", "Tracking accuracy, RMS of the beam's error"),
-    ("day", "normal_rms_rad", "Tracking accuracy, RMS of the normal's error"),
-    ("day", "beam_spread_rad", "Tracking precision, beam about its mean"),
-    ("day", "beam_noon_right_rad", "Beam at solar noon, to the right"),
-    ("day", "beam_noon_up_rad", "Beam at solar noon, up"),
-    ("drift", "right_beam_rad", "Drift of the beam to the right, range of the cubic"),
-    ("drift", "up_beam_rad", "Drift of the beam upwards, range of the cubic"),
-    ("repeat", "right_beam_rad", "Repeatability of the beam to the right, standard deviation"),
-    ("repeat", "up_beam_rad", "Repeatability of the beam upwards, standard deviation"),
-    ("backlash", "azimuth_axis_rad", "Backlash of the azimuth axis, end to end"),
-    ("backlash", "elevation_axis_rad", "Backlash of the elevation axis, end to end"),
-    ("wind", "w1_1_beam_rms_rad", "Beam accuracy in wind class W1.1 (full operation), RMS"),
-    ("wind", "w1_2_beam_rms_rad", "Beam accuracy in wind class W1.2 (reduced accuracy), RMS"),
-    ("quality", "sd_rad", "Normal's slope deviation SD from the design, RMS"),
-    ("quality", "sd_best_focus_rad", "Normal's slope deviation SD from the best-fit focal length, tilt removed, RMS"),
-    ("quality", "canting_rms_rad", "Canting error of the facets' normals, RMS"),
-    ("quality", "beam_d90_m", "Diameter of the beam that holds 90 % of its light, median"),
-    ("sun_camera", "normal_rms_rad", "Shift of the normal since the start while following the sun, RMS"),
-    ("reflectance", "solar_weighted_share", "Solar-weighted reflectance"),
-    ("control", "commands_answered_share", "Commands answered in time (test 1)"),
-    ("control", "faults_answered_share", "Faults answered in time (test 2)"),
-    ("power", "mean_w", "Mean power"),
-    ("year", "intercept_share", "Intercept over the year"),
-)
 
 
 @dataclass(frozen=True, slots=True)

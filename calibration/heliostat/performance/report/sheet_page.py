@@ -5,8 +5,8 @@ from itertools import groupby
 
 from calibration.heliostat.performance.entries import Conformity, Entry, Limit
 from calibration.heliostat.performance.files.result import value_text
-from calibration.heliostat.performance.files.sheets import Sheet, SheetLine, decision_rule
 from calibration.heliostat.performance.report.sections import TEST_WORDS, series_chart
+from calibration.heliostat.performance.sheet import STANDARD, Sheet, SheetLine, decision_rule
 from heliogauge import __version__
 from heliogauge.reporting.notation import quantity_text
 from heliogauge.reporting.page_frame import POLICY_HEAD
@@ -131,8 +131,6 @@ def sheet_page(sheet: Sheet, confidence: float, *, printed: bool = False) -> str
 
 def is_main(line: SheetLine) -> bool:
     """Whether a line is on the printed page: the standard ones, and what has a limit."""
-    from calibration.heliostat.performance.pipeline.make_sheet import STANDARD
-
     return line.limit is not None or (line.entry.test, line.entry.key) in {(test, key) for test, key, _ in STANDARD}
 
 

@@ -5,7 +5,7 @@ import pytest
 
 from calibration.camera.boards import Chessboard
 from calibration.camera.corners.detection import BoardPoints
-from calibration.camera.files.result import sigma_of_shape
+from calibration.camera.files.findings import sigma_of_shape
 from calibration.camera.judgement.comparison import compare
 from calibration.camera.judgement.network import check_network, coverage
 from calibration.camera.judgement.projection_sigma import radial_profile, sigma_map

@@ -14,8 +14,7 @@ from typer.testing import CliRunner
 
 from calibration.camera.boards import TargetField
 from calibration.camera.cli import app
-from calibration.camera.files.result import Result
-from calibration.camera.files.result_folder import open_calibration
+from calibration.camera.files.result import Result, open_calibration
 from calibration.camera.keys import load_camera_calibration
 from calibration.camera.pipeline.measure import Options, run
 from data_synth.targets.dataset import PhotoOptions, photogrammetry_content, write_target_dataset

@@ -13,8 +13,7 @@ from calibration.camera.adjustment.another_photo import gains_of_photos, predict
 from calibration.camera.adjustment.mixed_adjustment import adjust_mixed
 from calibration.camera.boards import Chessboard
 from calibration.camera.corners.detection import BoardPoints
-from calibration.camera.files.result import Result
-from calibration.camera.files.result_folder import open_calibration
+from calibration.camera.files.result import Result, open_calibration
 from calibration.camera.judgement.projection_sigma import sigma_map
 from calibration.camera.keys import load_camera_calibration
 from calibration.camera.pipeline.measure import Options, run
