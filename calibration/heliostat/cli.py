@@ -171,6 +171,18 @@ def aim_command(
             show_default=False,
         ),
     ] = None,
+    search: Annotated[
+        int | None,
+        typer.Option(
+            min=0,
+            metavar="RINGS",
+            help="Look for a lost beam at --time: aim points on a square spiral of so many rings.",
+        ),
+    ] = None,
+    time: Annotated[
+        str | None,
+        typer.Option(metavar="TIME", help="Time of the search with its zone, such as 2026-06-21T10:00:00Z."),
+    ] = None,
     force: Force = False,
     quiet: Quiet = False,
     verbose: Verbose = False,
@@ -178,7 +190,54 @@ def aim_command(
     """Write the readings that put beams on a target over a day, with the sigma of the beam; or beams of readings."""
     from calibration.heliostat.pipeline.aim import AimOptions, run
 
-    options = AimOptions(_day("date", date), step_minutes, target, only, readings, force)
+    options = AimOptions(_day("date", date), step_minutes, target, only, readings, search, time, force)
+    sentences = run(result, out, options)
+    if not quiet:
+        for text in sentences[:20]:
+            typer.echo(text)
+        if len(sentences) > 20:
+            typer.echo(f"... and {len(sentences) - 20} more heliostats")
+        typer.echo(f"results: {out}")
+
+
+@app.command("curves")
+def curves_command(
+    result: HeliostatResults,
+    out: OutFolder,
+    date: Annotated[
+        list[str] | None,
+        typer.Option(metavar="YYYY-MM-DD", help="Day (repeatable); default: March 20, June 21, December 21."),
+    ] = None,
+    step_minutes: TableStep = 30.0,
+    target: AimedTarget = None,
+    only: OnlyNames = None,
+    change_mrad: Annotated[float, typer.Option(help="Error of an angle whose curve is wanted.")] = 1.0,
+    change_mm: Annotated[float, typer.Option(help="Error of a length whose curve is wanted.")] = 10.0,
+    draws: Annotated[
+        int,
+        typer.Option(min=0, help="Also estimate the model from the first day's beams so often, and predict all days."),
+    ] = 0,
+    sigma_mm: Annotated[float, typer.Option(help="Noise of those beams' centres, each axis.")] = 20.0,
+    seed: Annotated[int, typer.Option(min=0, help="Of that noise.")] = 0,
+    force: Force = False,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+) -> None:
+    """Write what errors of the model do to the beam over days: daily curves of each, RMS, stability of an estimate."""
+    from calibration.heliostat.pipeline.curves import CurvesOptions, run
+
+    options = CurvesOptions(
+        dates=tuple(day for text in date or () if (day := _day("date", text)) is not None),
+        step_minutes=step_minutes,
+        target=target,
+        only=only,
+        change_rad=1e-3 * change_mrad,
+        change_m=1e-3 * change_mm,
+        draws=draws,
+        sigma_m=1e-3 * sigma_mm,
+        seed=seed,
+        force=force,
+    )
     sentences = run(result, out, options)
     if not quiet:
         for text in sentences[:20]:

@@ -74,13 +74,17 @@ class Calibrated(NamedTuple):
         return self.forecast.at(suns)
 
 
-def aim_columns(known: Calibrated, suns: FloatArray, target: PlaneTarget) -> dict[str, Any]:
-    """Return the readings that put the beam on the centre of a target.
+def aim_columns(
+    known: Calibrated, suns: FloatArray, target: PlaneTarget, offsets_m: FloatArray | None = None
+) -> dict[str, Any]:
+    """Return the readings that put the beam on the centre of a target, or beside it.
 
     Shapes: suns (n, 3).
+    offsets_m (n, 2): Of the aim from the centre, right and up [m].
     Returns: Columns of the table, n rows each; readings are empty where the drives cannot go there.
     """
-    found = aim(known.design, known.design.parameters.values, suns, target.center_m)
+    aims = target.center_m if offsets_m is None else target.points(offsets_m)
+    found = aim(known.design, known.design.parameters.values, suns, aims)
     sigma_rad, beyond = known.sigma(suns)
     status = _status(len(suns), {NEVER: ~found.converged, OUTSIDE: ~found.within_limits, EXTRAPOLATED: beyond})
     there = found.converged & found.within_limits

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from calibration.beam.light import search_spiral
 from calibration.heliostat.exports.aim_table import EXTRAPOLATED, GOOD, OUTSIDE, Calibrated, aim_columns, beam_columns
 from calibration.heliostat.exports.days import SunsOfDay
 from calibration.heliostat.files.store_field import failed_heliostats
@@ -23,7 +24,7 @@ from heliogauge.results.whole_folder import FolderKind, WholeFolder
 from heliogauge.validate import FloatArray
 
 _ANGLES = ("azimuth", "elevation")
-AIM_FILE, BEAM_FILE, MARK = "aim.csv", "beams.csv", "aim.txt"
+AIM_FILE, BEAM_FILE, SEARCH_FILE, MARK = "aim.csv", "beams.csv", "search.csv", "aim.txt"
 AIMED = FolderKind(content="tables of readings", mark=MARK)
 _TEXT = """\
 Written by heliogauge heliostat aim from calibrated heliostats.
@@ -31,6 +32,8 @@ Written by heliogauge heliostat aim from calibrated heliostats.
 aim.csv     readings of both drives that put the beam on the centre of the target, row by row of time (UTC).
 beams.csv   where the beams of given readings meet the plane of the target: x_m to the right and y_m up as seen from the
             field, from its centre; off_centre_mrad is the angle at the mirror between beam and centre.
+search.csv  readings that look for a beam that is not on its target, step by step: aim points on a square spiral around
+            its centre (right_m, up_m), half of the target's shorter side apart.
 
 sigma_beam_mrad   expected error of the beam (root of both axes' variances) at that sun, from the calibration's map over
                   the sky; sigma_across_m the same of one axis at the target, across the line of sight.
@@ -49,6 +52,8 @@ class AimOptions:
     target: Whose centre is aimed at; the first one if None.
     only: Heliostats by name, a text with ``*``; several with commas; all if None.
     readings: Table of readings whose beams are asked for, in place of a day.
+    search: Rings of a spiral of aim points that looks for a beam at one time, in place of a day.
+    time: That time, with its zone.
     force: Replace an earlier table.
     """
 
@@ -57,6 +62,8 @@ class AimOptions:
     target: str | None = None
     only: str | None = None
     readings: Path | None = None
+    search: int | None = None
+    time: str | None = None
     force: bool = False
 
 
@@ -69,17 +76,21 @@ def run(result: Path, out: Path, options: AimOptions | None = None) -> list[str]
         used.
     """
     options = options or AimOptions()
+    _refuse_both(options)
     tables, sentences = [], []
     with explain_faults(result, "a folder of results as heliogauge wrote it"):
-        contents = list(_chosen(read_results(result), options.only))
+        contents = list(chosen_heliostats(read_results(result), options.only))
         given = None if options.readings is None else _Given.read(options.readings, stored_site(contents[0]))
         if given is not None:
             given.check_names([str(content["heliostat"]) for content in contents])
         for content in contents:
             known = Calibrated.from_content(content)
-            columns = (
-                _of_day(known, stored_site(content), options) if given is None else given.columns(known, options.target)
-            )
+            if given is not None:
+                columns = given.columns(known, options.target)
+            elif options.search is not None:
+                columns = _of_search(known, stored_site(content), options)
+            else:
+                columns = _of_day(known, stored_site(content), options)
             if columns is not None:
                 tables.append(columns)
                 sentences.append(_sentence(known, columns))
@@ -87,12 +98,14 @@ def run(result: Path, out: Path, options: AimOptions | None = None) -> list[str]
             sentences += [f"{name}: not calibrated: {reason}" for name, reason in failed_heliostats(result)]
     joined = {name: [cell for table in tables for cell in table[name]] for name in tables[0]}
     with WholeFolder(out, AIMED, force=options.force) as folder:
-        write_table_csv(folder / (AIM_FILE if given is None else BEAM_FILE), joined)
+        name = SEARCH_FILE if options.search is not None else AIM_FILE if given is None else BEAM_FILE
+        write_table_csv(folder / name, joined)
         (folder / MARK).write_text(_TEXT, encoding="utf-8")
     return sentences
 
 
-def _chosen(contents: Iterable[Mapping[str, Any]], only: str | None) -> Iterable[Mapping[str, Any]]:
+def chosen_heliostats(contents: Iterable[Mapping[str, Any]], only: str | None) -> Iterable[Mapping[str, Any]]:
+    """Return the heliostats whose names fit a text with ``*``; InputError where none does."""
     found = list(contents)
     names = [str(content["heliostat"]) for content in found]
     patterns = ["*"] if only is None else [text.strip() for text in only.split(",")]
@@ -109,6 +122,32 @@ def _of_day(known: Calibrated, site: Site, options: AimOptions) -> dict[str, Any
     day = SunsOfDay.of(date, options.step_minutes, site)
     columns = aim_columns(known, day.suns, known.target(options.target))
     return {"heliostat": columns.pop("heliostat"), "time_utc": list(day.times_utc), **columns}
+
+
+def _refuse_both(options: AimOptions) -> None:
+    if options.search is not None and options.readings is not None:
+        raise InputError("search and readings: one of both; a search is made of aim points, readings are given")
+    if (options.search is None) != (options.time is None):
+        raise InputError("search and time belong together: aim points around the target at one time")
+
+
+def _of_search(known: Calibrated, site: Site, options: AimOptions) -> dict[str, Any]:
+    """Return readings for a spiral of aim points, all at one time."""
+    target, time = known.target(options.target), parse_time(options.time or "")
+    sun = sun_directions(np.array([time]), site)
+    if not sun[0, 2] > 0:
+        raise InputError(f"time={options.time}: the sun is below the horizon there; is it UTC?")
+    offsets = search_spiral(min(target.width_m, target.height_m), options.search or 0)
+    columns = aim_columns(known, np.repeat(sun, len(offsets), axis=0), target, offsets)
+    name = columns.pop("heliostat")
+    places = {"right_m": offsets[:, 0].tolist(), "up_m": offsets[:, 1].tolist()}
+    return {
+        "heliostat": name,
+        "step": list(range(len(offsets))),
+        "time_utc": [f"{time.astype('datetime64[s]')}Z"] * len(offsets),
+        **places,
+        **columns,
+    }
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 from heliogauge.faces import lazy_face
 
 if TYPE_CHECKING:
+    from calibration.heliostat.planning.error_curves import error_curve as error_curve
+    from calibration.heliostat.planning.error_curves import stability as stability
     from calibration.heliostat.planning.measurement_plan import beam_candidates as beam_candidates
     from calibration.heliostat.planning.measurement_plan import knowledge_before as knowledge_before
     from calibration.heliostat.planning.measurement_plan import plan_measurements as plan_measurements

@@ -80,6 +80,7 @@ COMMANDS = FOR_ALL + [
     "heliostat measure",
     "heliostat plan",
     "heliostat aim",
+    "heliostat curves",
     "heliostat export controllers",
     "heliostat export artist",
     "heliostat export table",

@@ -11,7 +11,7 @@ from calibration.heliostat.exports.forecast import SkyForecast
 from calibration.heliostat.files.store_heliostat import read_heliostat
 from calibration.heliostat.fitting.prediction import predict_aim
 from calibration.heliostat.keys import load_heliostat
-from calibration.heliostat.pipeline import aim
+from calibration.heliostat.pipeline import aim, curves
 from calibration.heliostat.pipeline.field import run_into
 from calibration.heliostat.pipeline.measure import Options
 from calibration.heliostat.pipeline.measure import run as calibrate
@@ -152,3 +152,55 @@ def test_tables_that_cannot_be_meant(paint: Path, tmp_path: Path, lines: str, wa
     (tmp_path / "asked.csv").write_text(lines + "\n")
     with pytest.raises(InputError, match=wanted):
         aim.run(paint, tmp_path / "e", aim.AimOptions(readings=tmp_path / "asked.csv"))
+
+
+def test_search_spiral_goes_where_it_says(paint: Path, tmp_path: Path) -> None:
+    """Readings of a search, asked back, put the beam on each aim point of the spiral."""
+    noon = "2026-06-21T11:30:00Z"
+    aim.run(paint, tmp_path / "search", aim.AimOptions(search=1, time=noon))
+    steps = table(tmp_path / "search", aim.SEARCH_FILE)
+    side = min(TARGET.width_m, TARGET.height_m) / 2
+    wanted = np.array([steps["right_m"], steps["up_m"]], dtype=float).T
+    assert wanted[:3] / side == pytest.approx(np.array([[0, 0], [1, 0], [1, 1]]), abs=1e-9)
+    assert len({tuple(one) for one in wanted.tolist()}) == 9
+    lines = ["heliostat,reading_1,reading_2,time_utc"]
+    lines += [f"AA11,{a},{b},{noon}" for a, b in zip(steps["reading_1"], steps["reading_2"], strict=True)]
+    (tmp_path / "asked.csv").write_text("\n".join(lines) + "\n")
+    aim.run(paint, tmp_path / "back", aim.AimOptions(readings=tmp_path / "asked.csv"))
+    back = table(tmp_path / "back", aim.BEAM_FILE)
+    assert pytest.approx(wanted, abs=2e-5) == np.array([back["x_m"], back["y_m"]], dtype=float).T
+
+
+def test_searches_that_cannot_be_meant(paint: Path, tmp_path: Path) -> None:
+    for options, said in (
+        (aim.AimOptions(search=1), "belong together"),
+        (aim.AimOptions(search=1, time="2026-06-21T23:30:00Z"), "below the horizon"),
+        (aim.AimOptions(search=1, time="2026-06-21T11:30:00Z", readings=tmp_path / "x.csv"), "one of both"),
+    ):
+        with pytest.raises(InputError, match=said):
+            aim.run(paint, tmp_path / "out", options)
+
+
+def test_curves_of_a_calibrated_heliostat(paint: Path, tmp_path: Path) -> None:
+    """What the calibration found comes out of its model; a parameter alone is what the whole has of it."""
+    winter = datetime.date(2026, 12, 21)
+    options = curves.CurvesOptions(dates=(DAY, winter), draws=3, change_rad=2e-3)
+    sentences = curves.run(paint, tmp_path / "curves", options)
+    assert sentences[0].startswith("AA11: beam error as before the calibration")
+    daily = table(tmp_path / "curves", curves.DAILY_FILE)
+    assert set(daily["date"]) == {str(DAY), str(winter)}
+    free = {name for name, of in zip(daily["cause"], daily["of"], strict=True) if of == "one"}
+    assert len(free) == 4
+    sizes = [float(one) for one, of in zip(daily["rms_mrad"], daily["of"], strict=True) if of == "one"]
+    # A turn of the normal by 2 mrad turns the beam by 4 at most.
+    assert 0 < min(sizes) <= max(sizes) <= 4.001
+    points = table(tmp_path / "curves", curves.CURVES_FILE)
+    rows = [
+        row for row, cause in enumerate(points["cause"]) if cause == daily["cause"][0] and points["right_mrad"][row]
+    ]
+    first = [row for row in rows if points["time_utc"][row].startswith("2026-06-21")]
+    squares = sum(float(points[name][row]) ** 2 for row in first for name in ("right_mrad", "up_mrad"))
+    assert np.sqrt(squares / len(first)) == pytest.approx(float(daily["rms_mrad"][0]), rel=1e-3)
+    stable = table(tmp_path / "curves", curves.STABILITY_FILE)
+    assert stable["estimated_from"] == [str(DAY)] * 2
+    assert float(stable["over_first_day_ratio"][0]) == 1.0
