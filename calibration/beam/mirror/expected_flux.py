@@ -7,7 +7,7 @@ sun's power per square metre of target, in 1/m^2 times the mirror's projected ar
 """
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import cv2
 import numpy as np
@@ -20,7 +20,7 @@ from heliogauge.short_repr import ShortRepr
 from heliogauge.sunlight.sun_shapes import SunShape
 from heliogauge.validate import FloatArray, float_array, freeze, positive
 
-__all__ = ["FluxGrid", "Scene", "facet_fluxes"]
+__all__ = ["FluxGrid", "Scene", "flux_change", "sun_kernel", "whole_flux"]
 
 #: Samples of the sun's picture across a pixel: the edge of the disc falls within pixels.
 _FINER = 4
@@ -130,7 +130,7 @@ class Scene(ShortRepr):
         side = (np.arange((2 * half + 1) * _FINER) + 0.5) / _FINER - 0.5 - half
         x, y = np.meshgrid(side * step_m, side * step_m)
         angle = np.hypot(inverse[0, 0] * x + inverse[0, 1] * y, inverse[1, 0] * x + inverse[1, 1] * y)
-        light = np.asarray(_Profile(self.sun, self.scatter_rad)(angle), dtype=np.float64)
+        light = np.asarray(_profile(self.sun, self.scatter_rad)(angle), dtype=np.float64)
         size = 2 * half + 1
         picture = light.reshape(size, _FINER, size, _FINER).mean(axis=(1, 3))
         return np.asarray(picture / picture.sum())
@@ -158,22 +158,51 @@ class _Profile:
         return np.asarray(np.interp(angle_rad, self._angles, self._values, right=0.0))
 
 
+@lru_cache(maxsize=64)
+def _profile(sun: SunShape, scatter_rad: float) -> _Profile:
+    return _Profile(sun, scatter_rad)
+
+
 def _reach(sun: SunShape, scatter_rad: float) -> float:
     """Angle within which nearly all of the light is [rad]."""
+    return _held_angle(sun) + 4 * scatter_rad
+
+
+@lru_cache(maxsize=256)
+def _held_angle(sun: SunShape) -> float:
     angles = np.linspace(0, sun.limit_rad, 400)
-    held = float(np.interp(_HELD, sun.share_within(angles), angles))
-    return held + 4 * scatter_rad
+    return float(np.interp(_HELD, sun.share_within(angles), angles))
 
 
-def facet_fluxes(scene: Scene, mirror: Mirror, grid: FluxGrid) -> FloatArray:
-    """Compute the flux of each facet on a target.
+def sun_kernel(scene: Scene, grid: FluxGrid) -> FloatArray:
+    """Return what each landing of the sun's centre lights on a grid: for one scene, again and again.
 
-    Returns (k, ny, nx): Flux of each facet for a direct irradiance and reflectance of one: where all of the sun is
-        seen by way of mirrors it is the number of suns.
+    Returns (m, m): From the lowest row up.
+    """
+    return _sharpened(scene.sun_picture(grid.step_m))
+
+
+def whole_flux(scene: Scene, mirror: Mirror, grid: FluxGrid, kernel: FloatArray | None = None) -> FloatArray:
+    """Compute the flux of a mirror on a target.
+
+    kernel (m, m): From `sun_kernel`, where it is known already.
+    Returns (ny, nx): For a direct irradiance and reflectance of one: where all of the sun is seen by way of mirrors it
+        is the number of suns.
     EstimationError: No ray meets the target's plane.
     """
-    kernel = _sharpened(scene.sun_picture(grid.step_m))
-    return np.stack([_spread_out(scene, one, kernel, grid) for one in mirror.facets])
+    light = sun_kernel(scene, grid) if kernel is None else kernel
+    return _lit(sum((_gathered(scene, one, light, grid) for one in mirror.facets), np.zeros(())), light, grid)
+
+
+def flux_change(scene: Scene, mirrors: tuple[Mirror, Mirror], grid: FluxGrid, kernel: FloatArray) -> FloatArray:
+    """Return by how much more each facet of the first mirror lights the target than that of the second, (k, ny, nx)."""
+    first, second = (one.facets for one in mirrors)
+    return np.stack(
+        [
+            _lit(_gathered(scene, one, kernel, grid) - _gathered(scene, other, kernel, grid), kernel, grid)
+            for one, other in zip(first, second, strict=True)
+        ]
+    )
 
 
 def _sharpened(picture: FloatArray) -> FloatArray:
@@ -189,7 +218,8 @@ def _sharpened(picture: FloatArray) -> FloatArray:
     return np.asarray(wider - around / 12, dtype=np.float64)
 
 
-def _spread_out(scene: Scene, facet: Facet, kernel: FloatArray, grid: FluxGrid) -> FloatArray:
+def _gathered(scene: Scene, facet: Facet, kernel: FloatArray, grid: FluxGrid) -> FloatArray:
+    """Return the power that lands on each pixel of a grid and of the margin from where its light reaches the grid."""
     places, power = scene.landings_m(facet)
     margin = kernel.shape[0] // 2 + 2
     rows, columns = grid.shape[0] + 2 * margin, grid.shape[1] + 2 * margin
@@ -209,8 +239,12 @@ def _spread_out(scene: Scene, facet: Facet, kernel: FloatArray, grid: FluxGrid) 
     ):
         index = (low + high) * columns + left + right
         gathered += np.asarray(np.bincount(index, power * share, rows * columns), dtype=np.float64)
+    return gathered.reshape(rows, columns)
+
+
+def _lit(gathered: FloatArray, kernel: FloatArray, grid: FluxGrid) -> FloatArray:
+    """Spread the power of landings by the sun's picture."""
+    margin = kernel.shape[0] // 2 + 2
     # filter2D correlates: the sun's picture is turned, for its middle to stay.
-    light = cv2.filter2D(
-        gathered.reshape(rows, columns), cv2.CV_64F, kernel[::-1, ::-1], borderType=cv2.BORDER_CONSTANT
-    )
+    light = cv2.filter2D(gathered, cv2.CV_64F, kernel[::-1, ::-1], borderType=cv2.BORDER_CONSTANT)
     return np.asarray(freeze(light[margin:-margin, margin:-margin] / grid.pixel_m2))

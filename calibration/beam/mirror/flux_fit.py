@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from calibration.beam.mirror.expected_flux import FluxGrid, Scene, facet_fluxes
+from calibration.beam.mirror.expected_flux import FluxGrid, Scene, flux_change, sun_kernel, whole_flux
 from calibration.beam.mirror.facets import Mirror, Mount, canted, curved, mirror_rotation
 from heliogauge.errors import EstimationError, InputError
 from heliogauge.geometry.target_planes import PlaneTarget
@@ -185,7 +185,7 @@ def aureole_ratio(photo: FluxPhoto, mirror: Mirror, stand: MirrorStand, scatter_
 
     def expected(ratio: float) -> FloatArray:
         scene = replace(photo, sun=BuieSun(ratio)).scene(stand, photo.aim_m, scatter_rad)
-        flux = facet_fluxes(scene, mirror, photo.grid).sum(axis=0)
+        flux = whole_flux(scene, mirror, photo.grid)
         if not float(flux.sum()) > 0:
             raise EstimationError(
                 f"{photo.name}: the mirror sends no light to where the beam is; check sun and position"
@@ -440,8 +440,8 @@ class _Fit:
         first = 0
         for number, photo in enumerate(self._photos):
             scene = photo.scene(self._stand, state.aims[number], state.scatter)
-            fluxes = facet_fluxes(scene, mirror, photo.grid)
-            whole = fluxes.sum(axis=0)
+            kernel = sun_kernel(scene, photo.grid)
+            whole = whole_flux(scene, mirror, photo.grid, kernel)
             known = np.isfinite(photo.flux_dn)
             model = np.column_stack([whole[known], np.ones(int(known.sum()))])
             measured = photo.flux_dn[known]
@@ -455,7 +455,7 @@ class _Fit:
             residuals.append(weight * (measured - model @ scale))
             if derivatives:
                 part = np.zeros((measured.size, self._globals + 2 * len(self._photos)))
-                columns = self._derivatives(state, mirror, photo, scene, fluxes)
+                columns = self._derivatives(state, mirror, photo, scene, whole, kernel)
                 chosen = [one[known] for one in columns]
                 part[:, : self._globals] = np.column_stack(chosen[:-2]) if self._globals else part[:, :0]
                 place = self._globals + 2 * number
@@ -478,24 +478,29 @@ class _Fit:
         )
 
     def _derivatives(
-        self, state: _State, mirror: Mirror, photo: FluxPhoto, scene: Scene, fluxes: FloatArray
+        self,
+        state: _State,
+        mirror: Mirror,
+        photo: FluxPhoto,
+        scene: Scene,
+        whole: FloatArray,
+        kernel: FloatArray,
     ) -> list[FloatArray]:
         """Return the derivatives of the flux by all that is common, then by the aim."""
-        whole = fluxes.sum(axis=0)
         found: list[FloatArray] = []
         if self._free:
             by_facet = np.zeros((self._count, 2, *whole.shape))
             for axis in (0, 1):
                 turn = np.zeros((self._count, 2))
                 turn[:, axis] = _STEP_RAD
-                sides = [facet_fluxes(scene, canted(mirror, sign * turn), photo.grid) for sign in (1, -1)]
-                by_facet[:, axis] = (sides[0] - sides[1]) / (2 * _STEP_RAD)
+                sides = (canted(mirror, turn), canted(mirror, -turn))
+                by_facet[:, axis] = flux_change(scene, sides, photo.grid, kernel) / (2 * _STEP_RAD)
             parts = np.einsum("kj,kayx->jayx", self._zero_mean, by_facet)
             found += list(parts.reshape(-1, *whole.shape))
             bent = canted(curved(self._mirror, state.curvature + _STEP_1PM), state.canting)
-            found.append((facet_fluxes(scene, bent, photo.grid).sum(axis=0) - whole) / _STEP_1PM)
+            found.append((whole_flux(scene, bent, photo.grid, kernel) - whole) / _STEP_1PM)
             wider = replace(scene, scatter_rad=state.scatter + _STEP_SCATTER_RAD)
-            found.append((facet_fluxes(wider, mirror, photo.grid).sum(axis=0) - whole) / _STEP_SCATTER_RAD)
+            found.append((whole_flux(wider, mirror, photo.grid) - whole) / _STEP_SCATTER_RAD)
         up, across = np.gradient(whole, photo.grid.y_m, photo.grid.x_m)
         return [*found, -across, -up]
 

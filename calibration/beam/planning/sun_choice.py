@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calibration.beam.mirror.expected_flux import FluxGrid, facet_fluxes
+from calibration.beam.mirror.expected_flux import FluxGrid, whole_flux
 from calibration.beam.mirror.facets import Mirror, canted, curved
 from calibration.beam.mirror.flux_fit import FluxFit, FluxPhoto, MirrorStand, flux_information, zero_mean_basis
 from heliogauge.errors import EstimationError, InputError
@@ -115,7 +115,7 @@ def photo_of_sun(like: FluxPhoto, to_sun: FloatArray, mirror: Mirror, stand: Mir
     axes = [np.arange(-one, one, step) for one in half]
     photo = FluxPhoto(like.name, like.target, to_sun, FluxGrid(axes[0], axes[1]), np.zeros(0), aim, like.sun)
     adjusted = canted(curved(mirror, fit.curvature_1pm), fit.canting_rad)
-    flux = facet_fluxes(photo.scene(stand, aim, fit.scatter_rad), adjusted, photo.grid).sum(axis=0)
+    flux = whole_flux(photo.scene(stand, aim, fit.scatter_rad), adjusted, photo.grid)
     lit = flux > 1e-3 * flux.max()
     rows, columns = np.flatnonzero(lit.any(axis=1)), np.flatnonzero(lit.any(axis=0))
     inner = np.ix_(np.arange(rows[0], rows[-1] + 1), np.arange(columns[0], columns[-1] + 1))
