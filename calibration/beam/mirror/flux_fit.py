@@ -501,7 +501,7 @@ class _Fit:
             found.append((whole_flux(scene, bent, photo.grid, kernel) - whole) / _STEP_1PM)
             wider = replace(scene, scatter_rad=state.scatter + _STEP_SCATTER_RAD)
             found.append((whole_flux(wider, mirror, photo.grid) - whole) / _STEP_SCATTER_RAD)
-        up, across = np.gradient(whole, photo.grid.y_m, photo.grid.x_m)
+        up, across = (np.asarray(one) for one in np.gradient(whole, photo.grid.y_m, photo.grid.x_m))
         return [*found, -across, -up]
 
     def _size(self, covariance: FloatArray) -> float:
