@@ -88,7 +88,8 @@ class _Window:
         # What is farther outside than the blur shows nothing of the mirror.
         self.used = (near < reach) & (self.inside_px > -BLURS * blur_px)
         photo = rim.photo_dn[part].astype(np.float64)
-        ground = float(np.median(photo[(near >= 1.0) & (self.inside_px > BLURS * blur_px)])) if self.used.any() else 0.0
+        clear = photo[(near >= 1.0) & (self.inside_px > BLURS * blur_px)]
+        ground = float(np.median(clear)) if clear.size else float("nan")
         self.values_dn = (photo - ground)[self.used]
         self.sign = 1.0 if np.median(photo[(near < 0.5) & self.used]) < ground else -1.0
         fine = (
@@ -101,14 +102,14 @@ class _Window:
 
     @classmethod
     def around(cls, rim: Rim, start: Ellipse, blur_px: float) -> "_Window | None":
-        """Return the window of a dot; None where it reaches beyond the photo."""
+        """Return the window of a dot; None where it reaches beyond the photo, or has no ground without the edge."""
         reach = start.semi_axes_px[0] + (BLURS + 1.0) * blur_px + 2.0
         low, high = np.floor(start.center_px - reach).astype(int), np.ceil(start.center_px + reach).astype(int) + 1
         height, width = rim.inside_px.shape
         if low.min() < 0 or high[0] > width or high[1] > height:
             return None
         made = cls(rim, start, blur_px, (int(low[0]), int(low[1])), (int(high[0] - low[0]), int(high[1] - low[1])))
-        return made if np.count_nonzero(made.used) > 12 else None
+        return made if np.count_nonzero(made.used) > 12 and np.isfinite(made.values_dn).all() else None
 
     def model(self, place_px: FloatArray, shape_px2: FloatArray, moved_px: float) -> tuple[FloatArray, FloatArray]:
         """Return the share of each used pixel that shows the dot (n,), and its derivative by the place (n, 2) [1/px].

@@ -20,6 +20,8 @@ _SMALLEST_PX, _LARGEST_PX, _LEAST_CONTRAST_DN, _MOST_TILT_RAD = 3.0, 60.0, 8.0, 
 _SMALL_PX = 4.0
 #: Logarithm of the contrast of a dot that only the lattice expects over that of its neighbours, at most: half or twice.
 _LIKE_NEIGHBOURS = np.log(2.0)
+#: So many of the nearest dots say how large a dot is that only the lattice expects.
+LIKE_SO_MANY = 4
 #: Dots whose blur and size stand for all: both are known to a tenth from each.
 _BLUR_DOTS = 60
 #: Standard deviation of a pixel's own width [px].
@@ -500,14 +502,14 @@ def _like_neighbours(places_px: FloatArray, dots: _Spots, contrast_dn: FloatArra
 
     if not len(places_px):
         return _Spots(places_px, np.zeros((0, 2, 2))), np.zeros(0)
-    nearest = cKDTree(dots.places_px).query(places_px, 4)[1]
+    nearest = cKDTree(dots.places_px).query(places_px, LIKE_SO_MANY)[1]
     with np.errstate(invalid="ignore"):
         usual = np.median(np.where(np.isfinite(contrast_dn), contrast_dn, np.nanmedian(contrast_dn))[nearest], axis=1)
     return _Spots(places_px, dots.shapes_px2[nearest].mean(axis=1)), usual
 
 
 def like_neighbours(places_px: FloatArray, dots_px: FloatArray, shapes_px2: FloatArray) -> list[Ellipse]:
-    """Return the outlines of dots at places (n, 2), as large as those around them."""
+    """Return the outlines of dots at places (n, 2), as large as those around them: at least `LIKE_SO_MANY`."""
     if not len(places_px):
         return []
     spots, _ = _like_neighbours(places_px, _Spots(dots_px, shapes_px2), np.ones(len(dots_px)))

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from deflectometry.dots.cut_dots import fit_cut_dot
-from deflectometry.dots.found_dots import FoundDots, expected_dots, like_neighbours
+from deflectometry.dots.found_dots import LIKE_SO_MANY, FoundDots, expected_dots, like_neighbours
 from deflectometry.dots.rim import BLURS, Rim
 from deflectometry.pose.mirror_outline import outline_distance_px
 from deflectometry.pose.outline_edges import edge_blur_px
@@ -98,8 +98,10 @@ def with_rim_dots(dots: FoundDots, rim: Rim) -> FoundDots:
     if not near.any():
         return dots
     expected, their_number = expected_dots(dots.centers_px, dots.number)
-    usual = like_neighbours(dots.centers_px[near], dots.centers_px[~near], dots.outlines_px2[~near])
-    new = like_neighbours(expected, dots.centers_px[~near], dots.outlines_px2[~near])
+    # Where hardly any dot is away from the edges, two columns of them say, those at the edges are all that there is.
+    clear = ~near if np.count_nonzero(~near) >= LIKE_SO_MANY else np.ones_like(near)
+    usual = like_neighbours(dots.centers_px[near], dots.centers_px[clear], dots.outlines_px2[clear])
+    new = like_neighbours(expected, dots.centers_px[clear], dots.outlines_px2[clear])
     may_be = np.array([rim.is_near(one, dots.blur_px) and rim.holds(one.center_px) for one in new], dtype=np.bool_)
     starts = [one for one, there in zip(ellipses, near, strict=True) if there]
     starts += [one for one, there in zip(new, may_be, strict=True) if there]

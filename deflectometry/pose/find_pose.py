@@ -48,6 +48,8 @@ class LocatedMirror:
     evidence: The adjustment, where the outline gave the pose.
     doubts: What makes the pose doubtful.
     edge_width_px: Width of the mirror's edges in the image; NaN where none were measured [px].
+    sigma_outline_px: How far the outline of `outline_pose` may be off the edges: as the edge points scatter about it;
+        0 where none were measured [px].
     """
 
     facets: tuple[Facet, ...]
@@ -58,11 +60,7 @@ class LocatedMirror:
     evidence: MirrorPose | None = None
     doubts: tuple[Doubt, ...] = ()
     edge_width_px: float = float("nan")
-
-    @property
-    def sigma_outline_px(self) -> float:
-        """How far the outline may be off the edges of the mirror [px]: as the edge points scatter about it."""
-        return 0.0 if self.evidence is None else float(np.nan_to_num(self.evidence.residual_rms_px))
+    sigma_outline_px: float = 0.0
 
 
 def find_pose(source: Source, setup: Setup, mirror: MirrorInput) -> LocatedMirror:
@@ -84,6 +82,7 @@ def find_pose(source: Source, setup: Setup, mirror: MirrorInput) -> LocatedMirro
             checked.outline_pose,
             doubts=gather_doubts(checked.doubt),
             edge_width_px=checked.edge_width_px,
+            sigma_outline_px=checked.scatter_px,
         )
     if not mirror.facets:
         return _find_without_outline(source, image, setup, mirror)
@@ -101,6 +100,7 @@ def find_pose(source: Source, setup: Setup, mirror: MirrorInput) -> LocatedMirro
         evidence,
         evidence.doubts,
         evidence.edge_width_px,
+        float(np.nan_to_num(evidence.residual_rms_px)),
     )
 
 

@@ -35,6 +35,7 @@ class OutlineCheck:
     residual_rms_px: RMS distance of the projected outline from the edges; NaN where no edges were found [px].
     edge_width_px: Width of the edges; NaN where none were found [px].
     doubt: The outline lies off the edges by more than pose and image allow, or could not be compared.
+    scatter_px: RMS distance of the edges from the outline of `outline_pose`; 0 where none were found [px].
     """
 
     outline_pose: RigidTransform
@@ -42,6 +43,7 @@ class OutlineCheck:
     residual_rms_px: float
     edge_width_px: float = float("nan")
     doubt: Doubt | None = None
+    scatter_px: float = 0.0
 
 
 def check_given_pose(
@@ -83,7 +85,8 @@ def check_given_pose(
             f"allow {allowed:.2f} px); check [mirror.pose], or leave it out and the outline gives the pose",
             {"residual_rms_px": rms, "allowed_px": allowed},
         )
-    return OutlineCheck(fit.pose, edge_margin_px(edges.width_px, fit.sigma_px), rms, edges.width_px, off)
+    margin_px = edge_margin_px(edges.width_px, fit.sigma_px)
+    return OutlineCheck(fit.pose, margin_px, rms, edges.width_px, off, fit.rms_px)
 
 
 def _refuse_strayed(

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.special import ndtr
 
 from data_synth.fringes.knowledge import Knowledge
 from data_synth.fringes.presets import preset_scene
@@ -11,7 +12,12 @@ from data_synth.optics.surface_errors import SurfaceErrors
 from deflectometry.keys import load_deflectometry
 from deflectometry.pipeline.choices import Options
 from deflectometry.pipeline.measure import run
+from deflectometry.pose.given_pose import check_given_pose
+from deflectometry.pose.pose_observations import UncertainPose
 from deflectometry.shape.smooth_shape import Align
+from heliogauge.camera.model import Camera
+from heliogauge.geometry.rigid import RigidTransform
+from heliogauge.geometry.surfaces import Facet, plane
 from tests.recovery.agreement import agreement, measure
 
 
@@ -47,3 +53,23 @@ def test_pose_that_the_image_contradicts_is_said(tmp_path):
     # 20 mm are 1.4 px, across two of the four sides: 1 px RMS over all.
     doubt = next(one for one in result.doubts if one.code == "given_pose_off_outline")
     assert doubt.numbers["residual_rms_px"] == pytest.approx(1.0, abs=0.1)
+
+
+def test_edges_scatter_about_their_own_outline_wherever_the_given_pose_puts_it():
+    """Cut dots take this scatter for the outline's uncertainty: it is the edges' own, not that of the given pose."""
+    camera = Camera(300, 240, 900.0, 900.0, 149.5, 119.5)
+    facet = Facet("facet", np.array([[-0.4, -0.3], [0.4, -0.3], [0.4, 0.3], [-0.4, 0.3]]), plane())
+    straight = RigidTransform(np.diag([1.0, -1.0, -1.0]), np.array([0.0, 0.0, 5.0]))
+    x, y = np.meshgrid(np.arange(300.0), np.arange(240.0))
+    bright = [ndtr((900 * half / 5 - np.abs(one)) / 0.7) for one, half in ((x - 149.5, 0.4), (y - 119.5, 0.3))]
+    image = 100 * bright[0] * bright[1] + np.random.default_rng(3).normal(0, 1.0, x.shape)
+    found = []
+    for aside_m in (0.0, 0.3 * 5 / 900):
+        moved = RigidTransform(straight.rotation, straight.translation_m + [aside_m, 0.0, 0.0])
+        given = UncertainPose(moved, 1e-12 * np.eye(6))
+        found.append(check_given_pose(image.astype(np.float32), camera, [facet], given))
+    # Noise of 1 DN on a step of 100 DN that is 0.7 px blurred places an edge to some hundredths of a pixel.
+    assert 0.003 < found[0].scatter_px < 0.05
+    assert found[0].residual_rms_px == pytest.approx(found[0].scatter_px, rel=0.2)
+    assert found[1].scatter_px == pytest.approx(found[0].scatter_px, rel=0.05)
+    assert found[1].residual_rms_px > 4 * found[1].scatter_px
