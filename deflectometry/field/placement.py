@@ -62,12 +62,20 @@ class OrientedCamera:
 
 
 def orient_camera(
-    name: str, camera: Camera, eye_m: FloatArray, points_m: FloatArray, pixels_px: FloatArray, sigma_px: FloatArray
+    name: str,
+    camera: Camera,
+    eye_m: FloatArray,
+    points_m: FloatArray,
+    pixels_px: FloatArray,
+    sigma_px: FloatArray,
+    *,
+    most_sigmas: float = _IMPOSSIBLE_SIGMAS,
 ) -> OrientedCamera:
     """Turn a camera of known place until points of the mirror lie where they were measured.
 
     eye_m (3,): Its place in the mirror's frame.
     points_m (n, 3), pixels_px (n, 2), sigma_px (n,): The points and their images.
+    most_sigmas: How far off a point may be; infinite for a camera that is only tried out elsewhere.
     EstimationError: Points in one direction, or images that are not those of the points.
     """
     from scipy.linalg import orthogonal_procrustes
@@ -101,7 +109,7 @@ def orient_camera(
             break
     residual_px = pixels_px - camera.project(pose.apply(points_m))
     worst = float((np.linalg.norm(residual_px, axis=1) / sigma_px).max())
-    if not worst < _IMPOSSIBLE_SIGMAS:
+    if not worst < most_sigmas:
         number = int(np.argmax(np.linalg.norm(residual_px, axis=1) / sigma_px))
         off = float(np.linalg.norm(residual_px[number]))
         raise EstimationError(

@@ -56,8 +56,13 @@ def mirror_frame(section: HeliostatSection, sun: FloatArray) -> RigidTransform:
     return field_from_mirror(place, normal)
 
 
-def oriented(section: FieldCameraSection, folder: Path, mirror_from_field: RigidTransform) -> OrientedCamera:
-    """Return a camera turned to its points of the mirror."""
+def oriented(
+    section: FieldCameraSection, folder: Path, mirror_from_field: RigidTransform, *, is_trial: bool = False
+) -> OrientedCamera:
+    """Return a camera turned to its points of the mirror.
+
+    is_trial: The camera is put where it does not stand: its points need not fit.
+    """
     return orient_camera(
         section.name,
         build_camera(section.camera, folder),
@@ -65,6 +70,7 @@ def oriented(section: FieldCameraSection, folder: Path, mirror_from_field: Rigid
         np.array([one.point_m for one in section.point]),
         np.array([one.image_px for one in section.point]),
         np.array([one.sigma_px for one in section.point]),
+        **({"most_sigmas": float("inf")} if is_trial else {}),
     )
 
 

@@ -468,9 +468,8 @@ def _moved_leans(
 def _oriented_beside(measurement: StarsMeasurement, night: _Night, shift_m: FloatArray) -> OrientedCamera:
     """Return the camera as its points turn it where it stands beside its place by a shift in the mirror's frame."""
     beside = night.field_from_mirror.inverse()
-    return oriented(
-        measurement.model.camera, measurement.folder, RigidTransform(beside.rotation, beside.translation_m + shift_m)
-    )
+    place = RigidTransform(beside.rotation, beside.translation_m + shift_m)
+    return oriented(measurement.model.camera, measurement.folder, place, is_trial=True)
 
 
 def _response(

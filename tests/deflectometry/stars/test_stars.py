@@ -145,6 +145,20 @@ def test_sigmas_are_the_scatter(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
 
 
 @pytest.mark.slow
+def test_a_camera_whose_place_is_hardly_known_is_measured_with_a_larger_sigma(drawn: Path, tmp_path: Path) -> None:
+    """Known to half a metre, corners to 0.4 px: moved by that they would miss by 10 sigma and more, which says nothing."""
+    file = shutil.copytree(drawn, tmp_path / "night") / "measurement.toml"
+    text = file.read_text().replace("sigma_px = 2.0", "sigma_px = 0.4")
+    sigmas = []
+    for place_mm in (3.0, 500.0):
+        file.write_text(text.replace("sigma_place_mm = 3.0", f"sigma_place_mm = {place_mm}", 1))
+        sigmas.append(run(load_stars(tmp_path / "night")).numbers["sigma_pointing_x_rad"])
+    # Half the angle of half a metre at 30.6 m, seen aslant.
+    assert sigmas[0] < 1e-4
+    assert sigmas[1] == pytest.approx(0.5 * 0.5 / 30.6, rel=0.15)
+
+
+@pytest.mark.slow
 def test_a_camera_elsewhere_moves_leans_as_predicted(
     drawn: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
