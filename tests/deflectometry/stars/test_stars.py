@@ -146,7 +146,7 @@ def test_sigmas_are_the_scatter(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
 
 @pytest.mark.slow
 def test_a_camera_whose_place_is_hardly_known_is_measured_with_a_larger_sigma(drawn: Path, tmp_path: Path) -> None:
-    """Known to half a metre, corners to 0.4 px: moved by that they would miss by 10 sigma and more, which says nothing."""
+    """Known to half a metre, corners to 0.4 px: moved by that they miss by 10 sigma and more."""
     file = shutil.copytree(drawn, tmp_path / "night") / "measurement.toml"
     text = file.read_text().replace("sigma_px = 2.0", "sigma_px = 0.4")
     sigmas = []
