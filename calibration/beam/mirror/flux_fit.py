@@ -329,15 +329,15 @@ class _Fit:
             better = False
             for pair in pairs:
                 tried.add(pair)
-                self._state = self._exchanged(state, pair)
-                if self._descend(_EXCHANGE_STEPS) is None and self._cost() > _HOPELESS * cost:
+                settled = self._descend_from(state, pair, cost)
+                if settled is None:
                     continue
-                self._descend(_MOST_STEPS)
                 other = self._cost()
                 apart = float(np.abs(self._state.canting - state.canting).max())
                 if apart < _SAME_SIGMAS * float(best.sigma_canting_rad.max()):
                     continue
-                if other < cost:
+                # One that is better and does not settle is no answer: then the canting is not determined.
+                if other < cost and settled:
                     rival, state, cost, better = cost, self._state, other, True
                     best = self._result(self._linear(self._state), best.steps)
                     tried.clear()
@@ -348,6 +348,17 @@ class _Fit:
         self._state = state
         # Residuals are alike over blocks: a unit of information is worth as much less as the covariance is larger.
         return replace(best, rival_log_odds=(rival - cost) / (2 * best.worth))
+
+    def _descend_from(self, state: _State, pair: tuple[int, int], cost: float) -> bool | None:
+        """Exchange two facets and go down; return whether that settled, None where it leads to no minimum."""
+        try:
+            self._state = self._exchanged(state, pair)
+            if self._descend(_EXCHANGE_STEPS) is None and self._cost() > _HOPELESS * cost:
+                return None
+            return self._descend(_MOST_STEPS) is not None
+        except EstimationError:
+            # No light where the beam is, or none that tells facets apart there: no rival of an answer that has both.
+            return None
 
     def _cost(self) -> float:
         residuals = self._linear(self._state, derivatives=False).residuals

@@ -311,9 +311,9 @@ def _center(flux: FloatArray, grid: FluxGrid) -> FloatArray:
 
 def _doubts(result: Comparison) -> list[Doubt]:
     doubts = []
-    least = float(np.min(result.before.correlations if result.after is None else result.after.correlations))
+    correlations = result.before.correlations if result.after is None else result.after.correlations
+    least, worst = float(np.min(correlations)), result.photos[int(np.argmin(correlations))].name
     if least < _LEAST_CORRELATION:
-        worst = result.photos[int(np.argmin(result.before.correlations))].name
         doubts.append(
             Doubt(
                 "flux_does_not_match",
