@@ -43,6 +43,7 @@ FAULTS: Mapping[str, str] = {
     "underexposed": "the exposure is eight times too short",
     "second-beam": "another heliostat's beam is on the target",
     "cut": "the beam is aimed at the target's edge",
+    "vignetting": "the lens loses 60 % of the light in the corners of the photo",
     "night": "no sun: an empty target in the dark",
     "local-time": "times are local, six hours from UTC, and stand as UTC",
     "other-target": "the corners that are stated are those of another target",
@@ -104,7 +105,8 @@ class _Bench:
         # The exposure of one who looks at the first beam: its peak at two thirds of the scale.
         noon = sun_directions(np.array([f"{_DAY}T12:00:00"], dtype="datetime64[ms]"), _SITE)[0]
         peak = float(self.beam(noon, np.zeros(2)).suns.max())
-        light = Light(ambient_suns=0.8, full_scale_suns=1.5 * peak, gradient=(0.06, -0.10))
+        lost = 0.6 if "vignetting" in options.faults else 0.08
+        light = Light(ambient_suns=0.8, full_scale_suns=1.5 * peak, gradient=(0.06, -0.10), vignetting=lost)
         self.camera = TargetCamera(camera, pose, self.target, surface, sensor, light)
 
     @property

@@ -10,6 +10,7 @@ import numpy as np
 from calibration.beam.files.flux_store import FluxStore
 from calibration.beam.light.contours import Contour
 from calibration.beam.light.flux_scale import FluxScale
+from calibration.beam.light.vignetting import LightFall
 from calibration.beam.pipeline.beams import BeamMeasurements, beam_columns, write_beams
 from calibration.beam.pipeline.reading import BeamPhotos
 from heliogauge.results.arrays import LabelledArray, write_arrays
@@ -41,6 +42,8 @@ class Result(InstrumentResult):
         The light of the beams by target.
     thumbnails : mapping of str to bytes
         Pictures of some photos on their targets, by name.
+    light_falls : mapping of str to LightFall
+        What the lens takes from the light, by target, where frames without a beam show it.
     name : str
         Name of what was measured.
     doubts : tuple of Doubt
@@ -58,6 +61,7 @@ class Result(InstrumentResult):
     contours: tuple[tuple[Contour, ...], ...]
     flux: Mapping[str, FluxStore]
     thumbnails: Mapping[str, bytes] = field(default_factory=dict)
+    light_falls: Mapping[str, LightFall] = field(default_factory=dict)
 
     @property
     def offsets_m(self) -> FloatArray:

@@ -3,6 +3,7 @@
 from pathlib import Path
 from typing import NamedTuple
 
+import cv2
 import numpy as np
 
 from calibration.beam.images.target_frames import (
@@ -16,6 +17,7 @@ from calibration.beam.images.target_frames import (
 from calibration.beam.light.background import TargetSurface, empty_target
 from calibration.beam.light.beam_flags import BeamFlag
 from calibration.beam.light.beam_image import Beam, BeamSettings, measure_beam, no_beam
+from calibration.beam.light.vignetting import LightFall, light_fall
 from calibration.beam.target.marks import (
     CORNERS,
     MarkTemplate,
@@ -31,6 +33,10 @@ from heliogauge.validate import float_array, freeze
 from photogrammetry.detection import find_markers
 
 __all__ = ["PhotoBeam", "TargetFinder"]
+
+
+#: Pixels along each side of the target where the fall of the light is looked for: it is smooth.
+_FALL_PX = 120
 
 
 class PhotoBeam(NamedTuple):
@@ -95,6 +101,29 @@ class TargetFinder:
     def image(self, file: Path) -> TargetImage:
         """Read one photo and put it on the target's plane."""
         return self._on_target(read_channel(file, self._frame.channel))
+
+    def lens_fall(self) -> LightFall | None:
+        """Return what the lens takes from the light towards the photo's corners, by the first frame without a beam.
+
+        Returns None: without such a frame, where photos are cut to the target, or where too little is seen of it.
+        """
+        if not self._empty_files or isinstance(self._frame.source, WholeImage):
+            return None
+        photo = read_channel(self._empty_files[0], self._frame.channel)
+        source = self._frame.source
+        corners = source.pixels_px if isinstance(source, CornerPixels) else self._corners(photo).pixels_px
+        plane_from, seen = (np.asarray(one, dtype=np.float32) for one in (self._frame.corners_m, corners))
+        homography = np.asarray(cv2.getPerspectiveTransform(plane_from, seen), dtype=np.float64)
+        left, right, low, high = self._extent.tolist()
+        x, y = np.linspace(left, right, _FALL_PX), np.linspace(low, high, _FALL_PX)
+        places = np.stack([*np.meshgrid(x, y), np.ones((y.size, x.size))], axis=-1) @ homography.T
+        pixels = places[..., :2] / places[..., 2:]
+        maps = (pixels[..., 0].astype(np.float32), pixels[..., 1].astype(np.float32))
+        values = np.asarray(cv2.remap(photo, *maps, cv2.INTER_LINEAR, borderValue=0), dtype=np.float64)
+        middle = (np.array([photo.shape[1], photo.shape[0]]) - 1) / 2
+        inside = np.all((pixels >= 0) & (pixels <= 2 * middle), axis=-1)
+        radius2 = np.sum(((pixels - middle) ** 2), axis=-1) / float(middle @ middle)
+        return light_fall(np.where(inside, values, np.nan), radius2, x, y)
 
     def _on_target(self, photo: Image) -> TargetImage:
         source = self._frame.source

@@ -57,7 +57,7 @@ def doubts_of_beams(result: "Result") -> tuple[Doubt, ...]:
                 {"saturated_count": int(saturated.sum()), "beams_count": saturated.size},
             )
         )
-    doubts += _labels_aside(result)
+    doubts += [*_labels_aside(result), *_sun_down(result), *_light_falls_off(result)]
     held = ~refused & ((beams.flags & np.uint32(BeamFlag.BACKGROUND_MAY_HOLD_LIGHT)) != 0)
     if held.any():
         shares = np.array([one.aureole_share for one in beams.sizes])[held]
@@ -87,6 +87,59 @@ def doubts_of_beams(result: "Result") -> tuple[Doubt, ...]:
             )
         )
     return gather_doubts(result.photos.doubts, doubts)
+
+
+def _sun_down(result: "Result") -> list[Doubt]:
+    """Say where there are beams although the sun has set by the photos' times."""
+    suns = result.photos.to_sun
+    if len(suns) != len(result.beams.files):
+        return []
+    down = ~result.beams.rejected & (suns[:, 2] < 0)
+    if not down.any():
+        return []
+    row = int(np.argmin(np.where(down, suns[:, 2], np.inf)))
+    depth_deg = float(np.degrees(-np.arcsin(suns[row, 2])))
+    return [
+        Doubt(
+            "beams_without_sun",
+            f"{int(down.sum())} of {down.size} beams were photographed while the sun was below the horizon "
+            f"({result.beams.files[row].name}: {depth_deg:.0f} degrees): are the times UTC, or the zone stated; is "
+            "[site] right? Places and sizes on the target do not use the sun; `beam compare` and tests of tracking do",
+            {"beams_count": int(down.sum()), "depth_rad": float(np.radians(depth_deg))},
+            Severity.SERIOUS,
+        )
+    ]
+
+
+def _light_falls_off(result: "Result") -> list[Doubt]:
+    """Say where the light of an empty target falls towards the photo's corners, and what that does to the beams."""
+    found = []
+    beams = result.beams
+    for target, fall in result.light_falls.items():
+        if not fall.is_seen:
+            continue
+        mine = [
+            row
+            for row in np.flatnonzero(~beams.rejected).tolist()
+            if beams.targets[row] == target and np.isfinite(beams.sizes[row].moments_m2).all()
+        ]
+        shifts = [fall.shift_m(np.array([beams.x_m[row], beams.y_m[row]]), beams.sizes[row].moments_m2) for row in mine]
+        moved = max((float(np.hypot(*one)) for one in shifts), default=0.0)
+        matters = any((np.abs(one) > beams.sigma_m[row]).any() for one, row in zip(shifts, mine, strict=True))
+        corner, sigma = 100 * fall.per_radius2, 100 * fall.sigma_per_radius2
+        found.append(
+            Doubt(
+                "light_falls_off",
+                f"the light of target {target} without a beam falls towards the photo's corners ({corner:.0f} \u00b1 "
+                f"{sigma:.1f} % there, {fall.over_target:.1%} over the target): vignetting of the lens, or daylight "
+                f"that bends so. It moves centres by up to {1e3 * moved:.1f} mm"
+                + (", more than their sigma: put the target into the middle of the photo" if matters else "")
+                + "; flux that a calorimeter scales is off by as much as light falls between calorimeter and beam",
+                {"fall_share": fall.per_radius2, "over_target_share": fall.over_target, "shift_m": moved},
+                Severity.DOUBT if matters else Severity.NOTE,
+            )
+        )
+    return found
 
 
 def _labels_aside(result: "Result") -> list[Doubt]:

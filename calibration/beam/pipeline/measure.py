@@ -11,6 +11,7 @@ from calibration.beam.keys import BeamFluxSection, BeamsMeasurement
 from calibration.beam.light.beam_image import Beam, BeamSettings
 from calibration.beam.light.contours import Contour, beam_contours
 from calibration.beam.light.flux_scale import FluxScale, Gauge, absolute_by_gauge, absolute_by_power, relative_flux
+from calibration.beam.light.vignetting import LightFall
 from calibration.beam.pipeline.beams import measure_beams
 from calibration.beam.pipeline.judgement import doubts_of_beams
 from calibration.beam.pipeline.reading import BeamPhotos, read_photos
@@ -89,10 +90,13 @@ def run(measurement: BeamsMeasurement, options: Options | None = None, progress:
     )
     with progress.stage("pictures"):
         thumbnails = _pictures(photos)
+        falls = _light_falls(photos)
     with progress.stage("hash inputs"):
         files = dict.fromkeys(video_of(file) for file in photos.files)
         hashes = hash_files((*measurement.input_files, *photos.shared_files, *files), measurement.folder)
-    result = Result(photos, beams, tuple(scales), tuple(contours), stores, thumbnails, name=measurement.model.name)
+    result = Result(
+        photos, beams, tuple(scales), tuple(contours), stores, thumbnails, falls, name=measurement.model.name
+    )
     return replace(
         result,
         doubts=doubts_of_beams(result),
@@ -117,6 +121,21 @@ def _scale(flux: BeamFluxSection, photos: BeamPhotos, row: int, beam: Beam) -> F
         if beam.light is not None and not beam.rejected:
             return absolute_by_gauge(beam.size, beam.light, gauge)
     return relative_flux(beam.size)
+
+
+def _light_falls(photos: BeamPhotos) -> dict[str, LightFall]:
+    """Estimate what the lens takes from the light, by target, where frames without a beam show it."""
+    found = {}
+    for name in dict.fromkeys(photos.targets):
+        if not photos.frames[name].empty_files:
+            continue
+        try:
+            fall = TargetFinder(photos.frames[name]).lens_fall()
+        except (EstimationError, InputError):
+            continue  # The photos' rows have the reason.
+        if fall is not None:
+            found[name] = fall
+    return found
 
 
 def _pictures(photos: BeamPhotos) -> dict[str, bytes]:

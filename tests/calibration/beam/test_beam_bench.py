@@ -113,6 +113,31 @@ def test_times_of_another_zone_are_refused(tmp_path: Path) -> None:
     assert any("UTC" in reason or "time zone" in reason for reason in result.left_out.values())
 
 
+@pytest.mark.slow
+def test_beams_while_the_sun_is_down_are_doubted(tmp_path: Path) -> None:
+    """Local times stand as UTC: the last photo is taken at 22 h, long after sunset. Right times say nothing."""
+    codes = [
+        {one.code for one in measured(tmp_path / "-".join(("bench", *faults)), *faults, suns=2).doubts}
+        for faults in (("local-time",), ())
+    ]
+    assert "beams_without_sun" in codes[0]
+    assert "beams_without_sun" not in codes[1]
+
+
+@pytest.mark.slow
+def test_light_that_falls_towards_the_corners_is_said(tmp_path: Path) -> None:
+    """A lens that loses 60 % in the corners."""
+    result = measured(tmp_path / "bench", "vignetting")
+    (fall,) = result.light_falls.values()
+    # 0.3 (x^2 + y^2) of half the photo's width and height, 4 to 3: from 0.47 r^2 across to 0.83 r^2 up.
+    assert 0.47 - 3 * fall.sigma_per_radius2 < fall.per_radius2 < 0.83 + 3 * fall.sigma_per_radius2
+    (said,) = [one for one in result.doubts if one.code == "light_falls_off"]
+    truth = json.loads((tmp_path / "bench" / "truth.json").read_text())["photos"][0]
+    off = np.hypot(result.beams.x_m[0] - truth["centroid_m"][0], result.beams.y_m[0] - truth["centroid_m"][1])
+    assert said.numbers["shift_m"] < 0.02
+    assert off < said.numbers["shift_m"] + 4 * float(np.hypot(*result.beams.sigma_m[0]))
+
+
 @pytest.fixture(scope="module")
 def fitted(tmp_path_factory: pytest.TempPathFactory) -> list[tuple[Comparison, np.ndarray]]:
     found = []
