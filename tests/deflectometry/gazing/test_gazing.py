@@ -201,16 +201,18 @@ def test_common_modes_are_what_solving_again_gives(tmp_path: Path, monkeypatch: 
     seen, slopes = facet.seen, facet.found.slopes
     light = gains.factors[:, None] * expected(seen, slopes, profile)
     again = solve_nodes(seen.with_value(light), profile, gains.factors).slopes
-    sigma = np.sqrt(np.diagonal(facet.found.covariance, axis1=1, axis2=2)).T
+    sigma, shares = np.sqrt(np.diagonal(facet.found.covariance, axis1=1, axis2=2)).T, []
     for step, mode in zip(principal_steps(gains.covariance), modes.evaluate(seen.x_m, seen.y_m), strict=False):
         factors = gains.factors * np.exp(step[:count])
         there = seen.moved(step[count:].reshape(2, count).T)
         off = solve_nodes(seen.with_value(factors[:, None] * expected(there, slopes, profile)), profile, gains.factors)
         change = ((off.slopes - again).T / sigma).ravel()
         predicted = (mode / sigma).ravel()
-        # Of effects beyond a tenth of the noise of the mean: a mode of these nodes to 3 %.
-        if np.linalg.norm(predicted) > 0.1:
-            assert predicted @ change / (predicted @ predicted) == pytest.approx(1.0, abs=0.03)
+        shares.append((np.linalg.norm(predicted), predicted @ change / (predicted @ predicted)))
+    # Of effects beyond a tenth of the noise of the mean: a mode of these nodes to 3 %.
+    large = [share for effect, share in shares if effect > 0.1]
+    assert len(large) >= 10
+    np.testing.assert_allclose(large, 1.0, atol=0.03)
 
 
 @pytest.mark.slow
