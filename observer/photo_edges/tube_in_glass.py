@@ -54,6 +54,8 @@ _LEAST_BLUR_PX, _MOST_BLUR_PX = 0.2, 3.0
 #: What a pixel may be off relative to the background, beside which amplitudes are held against their priors. What
 #: residuals say of it goes into standard deviations alone: noise does not make priors better.
 _NOISE = 0.02
+#: Where chance makes residuals as large as those of a group less often than this, they are its own.
+_CHANCE = 1e-3
 _ROUNDS = 6
 #: The axis is not further from where the edges put it [px].
 _FURTHEST_PX = 1.5
@@ -62,7 +64,8 @@ _FURTHEST_PX = 1.5
 class TubeInGlass(NamedTuple):
     """Where the axis is seen, for each row.
 
-    angle_rad (m,): Angle across the trough; NaN where it was not found [rad].
+    angle_rad (m,): Angle across the trough; NaN where it was not found, or the photo shows nothing beyond the glass
+        [rad].
     sigma_rad (m,): Standard deviation of the group of rows that a row belongs to [rad].
     radius_m (m,): Radius of the metal as its edges are apart [m].
     rows (m,): How many rows the group has.
@@ -115,7 +118,7 @@ def find_in_glass(
     profiles = _profiles(samples, row, group, start, sighting, collector)
     fit = _fit(profiles, sighting, collector)
     angle = start + (fit.middle_m / sighting.distance_m)[group]
-    good = np.abs(fit.middle_m) < _FURTHEST_PX * sighting.pixel_m
+    good = (np.abs(fit.middle_m) < _FURTHEST_PX * sighting.pixel_m) & profiles.number.any(axis=1)
     return TubeInGlass(
         np.where(good[group], angle, np.nan),
         (fit.sigma_m / sighting.distance_m)[group],
@@ -164,7 +167,11 @@ def _profiles(
     some = np.maximum(count, 1)
     middles = bin_m * np.arange(-reach, reach + 1)
     beyond = np.abs(middles) > outer + 0.5 * sighting.pixel_m
-    level = light[:, beyond].sum(axis=1) / np.maximum(count[:, beyond].sum(axis=1), 1)
+    known = count[:, beyond].sum(axis=1)
+    level = light[:, beyond].sum(axis=1) / np.maximum(known, 1)
+    # Light that nothing can be compared with says nothing.
+    count = np.where(known[:, None] > 0, count, 0.0)
+    light = np.where(count > 0, light, 0.0)
     light = light / some / np.maximum(level, 1e-6)[:, None]
     return _Profiles(np.where(count > 0, mean / some, middles), light, count.astype(np.float64))
 
@@ -178,6 +185,8 @@ class _Fit(NamedTuple):
 
 
 def _fit(profiles: _Profiles, sighting: Sighting, collector: Collector) -> _Fit:
+    from scipy.special import chdtrc
+
     parts = _Parts.of_view(sighting, collector)
     groups = len(profiles.number)
     middle, blur, scatter = np.zeros(groups), _BLUR_PX, 1.0
@@ -209,9 +218,13 @@ def _fit(profiles: _Profiles, sighting: Sighting, collector: Collector) -> _Fit:
         wanted = np.sum(weight * spread * residual) + (_BLUR_PX - blur) * prior
         known = np.sum(weight * spread * free) + prior
         blur = float(np.clip(blur + np.clip(wanted / known, -0.2, 0.2), _LEAST_BLUR_PX, _MOST_BLUR_PX))
-        used = np.count_nonzero(profiles.number) - 0.5 * groups * len(parts.mean)
-        scatter = max(1.0, float(np.sqrt(np.sum(weight * residual**2) / max(used, 1.0))))
-        sigma, wider = scatter / np.sqrt(information), amplitude[:, -1] * _RADIUS_SIGMA_M
+        spare = np.maximum(np.count_nonzero(profiles.number, axis=1) - 0.5 * len(parts.mean), 1.0)
+        squares = np.sum(weight * residual**2, axis=1)
+        scatter = max(1.0, float(np.sqrt(np.median(squares / spare))))
+        # A group with something else in it, a bird, a cable, says so of itself and of no other one.
+        other = chdtrc(spare, squares / scatter**2) < _CHANCE
+        sigma = np.where(other, np.sqrt(squares / spare), scatter) / np.sqrt(information)
+        wider = amplitude[:, -1] * _RADIUS_SIGMA_M
     return _Fit(middle, sigma, wider)
 
 
