@@ -5,8 +5,9 @@ Where there are frames without a beam, the model is one of them times a plane pl
 is a quadratic surface. What is left around the beam (panels, edges of shadows) is continued smoothly under the beam.
 """
 
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any, NamedTuple
 
@@ -25,6 +26,7 @@ __all__ = [
     "TargetSurface",
     "area_resized",
     "background_around",
+    "continued_under",
     "empty_target",
     "projected",
     "shadow_steps",
@@ -163,12 +165,20 @@ def background_around(
         )
     basis = np.concatenate([basis, *(step[..., None] for step in steps)], axis=2)
     smooth, residuals, scatter, cofactor = _fitted(values_dn, free, basis, full_scale_dn)
-    under = smooth + _continued(residuals, free) if continued else smooth
     number = np.arange(basis.shape[2])
     bending = (number >= 3) & (number < 6) if empty is None and degree == 2 else np.zeros(number.size, dtype=np.bool_)
-    return Background(
-        freeze(under), freeze(basis), freeze(cofactor), scatter, freeze(residuals), freeze(smooth), freeze(bending)
-    )
+    smooth = freeze(smooth)
+    found = Background(smooth, freeze(basis), freeze(cofactor), scatter, freeze(residuals), smooth, freeze(bending))
+    return continued_under(found, free) if continued else found
+
+
+def continued_under(background: Background, free: BoolArray) -> Background:
+    """Return a background with what is left around the beam continued under it.
+
+    free (h, w): Pixels without a beam.
+    """
+    under = background.smooth_dn + _continued(background.residuals_dn, free)
+    return replace(background, values_dn=freeze(under))
 
 
 def shadow_steps(values_dn: FloatArray, free: BoolArray, background: Background, most: int) -> list[FloatArray]:
@@ -209,10 +219,10 @@ def projected(values_dn: FloatArray, free: BoolArray, basis: FloatArray) -> Floa
     free (h, w): Pixels that count.
     basis (h, w, k): The functions.
     """
-    rows = basis[free]
-    normal = rows.T @ rows
-    normal[np.diag_indices_from(normal)] += 1e-9 * np.trace(normal) / normal.shape[0]
-    return np.asarray(basis @ np.linalg.solve(normal, rows.T @ values_dn[free]))
+    flat = basis.reshape(-1, basis.shape[2])
+    rows = flat * free.reshape(-1, 1)
+    normal = _with_ridge(rows.T @ flat)
+    return np.asarray(flat @ np.linalg.solve(normal, rows.T @ values_dn.ravel())).reshape(values_dn.shape)
 
 
 class _Smooth(NamedTuple):
@@ -226,13 +236,17 @@ class _Smooth(NamedTuple):
 
 def _fitted(values_dn: FloatArray, free: BoolArray, basis: FloatArray, full_scale_dn: float) -> _Smooth:
     # An odd step, so that the pixels taken do not stand in columns.
-    step = (int(free.sum()) // _ENOUGH_PIXELS) | 1
-    rows, wanted = basis[free][::step], values_dn[free][::step]
-    coefficients, scatter, cofactor = _robust_fit(rows, wanted, _ROUNDING * full_scale_dn)
-    smooth = basis @ coefficients
+    chosen = np.flatnonzero(free)
+    step = (chosen.size // _ENOUGH_PIXELS) | 1
+    chosen = chosen[::step]
+    flat = basis.reshape(-1, basis.shape[2])
+    coefficients, scatter, cofactor = _robust_fit(flat[chosen], values_dn.ravel()[chosen], _ROUNDING * full_scale_dn)
+    smooth = (flat @ coefficients).reshape(values_dn.shape)
     limit = _TUKEY_SIGMAS * scatter
     # What matters are errors that neighbours share; all pixels are as good as every step-th for them.
-    residuals = np.where(free, np.clip(values_dn - smooth, -limit, limit), 0.0)
+    residuals = values_dn - smooth
+    np.minimum(np.maximum(residuals, -limit, out=residuals), limit, out=residuals)
+    residuals *= free
     return _Smooth(smooth, residuals, scatter, cofactor / step)
 
 
@@ -265,23 +279,27 @@ class _Robust(NamedTuple):
 
 
 def _robust_fit(rows: FloatArray, values: FloatArray, floor: float) -> _Robust:
-    weights: FloatArray = np.ones(values.size)
+    across = np.ascontiguousarray(rows.T)
+    weighted = across
     coefficients: FloatArray = np.zeros(rows.shape[1])
-    normal: FloatArray = np.eye(rows.shape[1])
-    scatter = floor
+    loss, scatter = Tukey(_TUKEY_SIGMAS), floor
     for _ in range(_MOST_ITERATIONS):
-        weighted = rows * weights[:, None]
-        normal = np.asarray(weighted.T @ rows)
-        # An empty frame without a pattern equals the constant: the pair is then held together by a tiny ridge.
-        normal[np.diag_indices_from(normal)] += 1e-9 * np.trace(normal) / normal.shape[0]
-        previous, coefficients = coefficients, np.asarray(np.linalg.solve(normal, weighted.T @ values))
-        residuals: FloatArray = values - rows @ coefficients
+        normal = _with_ridge(weighted @ rows)
+        previous, coefficients = coefficients, np.asarray(np.linalg.solve(normal, weighted @ values))
+        residuals: FloatArray = values - coefficients @ across
         # The fit is robust: the median of the residuals is near zero, and need not be taken off first.
-        scatter = float(np.hypot(robust_scale(residuals, upper=True), floor))
-        weights = Tukey(_TUKEY_SIGMAS).weight(residuals / scatter)
+        scatter = math.hypot(robust_scale(residuals, upper=True), floor)
         if np.abs(coefficients - previous).max() < 0.02 * floor:
             break
+        weighted = across * loss.weight(residuals / scatter)
     return _Robust(coefficients, scatter, np.asarray(np.linalg.inv(normal)))
+
+
+def _with_ridge(normal: FloatArray) -> FloatArray:
+    """An empty frame without a pattern equals the constant: the pair is held together by a tiny ridge."""
+    diagonal = np.einsum("ii->i", normal)
+    diagonal += 1e-9 * diagonal.mean()
+    return normal
 
 
 def _continued(residuals: FloatArray, free: BoolArray) -> FloatArray:

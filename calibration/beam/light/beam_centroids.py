@@ -40,6 +40,8 @@ _LEAST_EXPONENT, _MOST_EXPONENT = 0.4, 6.0
 #: Blocks of the target across its longer side, in each of which an error of the background is taken as constant: from
 #: panels to shadows. The scale with the largest effect counts.
 _BLOCKS = (16, 8, 5)
+#: Second differences whose median tells which of them are noise and which are seams: to 1 % in its sigma.
+_ENOUGH_DIFFERENCES = 8000
 # Second difference in both directions; its variance is 36 times that of a pixel, and planes and parabolas vanish.
 _NOISE_KERNEL = np.array([[1.0, -2.0, 1.0], [-2.0, 4.0, -2.0], [1.0, -2.0, 1.0]]) / 6.0
 
@@ -155,7 +157,7 @@ def bell_again(spot: Spot, before: Bell) -> Bell:
     """
     pixels = _pixels(spot)
     found = _descend(before.parameters, np.ones(7, dtype=np.bool_), pixels.counted_pixels).parameters
-    return Bell(found, _model(found, pixels.x, pixels.y)[0].reshape(before.values_dn.shape))
+    return Bell(found, _values(found, pixels.x, pixels.y).reshape(before.values_dn.shape))
 
 
 def _weighted(spot: Spot, level_dn: float, ramp_dn: float) -> Centroid:
@@ -164,21 +166,32 @@ def _weighted(spot: Spot, level_dn: float, ramp_dn: float) -> Centroid:
     With a sharp level, noise moves the outline by whole pixels and the influence would lack the outline's own part.
     """
     near = cv2.dilate(spot.inside.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
-    chosen = np.clip((spot.smoothed_dn - level_dn) / max(ramp_dn, 1e-300) + 0.5, 0.0, 1.0) * near
+    chosen = (spot.smoothed_dn - level_dn) * (1 / max(ramp_dn, 1e-300))
+    chosen += 0.5
+    np.clip(chosen, 0.0, 1.0, out=chosen)
+    chosen *= near
     light = chosen * spot.values_dn
-    total = float(light.sum())
+    rows, columns = light.sum(axis=1), light.sum(axis=0)
+    total = float(rows.sum())
     if not total > 0:
         raise EstimationError(f"the light of the beam adds up to {total:.4g} DN: there is no centroid")
-    rows, columns = light.sum(axis=1), light.sum(axis=0)
     x, y = np.arange(columns.size), np.arange(rows.size)
     center = np.array([columns @ x, rows @ y]) / total
-    slope = np.where((chosen > 0) & (chosen < 1), spot.values_dn / (ramp_dn * total), 0.0)
-    parts = []
-    for arm in ((x - center[0])[None, :], (y - center[1])[:, None]):
-        outline = cv2.GaussianBlur(slope * arm, (0, 0), max(spot.smoothing_px, 1e-3))
-        parts.append(chosen / total * arm + np.asarray(outline, dtype=np.float64))
     shape = coarse_shape(spot.values_dn.shape)
-    return Centroid(center, _sums(np.stack(parts), shape).reshape(2, *shape))
+    parts = _arms(chosen, center, shape) / total
+    # The outline's own part, which the smoothing spreads; over blocks as wide as that, sums come first.
+    sigma = [max(spot.smoothing_px * n / size, 1e-3) for n, size in zip(shape, chosen.shape, strict=True)]
+    outline = _arms(np.where((chosen > 0) & (chosen < 1), spot.values_dn, 0.0), center, shape) / (ramp_dn * total)
+    for part, own in zip(parts, outline, strict=True):
+        part += cv2.GaussianBlur(own, (0, 0), sigma[1], sigmaY=sigma[0])
+    return Centroid(center, parts)
+
+
+def _arms(weights: FloatArray, center_px: FloatArray, shape: tuple[int, int]) -> FloatArray:
+    """Add up weights times their distances from a centre in columns and rows, in blocks of the picture, (2, h, w)."""
+    x, y = (np.arange(pixels) - middle for pixels, middle in zip(weights.shape[::-1], center_px, strict=True))
+    count = weights.size / (shape[0] * shape[1])
+    return count * np.stack([area_resized(weights * arm, shape) for arm in (x[None, :], y[:, None])])
 
 
 # --- fits -----------------------------------------------------------------------------------------------------------
@@ -221,10 +234,10 @@ def _fitted(spot: Spot, *, free_exponent: bool) -> Centroid:
     if not (-0.5 <= found[1] <= shape[1] - 0.5 and -0.5 <= found[2] <= shape[0] - 0.5):
         raise EstimationError("the fitted beam's centre is not on the target")
     influence = np.zeros((2, pixels.x.size))
-    influence[:, pixels.counted] = _center_derivative(found, free, pixels.counted_pixels, jacobian)
+    influence[:, pixels.counted] = _center_derivative(found, pixels.counted_pixels, jacobian)
     # Pixel centres of the coarser picture: outlines of both pictures coincide.
     position = (found[1:3] + 0.5) * stretch - 0.5
-    bell = Bell(found, _model(found, pixels.x, pixels.y)[0].reshape(shape))
+    bell = Bell(found, _values(found, pixels.x, pixels.y).reshape(shape))
     exponent = float(found[6]) if free_exponent else float("nan")
     return Centroid(position, influence.reshape(2, *shape) * stretch[:, None, None], exponent, bell)
 
@@ -243,26 +256,44 @@ def _start(spot: Spot, shape: tuple[int, int]) -> FloatArray:
     return np.array([spot.peak_dn, center_x, center_y, form[0, 0], form[0, 1], form[1, 1], 1.0])
 
 
-def _model(parameters: FloatArray, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Super-Gaussian: height, centre, quadratic form (xx, xy, yy), exponent; values and derivatives (7, m)."""
-    height, center_x, center_y, xx, xy, yy, exponent = parameters
+def _quadratic_form(parameters: FloatArray, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the quadratic form, and half its derivatives by the centre with the sign turned."""
+    _, center_x, center_y, xx, xy, yy, _ = parameters
     dx, dy = x - center_x, y - center_y
-    form = np.maximum(xx * dx * dx + 2 * xy * dx * dy + yy * dy * dy, 1e-12)
-    power = form**exponent
-    bell = np.exp(-0.5 * power)
+    along, down = xx * dx + xy * dy, xy * dx + yy * dy
+    return np.maximum(along * dx + down * dy, 1e-12), along, down
+
+
+def _values(parameters: FloatArray, x: FloatArray, y: FloatArray) -> FloatArray:
+    """Super-Gaussian: height, centre, quadratic form (xx, xy, yy), exponent."""
+    form, _, _ = _quadratic_form(parameters, x, y)
+    return np.asarray(parameters[0] * np.exp(-0.5 * form ** parameters[6]))
+
+
+def _model(parameters: FloatArray, x: FloatArray, y: FloatArray, *, free_exponent: bool) -> tuple[FloatArray, FloatArray]:
+    """Values of a super-Gaussian, (m,), and derivatives by its parameters, (7, m); (6, m) without the exponent's."""
+    height, center_x, center_y, _, _, _, exponent = parameters
+    form, along, down = _quadratic_form(parameters, x, y)
+    logarithm = np.log(form) if free_exponent else None
+    power = form**exponent if logarithm is None else np.exp(exponent * logarithm)
+    derivatives = np.empty((7 if free_exponent else 6, x.size))
+    bell = np.exp(-0.5 * power, out=derivatives[0])
     values = height * bell
-    d_form = -0.5 * exponent * values * power / form
-    derivatives = np.stack(
-        [
-            bell,
-            d_form * -2 * (xx * dx + xy * dy),
-            d_form * -2 * (xy * dx + yy * dy),
-            d_form * dx * dx,
-            d_form * 2 * dx * dy,
-            d_form * dy * dy,
-            -0.5 * values * power * np.log(form),
-        ]
-    )
+    power *= values
+    d_form = power / form
+    d_form *= -0.5 * exponent
+    dx, dy = x - center_x, y - center_y
+    twice = -2 * d_form
+    np.multiply(twice, along, out=derivatives[1])
+    np.multiply(twice, down, out=derivatives[2])
+    across = np.multiply(d_form, dx, out=twice)
+    np.multiply(across, dx, out=derivatives[3])
+    np.multiply(across, dy, out=derivatives[4])
+    derivatives[4] *= 2
+    np.multiply(d_form, dy * dy, out=derivatives[5])
+    if logarithm is not None:
+        np.multiply(power, logarithm, out=derivatives[6])
+        derivatives[6] *= -0.5
     return values, derivatives
 
 
@@ -290,8 +321,8 @@ def _descend(start: FloatArray, free: BoolArray, pixels: tuple[FloatArray, Float
     def evaluate(rows: IntArray, trial: FloatArray) -> tuple[FloatArray, FloatArray]:
         if not rows.size:
             return np.empty((0, x.size)), np.empty((0, trial.shape[1], x.size))
-        values, jacobian = _model(at(trial[0]), x, y)
-        return (wanted - values)[None], jacobian[free][None]
+        values, jacobian = _model(at(trial[0]), x, y, free_exponent=bool(free[6]))
+        return (wanted - values)[None], jacobian[None]
 
     one, first = np.arange(1), start[free][None]
     residuals, jacobian = evaluate(one, first)
@@ -318,27 +349,49 @@ def _descend(start: FloatArray, free: BoolArray, pixels: tuple[FloatArray, Float
 
 
 def _center_derivative(
-    found: FloatArray, free: BoolArray, pixels: tuple[FloatArray, FloatArray, FloatArray], jacobian: FloatArray
+    found: FloatArray, pixels: tuple[FloatArray, FloatArray, FloatArray], jacobian: FloatArray
 ) -> FloatArray:
     """Implicit derivative at the minimum, with the true Hessian: a beam is no Gaussian, so residuals are not noise.
 
     jacobian (p, m): Derivatives by the free parameters there.
     """
-    x, y, wanted = pixels
-    names = np.flatnonzero(free)
-    hessian = np.empty((names.size, names.size))
-    for k, name in enumerate(names):
-        step = 1e-5 * max(abs(found[name]), 1e-3)
-        sides = []
-        for sign in (1, -1):
-            moved = found.copy()
-            moved[name] += sign * step
-            values, rows = _model(moved, x, y)
-            sides.append(rows[free] @ (wanted - values))
-        hessian[:, k] = (sides[1] - sides[0]) / (2 * step)
+    hessian = jacobian @ jacobian.T - _curvature(found, pixels, jacobian)[: len(jacobian), : len(jacobian)]
     scale = np.sqrt(np.abs(np.diag(hessian))) + 1e-300
-    solved = np.linalg.solve((hessian + hessian.T) / 2 / scale[:, None] / scale, jacobian / scale[:, None])
+    solved = np.linalg.solve(hessian / scale[:, None] / scale, jacobian / scale[:, None])
     return np.asarray((solved / scale[:, None])[1:3])
+
+
+def _curvature(
+    found: FloatArray, pixels: tuple[FloatArray, FloatArray, FloatArray], jacobian: FloatArray
+) -> FloatArray:
+    """Return the second derivatives of the model by its parameters, times the residuals, added up, shape (7, 7)."""
+    x, y, wanted = pixels
+    height, center_x, center_y, xx, xy, yy, exponent = found
+    form, along, down = _quadratic_form(found, x, y)
+    dx, dy = x - center_x, y - center_y
+    logarithm = np.log(form)
+    power = np.exp(exponent * logarithm)
+    values = height * jacobian[0]
+    left = (wanted - values) * values
+    # By the form's own parameters, with v the values, q the form, n the exponent, p = q^n:
+    # v_ab = v [n^2 p^2 / 4 - n (n - 1) p / 2] / q^2 q_a q_b - v n p / (2 q) q_ab.
+    single = left * power / form * (-0.5 * exponent)
+    double = single / form * (exponent - 1 - 0.5 * exponent * power)
+    by_form = np.stack([-2 * along, -2 * down, dx * dx, 2 * dx * dy, dy * dy])
+    sums = np.zeros((7, 7))
+    sums[1:6, 1:6] = (by_form * double) @ by_form.T
+    total, sum_x, sum_y = float(single.sum()), float(single @ dx), float(single @ dy)
+    twice = np.zeros((5, 5))
+    twice[0, 0], twice[0, 1], twice[1, 1] = xx * total, 2 * xy * total, yy * total
+    twice[0, 2:4], twice[1, 3:5] = (-2 * sum_x, -2 * sum_y), (-2 * sum_x, -2 * sum_y)
+    sums[1:6, 1:6] += twice + twice.T
+    sums[0, 1:6] = by_form @ single / height
+    by_exponent = left * power * logarithm * -0.5
+    sums[0, 6] = float(by_exponent.sum()) / height
+    sums[1:6, 6] = by_form @ (single * (1 / exponent + logarithm * (1 - 0.5 * power)))
+    sums[6, 6] = float(by_exponent @ (logarithm * (1 - 0.5 * power)))
+    sums[1:, 0], sums[6, 1:6] = sums[0, 1:], sums[1:6, 6]
+    return sums
 
 
 # --- noise ----------------------------------------------------------------------------------------------------------
@@ -373,16 +426,19 @@ def pixel_noise(
         excess = max(0.0, block - outside / finer / count * (1 + 2 * np.sqrt(2 / max(n, 1))))
         excesses.append(excess)
         correlated = max(correlated, excess * count)
+    # No finer than the influences that it is added up with.
+    fits = coarse_shape(values_dn.shape)
+    basis = _resized_functions(basis, (min(fits[0], basis.shape[0]), min(fits[1], basis.shape[1])))
     return PixelNoise(white, tuple(excesses), basis, cofactor * (outside / finer + correlated))
 
 
 def _robust_variance(differences: FloatArray) -> float:
     if differences.size < 10:
         return 0.0
-    scale = robust_scale(differences)
+    scale = robust_scale(differences[:: (differences.size // _ENOUGH_DIFFERENCES) | 1])
     near = differences[np.abs(differences) < 4 * scale]
     # Grey values are whole numbers: a median of few distinct values is coarse, so the mean square of what is near it.
-    return float(np.mean(near**2)) if near.size else scale**2
+    return float(near @ near) / near.size if near.size else scale**2
 
 
 def _block_shape(shape: tuple[int, ...], blocks: int) -> tuple[int, int]:
@@ -430,9 +486,16 @@ def propagated(influence: FloatArray, noise: PixelNoise) -> Propagated:
     covariance = (flat * white.ravel()) @ flat.T
     coarse = noise.basis.shape[:2]
     least = (min(coarse[0], shape[0]), min(coarse[1], shape[1]))
-    basis = np.stack([area_resized(function, least).ravel() for function in np.moveaxis(noise.basis, 2, 0)], axis=1)
-    pull = _sums(influence, least) @ basis
+    basis = _resized_functions(noise.basis, least).reshape(-1, noise.basis.shape[2])
+    pull = (flat if least == shape else _sums(influence, least)) @ basis
     return Propagated(np.asarray(covariance + pull @ noise.coefficients @ pull.T), _of_blocks(influence, noise))
+
+
+def _resized_functions(functions: FloatArray, shape: tuple[int, int]) -> FloatArray:
+    """Resample functions (h, w, k) to another grid."""
+    if functions.shape[:2] == shape:
+        return functions
+    return np.stack([area_resized(function, shape) for function in np.moveaxis(functions, 2, 0)], axis=2)
 
 
 def _of_blocks(influence: FloatArray, noise: PixelNoise) -> list[FloatArray]:

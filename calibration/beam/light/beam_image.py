@@ -240,7 +240,9 @@ def _prepared(
     height, width = image.values_dn.shape
     scale = max(1, -(-max(height, width) // _ANALYSIS_PX))
     shape = (round(height / scale), round(width / scale))
-    values = np.where(valid, image.values_dn, float(np.median(image.values_dn[valid])))
+    values = image.values_dn
+    if not valid.all():
+        values = np.where(valid, values, float(np.median(values[valid])))
     saturated = (values >= _SATURATION * image.full_scale_dn).astype(np.float32)
     pattern = None
     if empty is not None:

@@ -49,6 +49,8 @@ def _apart(smoothed_dn: FloatArray, inside: BoolArray, others: BoolArray) -> int
     peak, light = float(smoothed_dn[inside].max()), float(smoothed_dn[inside].sum())
     at_edge = set(np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]]).tolist())
     found = 0
+    if count < 2:
+        return found
     for k in range(1, count):
         own = smoothed_dn[labels == k]
         least = _LEAST_LIGHT_AT_EDGE if k in at_edge else _LEAST_LIGHT
@@ -62,6 +64,8 @@ def _peaks_with_valleys(brightness: FloatArray) -> int:
     most = 1
     for level in _LEVELS * top:
         count, labels = cv2.connectedComponents((brightness > level).astype(np.uint8), connectivity=8)
+        if count <= 2:
+            continue
         heights = [float(brightness[labels == k].max()) for k in range(1, count)]
         deep = [h for h in heights if level < (1 - _LEAST_VALLEY) * h and h > _LEAST_PEAK * top]
         most = max(most, len(deep))

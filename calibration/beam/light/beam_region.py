@@ -1,5 +1,6 @@
 """Where on the target the beam is: beam and background are found in turn, because each needs the other."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from typing import NamedTuple
@@ -7,7 +8,13 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from calibration.beam.light.background import Background, area_resized, background_around, shadow_steps
+from calibration.beam.light.background import (
+    Background,
+    area_resized,
+    background_around,
+    continued_under,
+    shadow_steps,
+)
 from heliogauge.errors import EstimationError
 from heliogauge.validate import BoolArray, FloatArray
 
@@ -97,8 +104,9 @@ def find_beam_region(
         raise EstimationError(f"only {int(seen.sum())} of {seen.size} coarse pixels show the target")
     fit = partial(background_around, values, empty=pattern, full_scale_dn=full_scale_dn)
     background = _start(values, seen, fit, _EDGES if edges_first else 0)
-    background, free, little = _separate(values, seen, fit, background)
-    smoothed = _smoothed(values - background.values_dn, seen)
+    smooth = _smoothing_over(seen)
+    background, free, little = _separate(values, seen, fit, smooth, background)
+    smoothed = smooth(values - background.values_dn)
     share = _outline_share(smoothed, background)
     inside, bright = _outline(smoothed, seen, share)
     peak = float(smoothed[inside].max()) if inside.any() else 0.0
@@ -132,12 +140,18 @@ class _Separated(NamedTuple):
     is_little: bool
 
 
-def _separate(values: FloatArray, seen: BoolArray, fit: "partial[Background]", background: Background) -> _Separated:
+def _separate(
+    values: FloatArray,
+    seen: BoolArray,
+    fit: "partial[Background]",
+    smooth: Callable[[FloatArray], FloatArray],
+    background: Background,
+) -> _Separated:
     """Find beam and background in turn."""
     free, little = seen, False
     steps: list[FloatArray] = []
     for k in range(_ROUNDS):
-        smoothed = _smoothed(values - background.values_dn, seen)
+        smoothed = smooth(values - background.values_dn)
         _, bright = _outline(smoothed, seen, _outline_share(smoothed, background) if k else _FIRST_OUTLINE)
         now_free = seen & ~_grown(bright)
         if now_free.mean() < _LEAST_FREE:
@@ -149,7 +163,11 @@ def _separate(values: FloatArray, seen: BoolArray, fit: "partial[Background]", b
         free = now_free
         # Where no edge was found, none will be, unless the beam turned out to be elsewhere.
         if k in _EDGE_ROUNDS and (steps or k == _EDGE_ROUNDS[0] or changed > 0.02):
-            steps = shadow_steps(values, free, fit(free, continued=False), _EDGES)
+            plain = fit(free, continued=False)
+            steps = shadow_steps(values, free, plain, _EDGES)
+            if not steps:
+                background = continued_under(plain, free)
+                continue
         background = fit(free, steps=steps, continued=k > 0)
     return _Separated(background, free, little)
 
@@ -169,11 +187,16 @@ def _start(values: FloatArray, seen: BoolArray, fit: "partial[Background]", edge
     return background
 
 
-def _smoothed(difference: FloatArray, seen: BoolArray) -> FloatArray:
-    sigma = _SMOOTHING * max(difference.shape)
-    blurred = cv2.GaussianBlur(np.where(seen, difference, 0.0), (0, 0), sigma)
+def _smoothing_over(seen: BoolArray) -> Callable[[FloatArray], FloatArray]:
+    """Return what smooths pictures of which some pixels are seen; the others are 0."""
+    sigma = _SMOOTHING * max(seen.shape)
     share = cv2.GaussianBlur(seen.astype(np.float64), (0, 0), sigma)
-    return np.where(seen, blurred / np.maximum(share, 1e-3), 0.0)
+    factor = seen / np.maximum(share, 1e-3)
+
+    def smooth(difference: FloatArray) -> FloatArray:
+        return np.asarray(cv2.GaussianBlur(difference * seen, (0, 0), sigma) * factor)
+
+    return smooth
 
 
 def _outline_share(smoothed: FloatArray, background: Background) -> float:
@@ -196,7 +219,7 @@ def _outline(smoothed: FloatArray, seen: BoolArray, share: float) -> tuple[BoolA
 
 def _most_light(bright: BoolArray, smoothed: FloatArray) -> BoolArray:
     n, labels = cv2.connectedComponents(bright.astype(np.uint8), connectivity=4)
-    if n < 2:
+    if n <= 2:
         return bright
     light = np.bincount(labels.ravel(), weights=smoothed.ravel(), minlength=n)
     light[0] = -np.inf
