@@ -75,7 +75,7 @@ def _height(
         return np.where(free, light - projected(light, free, basis), 0.0)
 
     seen = left(shape)
-    strength = float(np.sum(seen * seen))
+    strength = float(np.vdot(seen, seen))
     residuals = left(background.smooth_dn + background.residuals_dn - skirts_dn)
     height = float(np.sum(seen * residuals)) / strength
     scores = block_sums(seen * (residuals - height * seen))

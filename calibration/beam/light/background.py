@@ -296,7 +296,7 @@ def _robust_fit(rows: FloatArray, values: FloatArray, floor: float) -> _Robust:
 
 
 def _with_ridge(normal: FloatArray) -> FloatArray:
-    """An empty frame without a pattern equals the constant: the pair is held together by a tiny ridge."""
+    """Add a tiny ridge: it holds an empty frame without a pattern and the constant, which are equal, together."""
     diagonal = np.einsum("ii->i", normal)
     diagonal += 1e-9 * diagonal.mean()
     return normal

@@ -11,7 +11,7 @@ from calibration.beam.light.background import area_resized
 from heliogauge.adjust.robust_scale import robust_scale
 from heliogauge.adjust.small_fits import Descent, SmallFits, descend
 from heliogauge.errors import EstimationError
-from heliogauge.validate import BoolArray, FloatArray, IntArray, freeze
+from heliogauge.validate import BoolArray, Float32Array, FloatArray, IntArray, freeze
 
 __all__ = [
     "CENTROID_METHODS",
@@ -20,6 +20,8 @@ __all__ = [
     "PixelNoise",
     "Spot",
     "bell_again",
+    "bell_curvature",
+    "bell_model",
     "block_sums",
     "coarse_shape",
     "gaussian_centroid",
@@ -36,6 +38,10 @@ _THRESHOLD = 0.5
 #: Fits run on a picture of at most this many pixels on the longer side: a beam is many of them wide.
 _FIT_PX = 64
 _DESCENT = Descent(most_steps=60, first=1e-3, down=1 / 8, up=8.0, most=1e12, ridge=1e-300)
+#: A centre that moves less has its place [px of that picture]: what is left to go is a tenth of it, 2e-7 of the target.
+_LAST_STEP_PX = 1e-4
+#: The same for height, quadratic form and exponent, as a share of them.
+_LAST_SHARE = 1e-3
 _LEAST_EXPONENT, _MOST_EXPONENT = 0.4, 6.0
 #: Blocks of the target across its longer side, in each of which an error of the background is taken as constant: from
 #: panels to shadows. The scale with the largest effect counts.
@@ -270,7 +276,9 @@ def _values(parameters: FloatArray, x: FloatArray, y: FloatArray) -> FloatArray:
     return np.asarray(parameters[0] * np.exp(-0.5 * form ** parameters[6]))
 
 
-def _model(parameters: FloatArray, x: FloatArray, y: FloatArray, *, free_exponent: bool) -> tuple[FloatArray, FloatArray]:
+def bell_model(
+    parameters: FloatArray, x: FloatArray, y: FloatArray, *, free_exponent: bool
+) -> tuple[FloatArray, FloatArray]:
     """Values of a super-Gaussian, (m,), and derivatives by its parameters, (7, m); (6, m) without the exponent's."""
     height, center_x, center_y, _, _, _, exponent = parameters
     form, along, down = _quadratic_form(parameters, x, y)
@@ -321,10 +329,12 @@ def _descend(start: FloatArray, free: BoolArray, pixels: tuple[FloatArray, Float
     def evaluate(rows: IntArray, trial: FloatArray) -> tuple[FloatArray, FloatArray]:
         if not rows.size:
             return np.empty((0, x.size)), np.empty((0, trial.shape[1], x.size))
-        values, jacobian = _model(at(trial[0]), x, y, free_exponent=bool(free[6]))
+        values, jacobian = bell_model(at(trial[0]), x, y, free_exponent=bool(free[6]))
         return (wanted - values)[None], jacobian[None]
 
     one, first = np.arange(1), start[free][None]
+    form = np.sqrt(start[3] * start[5])
+    last = np.array([_LAST_SHARE * start[0], *2 * [_LAST_STEP_PX], *3 * [_LAST_SHARE * form], _LAST_SHARE])[free]
     residuals, jacobian = evaluate(one, first)
     fit = SmallFits(
         first.copy(),
@@ -339,7 +349,7 @@ def _descend(start: FloatArray, free: BoolArray, pixels: tuple[FloatArray, Float
         fit,
         one,
         evaluate,
-        lambda step: np.abs(step[:, 1:3]).max(axis=1) < 1e-6,
+        lambda step: (np.abs(step) < last).all(axis=1),
         _DESCENT,
         lambda rows, trial: np.array([_possible(at(trial[0]))]),
     )
@@ -355,13 +365,13 @@ def _center_derivative(
 
     jacobian (p, m): Derivatives by the free parameters there.
     """
-    hessian = jacobian @ jacobian.T - _curvature(found, pixels, jacobian)[: len(jacobian), : len(jacobian)]
+    hessian = jacobian @ jacobian.T - bell_curvature(found, pixels, jacobian)[: len(jacobian), : len(jacobian)]
     scale = np.sqrt(np.abs(np.diag(hessian))) + 1e-300
-    solved = np.linalg.solve(hessian / scale[:, None] / scale, jacobian / scale[:, None])
-    return np.asarray((solved / scale[:, None])[1:3])
+    inverse = np.linalg.inv(hessian / scale[:, None] / scale) / scale[:, None] / scale
+    return np.asarray(inverse[1:3] @ jacobian)
 
 
-def _curvature(
+def bell_curvature(
     found: FloatArray, pixels: tuple[FloatArray, FloatArray, FloatArray], jacobian: FloatArray
 ) -> FloatArray:
     """Return the second derivatives of the model by its parameters, times the residuals, added up, shape (7, 7)."""
@@ -411,8 +421,8 @@ def pixel_noise(
     White noise follows from second differences (Immerkaer 1996) through their median, so that seams do not count. The
     background's error is the scatter of the residuals' means in blocks of the target.
     """
-    filtered = cv2.filter2D(values_dn, cv2.CV_64F, _NOISE_KERNEL, borderType=cv2.BORDER_REFLECT)
-    difference = np.asarray(filtered, dtype=np.float64)
+    filtered = cv2.filter2D(values_dn.astype(np.float32), cv2.CV_32F, _NOISE_KERNEL, borderType=cv2.BORDER_REFLECT)
+    difference = np.asarray(filtered, dtype=np.float32)
     outside = _robust_variance(difference[free])
     beam = max(outside, _robust_variance(difference[inside]))
     white = np.where(inside, beam, outside)
@@ -432,13 +442,15 @@ def pixel_noise(
     return PixelNoise(white, tuple(excesses), basis, cofactor * (outside / finer + correlated))
 
 
-def _robust_variance(differences: FloatArray) -> float:
+def _robust_variance(differences: Float32Array) -> float:
     if differences.size < 10:
         return 0.0
     scale = robust_scale(differences[:: (differences.size // _ENOUGH_DIFFERENCES) | 1])
-    near = differences[np.abs(differences) < 4 * scale]
+    squares = differences * differences
+    near = squares < np.float32(16 * scale * scale)
+    count = np.count_nonzero(near)
     # Grey values are whole numbers: a median of few distinct values is coarse, so the mean square of what is near it.
-    return float(near @ near) / near.size if near.size else scale**2
+    return float(squares @ near.astype(np.float32)) / count if count else scale**2
 
 
 def _block_shape(shape: tuple[int, ...], blocks: int) -> tuple[int, int]:

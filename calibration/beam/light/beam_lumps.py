@@ -40,7 +40,11 @@ def _minor(smoothed_dn: FloatArray, inside: BoolArray) -> float:
     rows, columns = np.nonzero(inside)
     if rows.size < 3:
         return 1.0
-    spread = np.cov(np.stack([columns, rows]), aweights=np.maximum(smoothed_dn[inside], 1e-12))
+    points, weights = np.stack([columns, rows]).astype(np.float64), np.maximum(smoothed_dn[inside], 1e-12)
+    total = float(weights.sum())
+    points -= (points @ weights / total)[:, None]
+    # As of so many points of unequal weight.
+    spread = (points * weights) @ points.T / (total - float(weights @ weights) / total)
     return float(np.sqrt(max(np.linalg.eigvalsh(spread)[0], 0.0)))
 
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -9,7 +10,7 @@ import numpy.typing as npt
 from heliogauge.errors import EstimationError, InputError
 from heliogauge.validate import FloatArray, float_array, freeze
 
-__all__ = ["BeamMoments", "beam_moments", "encircled_diameters_m"]
+__all__ = ["BeamMoments", "beam_moments", "encircled_diameters_m", "light_within"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -124,10 +125,30 @@ def encircled_diameters_m(
     total = float(values.sum())
     if not total > 0:
         return np.full(wanted.size, np.nan)
-    pixel = float(np.sqrt(abs((x_m[1] - x_m[0]) * (y_m[1] - y_m[0]))))
-    radius = np.hypot(x_m[None, :] - center[0], y_m[:, None] - center[1])
-    rings = (radius / (0.5 * pixel)).astype(np.intp)
-    inside = np.concatenate(([0.0], np.cumsum(np.bincount(rings.ravel(), weights=values.ravel())))) / total
-    outer = np.maximum.accumulate(inside)
-    edges_m = 0.5 * pixel * np.arange(inside.size)
-    return freeze(2 * np.interp(wanted, outer, edges_m))
+    within = light_within(values, x_m, y_m, center)
+    return freeze(2 * np.interp(wanted, within.light_dn / total, within.radius_m))
+
+
+class LightWithin(NamedTuple):
+    """Radii of circles [m] and the light in them, which never falls [DN]."""
+
+    radius_m: FloatArray
+    light_dn: FloatArray
+
+
+def light_within(values_dn: FloatArray, x_m: FloatArray, y_m: FloatArray, center_m: FloatArray) -> LightWithin:
+    """Add up brightness in circles about a centre; their radii grow by half a pixel.
+
+    Shapes: center_m (2,).
+    values_dn (h, w): Brightness without its background; 0 where it is not to count [DN].
+    x_m (w,): Position of each column [m].
+    y_m (h,): Position of each row [m].
+    """
+    # A ring as wide as a pixel holds too few of them near the middle; radii that matter are tens of pixels.
+    step = 0.5 * float(np.sqrt(abs((x_m[1] - x_m[0]) * (y_m[1] - y_m[0]))))
+    x, y = (((axis - middle) / step).astype(np.float32) for axis, middle in ((x_m, center_m[0]), (y_m, center_m[1])))
+    squares = (x * x)[None, :] + (y * y)[:, None]
+    rings = np.sqrt(squares, out=squares).astype(np.int32)
+    sums = np.bincount(rings.ravel(), weights=values_dn.ravel())
+    inside = np.concatenate(([0.0], np.cumsum(sums)))
+    return LightWithin(step * np.arange(inside.size), np.maximum.accumulate(inside))

@@ -14,7 +14,7 @@ import numpy as np
 from calibration.beam.light.aureole import Aureole
 from calibration.beam.light.background import area_resized
 from calibration.beam.light.beam_centroids import PixelNoise, coarse_shape, propagated
-from calibration.beam.light.beam_moments import beam_moments
+from calibration.beam.light.beam_moments import beam_moments, light_within
 from heliogauge.validate import BoolArray, FloatArray, freeze
 
 __all__ = ["SHARES", "BeamSize", "LightPicture", "beam_size", "no_size"]
@@ -210,15 +210,8 @@ class _Sizes:
 
 
 def _radii(light: FloatArray, picture: LightPicture, center_m: FloatArray) -> _Radii:
-    x = (picture.x_m - center_m[0]).astype(np.float32)
-    y = (picture.y_m - center_m[1]).astype(np.float32)
-    # A ring as wide as a pixel holds too few of them near the middle; radii that matter are tens of pixels.
-    step = 0.5 * float(np.sqrt(picture.pixel_m2))
-    number = (np.sqrt((x * x)[None, :] + (y * y)[:, None]) * np.float32(1 / step)).astype(np.intp)
-    rings = np.bincount(number.ravel(), weights=light.ravel())
-    inside = np.concatenate([[0.0], np.cumsum(rings)]) / float(light.sum())
-    outer = np.maximum.accumulate(inside)
-    edges = step * np.arange(inside.size)
+    within = light_within(light, picture.x_m, picture.y_m, center_m)
+    edges, outer = within.radius_m, within.light_dn / float(light.sum())
     radius = np.interp(SHARES, outer, edges)
     # The light between 10 % smaller and larger circles: smooth against pixels.
     near, far = np.interp(0.9 * radius, edges, outer), np.interp(1.1 * radius, edges, outer)

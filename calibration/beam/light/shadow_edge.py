@@ -19,6 +19,9 @@ _ENOUGH_PIXELS = 800
 _BLUR = 0.02
 #: Share of the residuals' squares that a step must explain, and the share of the free pixels on its smaller side.
 _LEAST_GAIN, _LEAST_SIDE = 0.08, 0.05
+#: Share of that gain below which the best of the coarse candidates is not refined: pure noise has less, and of 1187
+#: edges in real photos and composites no coarse candidate had less than 0.4 of it.
+_HOPELESS = 0.25
 
 
 def strongest_edge(residuals: FloatArray, free: BoolArray, basis: FloatArray) -> FloatArray | None:
@@ -29,9 +32,8 @@ def strongest_edge(residuals: FloatArray, free: BoolArray, basis: FloatArray) ->
     basis (h, w, k): Functions of the smooth background: what they can follow is no step.
     Returns (h, w): The step, from 0 to 1; None where no step explains a good part of the residuals' squares.
     """
-    y, x = np.nonzero(free)
-    step = (y.size // _ENOUGH_PIXELS) | 1
-    y, x = y[::step], x[::step]
+    chosen = np.flatnonzero(free)
+    y, x = np.divmod(chosen[:: (chosen.size // _ENOUGH_PIXELS) | 1], free.shape[1])
     wanted = residuals[y, x]
     height, width = residuals.shape
     across, down = (x + 0.5) * (2 / width) - 1, (y + 0.5) * (2 / height) - 1
@@ -41,6 +43,8 @@ def strongest_edge(residuals: FloatArray, free: BoolArray, basis: FloatArray) ->
     if not power > 0:
         return None
     best = _search(across, down, wanted, orthogonal, _grid(0.0, np.pi, 0.0, 1.3, (_DIRECTIONS, _OFFSETS)))
+    if best.gain < _HOPELESS * _LEAST_GAIN * power:
+        return None
     fine = _grid(best.angle, np.pi / _DIRECTIONS, best.offset, 2.6 / _OFFSETS, (11, 11))
     best = max(best, _search(across, down, wanted, orthogonal, fine))
     if best.gain < _LEAST_GAIN * power:
