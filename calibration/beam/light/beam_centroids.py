@@ -349,7 +349,7 @@ def _descend(start: FloatArray, free: BoolArray, pixels: tuple[FloatArray, Float
         fit,
         one,
         evaluate,
-        lambda step: (np.abs(step) < last).all(axis=1),
+        lambda step: np.asarray((np.abs(step) < last).all(axis=1)),
         _DESCENT,
         lambda rows, trial: np.array([_possible(at(trial[0]))]),
     )

@@ -151,4 +151,4 @@ def light_within(values_dn: FloatArray, x_m: FloatArray, y_m: FloatArray, center
     rings = np.sqrt(squares, out=squares).astype(np.int32)
     sums = np.bincount(rings.ravel(), weights=values_dn.ravel())
     inside = np.concatenate(([0.0], np.cumsum(sums)))
-    return LightWithin(step * np.arange(inside.size), np.maximum.accumulate(inside))
+    return LightWithin(np.arange(inside.size) * np.float64(step), np.maximum.accumulate(inside))
