@@ -1,6 +1,6 @@
 """Slopes between samples that are far apart: the best linear estimate, and how far off it may be."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -13,8 +13,9 @@ _NEIGHBOURS = 24
 _POWERS = (1, 3, 5)
 #: With fewer points that are tested the roughness is known to less than a third, with these to 6 %.
 _FEWEST_TESTED, _MOST_TESTED = 20, 500
-#: Rounds of roughness and the smoothing by noise that follows from it; a fifth changes sigmas by less than 5 %.
-_ROUNDS = 4
+#: Roughness that is tried first, as a share of the values' variance: of waves some samples long; decades that are tried
+#: above and below it; a smaller gain of the log likelihood is none.
+_START, _MOST_DECADES, _LEAST_GAIN = 1e-3, 12, 0.01
 #: Places that are worked on at once: their matrices then take 30 MB.
 _BLOCK = 4096
 
@@ -35,7 +36,9 @@ def krige(points_m: FloatArray, values: FloatArray, sigma: FloatArray, places_m:
     Intrinsic kriging (Matheron, The intrinsic random functions and their applications, 1973) with a generalised
     covariance c r^p and a quadratic drift: the interpolation is a spline, exact for what is quadratic. How rough the
     values are (c) and how smooth their waves (p = 1, 3 or 5) follows from what each point misses by when it is
-    estimated from its neighbours: the power is the one that makes these errors most likely.
+    estimated from its neighbours: the power is the one that makes these errors most likely. Beyond the outermost points
+    waves of one length depart from a spline by more than between points: there the roughness is what these points miss
+    by when they are extrapolated from the others.
     """
     from scipy.spatial import cKDTree
 
@@ -43,16 +46,22 @@ def krige(points_m: FloatArray, values: FloatArray, sigma: FloatArray, places_m:
     count = min(_NEIGHBOURS, len(points_m) - 1)
     scale = float(np.median(tree.query(points_m, 2)[0][:, 1]))
     near = tree.query(points_m, count + 1)[1][:, 1:]
-    # Beyond all of its neighbours a point would be extrapolated, which says nothing about gaps.
-    inner = np.flatnonzero(_is_surrounded(points_m, near))
+    # Beyond all of its neighbours a point is extrapolated, which says nothing about gaps.
+    is_inner = _is_surrounded(points_m, points_m, near)
+    inner, outer = np.flatnonzero(is_inner), np.flatnonzero(~is_inner)
     inner = inner if len(inner) >= _FEWEST_TESTED else np.arange(len(points_m))
     inner = inner[spread_indices(len(inner), _MOST_TESTED)]
-    tested = points_m[inner], near[inner]
-    models = [_tested(_Model(power, 0.0), points_m, values, sigma, inner, tested, scale) for power in _POWERS]
-    model = max(models, key=lambda one: one[1])[0]
+    known = _Known(points_m, values, sigma, inner, near[inner], scale)
+    model = known.refined(max((known.most_likely(power) for power in _POWERS), key=known.likelihood))
+    outer_rough = model.rough
+    if len(outer) >= _FEWEST_TESTED:
+        missed, spread, noise = _estimates(points_m, values, sigma, points_m[outer], near[outer], scale, model)
+        own = _roughness(np.square(missed - values[outer]), spread, noise + sigma[outer] ** 2)
+        outer_rough = max(outer_rough, own)
     near = tree.query(places_m, count)[1]
     found, spread, noise = _estimates(points_m, values, sigma, places_m, near, scale, model)
-    return Kriged(found, np.sqrt(model.rough * spread + noise))
+    rough = np.where(_is_surrounded(places_m, points_m, near), model.rough, outer_rough)
+    return Kriged(found, np.sqrt(rough * spread + noise))
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,34 +78,65 @@ class _Model:
         return -root if self.power == 1 else squares * root if self.power == 3 else -squares * squares * root
 
 
-def _is_surrounded(points_m: FloatArray, near: IntArray) -> BoolArray:
-    """Return which points (m,) lie within their eight nearest neighbours: these leave no half plane free."""
-    off = points_m[near[:, :8]] - points_m[:, None]
+def _is_surrounded(places_m: FloatArray, points_m: FloatArray, near: IntArray) -> BoolArray:
+    """Return which places (n,) lie within their eight nearest points: these leave no half plane free."""
+    off = points_m[near[:, :8]] - places_m[:, None]
     angle = np.sort(np.arctan2(off[..., 1], off[..., 0]), axis=1)
     gaps = np.diff(np.concatenate([angle, angle[:, :1] + 2 * np.pi], axis=1), axis=1)
     return np.asarray(gaps.max(axis=1) < np.pi)
 
 
-def _tested(
-    model: _Model,
-    points_m: FloatArray,
-    values: FloatArray,
-    sigma: FloatArray,
-    inner: IntArray,
-    tested: tuple[FloatArray, IntArray],
-    scale_m: float,
-) -> tuple[_Model, float]:
-    """Return the model with the roughness that the points have, and the log likelihood of their errors."""
-    rough, likelihood = float(np.var(values)) + float(np.mean(sigma**2)), -np.inf
-    for _ in range(_ROUNDS):
-        missed, spread, noise = _estimates(
-            points_m, values, sigma, *tested, scale_m, _Model(model.power, max(rough, 1e-300))
-        )
-        off, own = np.square(missed - values[inner]), noise + sigma[inner] ** 2
-        rough = _roughness(off, spread, own)
-        variance = rough * spread + own
-        likelihood = -0.5 * float(np.sum(off / variance + np.log(variance)))
-    return _Model(model.power, rough), likelihood
+@dataclass(slots=True, eq=False)
+class _Known:
+    """Points with their values, and those of them that are tested: each is estimated from its neighbours.
+
+    tested (t,), near (t, k): Those, and the points that each is estimated from.
+    """
+
+    points_m: FloatArray
+    values: FloatArray
+    sigma: FloatArray
+    tested: IntArray
+    near: IntArray
+    scale_m: float
+    found: dict[tuple[int, float], float] = field(default_factory=dict)
+
+    def likelihood(self, model: _Model) -> float:
+        """Return the log likelihood of what the tested points miss by, estimates and their sigmas by the same model."""
+        key = model.power, round(float(np.log(model.rough)), 6)
+        if key not in self.found:
+            missed, spread, noise = _estimates(
+                self.points_m, self.values, self.sigma, self.points_m[self.tested], self.near, self.scale_m, model
+            )
+            variance = model.rough * spread + noise + self.sigma[self.tested] ** 2
+            off = np.square(missed - self.values[self.tested])
+            self.found[key] = -0.5 * float(np.sum(off / variance + np.log(variance)))
+        return self.found[key]
+
+    def most_likely(self, power: int) -> _Model:
+        """Return the most likely model of a power, its roughness to a third: the likelihood has one maximum."""
+        usual = float(np.var(self.values)) + float(np.mean(self.sigma**2))
+        best = start = _Model(power, max(_START * usual, 1e-300))
+        for factor in (10.0, 0.1):
+            for _ in range(_MOST_DECADES if best is start else 0):
+                other = replace(best, rough=factor * best.rough)
+                if not self.likelihood(other) > self.likelihood(best) + _LEAST_GAIN:
+                    break
+                best = other
+        return self._vertex(best, 10.0)
+
+    def refined(self, model: _Model) -> _Model:
+        """Return the most likely roughness beside that of a model."""
+        return self._vertex(model, 2.0)
+
+    def _vertex(self, model: _Model, factor: float) -> _Model:
+        """Return the best of a model and the vertex of the parabola through it and those beside it."""
+        low, middle, high = (self.likelihood(replace(model, rough=model.rough * factor**k)) for k in (-1, 0, 1))
+        bend = 2 * middle - low - high
+        if not bend > 0:
+            return model
+        other = replace(model, rough=model.rough * factor ** float(np.clip(0.5 * (high - low) / bend, -1.0, 1.0)))
+        return max(model, other, key=self.likelihood)
 
 
 def _roughness(off: FloatArray, spread: FloatArray, noise: FloatArray) -> float:

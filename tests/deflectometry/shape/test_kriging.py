@@ -31,6 +31,23 @@ def test_estimates_are_as_far_off_as_their_sigmas_say(length: float, least: floa
     assert least < np.sqrt(np.mean(squares)) < 1.25
 
 
+@pytest.mark.parametrize(("length", "noise", "most"), [(8.0, 0.01, 1.4), (12.0, 0.01, 1.25), (12.0, 0.1, 1.25)])
+def test_beyond_the_outermost_samples_sigmas_hold_as_well(length: float, noise: float, most: float) -> None:
+    """Half a distance beyond, as far as maps reach: with the roughness between samples errors are 2 sigma, and 25 where
+    no roughness at all is taken for the likeliest. Sigmas of short waves without noise are a third too small."""
+    squares = []
+    for seed in range(12):
+        rng = np.random.default_rng([seed, 1])
+        grid = np.stack(np.meshgrid(np.arange(16.0), np.arange(16.0)), axis=-1).reshape(-1, 2)
+        points = grid + 0.02 * rng.standard_normal(grid.shape)
+        places = np.stack([rng.uniform(-0.5, 0.0, 300), rng.uniform(0.0, 15.0, 300)], axis=1)
+        waves = _waves(np.concatenate([points, places]), length, rng)
+        values = waves[: len(points)] + noise * rng.standard_normal(len(points))
+        found = krige(points, values, np.full(len(points), noise), places)
+        squares.append(np.mean(((found.values - waves[len(points) :]) / found.sigma) ** 2))
+    assert 0.8 < np.sqrt(np.mean(squares)) < most
+
+
 def test_what_is_quadratic_is_exact_and_noise_is_averaged() -> None:
     rng = np.random.default_rng(1)
     points = rng.uniform(0, 10, (200, 2))
