@@ -15,11 +15,13 @@ Rays across a concentric tube keep their distance b from the axis (Bouguer), so 
 where they are.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
+from heliogauge.adjust.chi_square import chi_square_cdf
 from heliogauge.errors import InputError
 from heliogauge.validate import FloatArray, IntArray
 from observer.photo_edges.rectify import PixelSamples
@@ -185,55 +187,83 @@ class _Fit(NamedTuple):
 
 
 def _fit(profiles: _Profiles, sighting: Sighting, collector: Collector) -> _Fit:
-    from scipy.special import chdtrc
-
-    parts = _Parts.of_view(sighting, collector)
+    parts, most = _Parts.of_view(sighting, collector), 0.5 * sighting.pixel_m
+    # In each round an axis may move by half a pixel.
+    first, blurred = parts.blurring(sighting.pixel_m, np.abs(profiles.beside_m).max() + _ROUNDS * most)
     groups = len(profiles.number)
     middle, blur, scatter = np.zeros(groups), _BLUR_PX, 1.0
-    sigma = wider = middle
+    weight = profiles.number / _NOISE**2
+    spare = np.maximum(np.count_nonzero(profiles.number, axis=1) - 0.5 * len(parts.mean), 1.0)
     for _ in range(_ROUNDS):
-        table = parts.blurred(blur * sighting.pixel_m, sighting.pixel_m)
-        weight = profiles.number / _NOISE**2
-        place = (profiles.beside_m - middle[:, None] + _TABLE_M) / _STEP_M
-        basis = _interpolated(table, place)
-        weighted = basis * weight[:, None]
-        normal = weighted @ np.swapaxes(basis, 1, 2)
-        normal[:, np.arange(len(parts.mean)), np.arange(len(parts.mean))] += 1 / parts.sigma**2
-        left = profiles.light - np.einsum("p,gpk->gk", parts.mean, basis)
-        step = np.linalg.solve(normal, np.einsum("gpk,gk->gp", weighted, left)[..., None])[..., 0]
-        amplitude = parts.mean + step
-        residual = left - np.einsum("gpk,gp->gk", basis, step)
+        table = blurred(blur)
+        place = (profiles.beside_m - middle[:, None] + _TABLE_M) / _STEP_M - first
+        basis = _between(table, place)
+        weighted = np.swapaxes(basis * weight[..., None], 1, 2)
+        normal = weighted @ basis
+        np.einsum("gpp->gp", normal)[...] += 1 / parts.sigma**2
+        cofactor = np.linalg.inv(normal)
+        left = profiles.light - basis @ parts.mean
+        step = cofactor @ (weighted @ left[..., None])
+        amplitude = parts.mean + step[..., 0]
+        residual = left - (basis @ step)[..., 0]
         # How the profile changes with the axis and with the blur, less what amplitudes take of that.
-        widened = parts.blurred((blur + 0.05) * sighting.pixel_m, sighting.pixel_m)
-        changes = []
-        for change in (-np.gradient(table, _STEP_M, axis=1), (widened - table) / 0.05):
-            along = np.einsum("gpk,gp->gk", _interpolated(change, place), amplitude)
-            taken = np.linalg.solve(normal, np.einsum("gpk,gk->gp", weighted, along)[..., None])[..., 0]
-            changes.append((along, along - np.einsum("gpk,gp->gk", basis, taken)))
-        (moved, own), (spread, free) = changes
-        information = np.maximum(np.sum(weight * moved * own, axis=1), 1e-12)
-        most = 0.5 * sighting.pixel_m
-        middle = middle + np.clip(np.sum(weight * moved * residual, axis=1) / information, -most, most)
+        along = np.stack(
+            [
+                _of_groups(-np.gradient(amplitude @ table.T, _STEP_M, axis=1), place),
+                _of_groups(amplitude @ ((blurred(blur + 0.05) - table) / 0.05).T, place),
+            ],
+            axis=2,
+        )
+        own = along - basis @ (cofactor @ (weighted @ along))
+        (known, pull) = (np.einsum("gk,gkc,gkc->gc", weight, along, one) for one in (own, residual[..., None]))
+        information = np.maximum(known[:, 0], 1e-12)
+        moved = np.clip(pull[:, 0] / information, -most, most)
         prior = (scatter / _BLUR_SIGMA_PX) ** 2
-        wanted = np.sum(weight * spread * residual) + (_BLUR_PX - blur) * prior
-        known = np.sum(weight * spread * free) + prior
-        blur = float(np.clip(blur + np.clip(wanted / known, -0.2, 0.2), _LEAST_BLUR_PX, _MOST_BLUR_PX))
-        spare = np.maximum(np.count_nonzero(profiles.number, axis=1) - 0.5 * len(parts.mean), 1.0)
+        wider = float((pull[:, 1].sum() + (_BLUR_PX - blur) * prior) / (known[:, 1].sum() + prior))
+        middle = middle + moved
+        blur = float(np.clip(blur + np.clip(wider, -0.2, 0.2), _LEAST_BLUR_PX, _MOST_BLUR_PX))
         squares = np.sum(weight * residual**2, axis=1)
         scatter = max(1.0, float(np.sqrt(np.median(squares / spare))))
-        # A group with something else in it, a bird, a cable, says so of itself and of no other one.
-        other = chdtrc(spare, squares / scatter**2) < _CHANCE
-        sigma = np.where(other, np.sqrt(squares / spare), scatter) / np.sqrt(information)
-        wider = amplitude[:, -1] * _RADIUS_SIGMA_M
-    return _Fit(middle, sigma, wider)
+    # A group with something else in it, a bird, a cable, says so of itself and of no other one.
+    other = _by_chance(squares / scatter**2, spare) < _CHANCE
+    sigma = np.where(other, np.sqrt(squares / spare), scatter) / np.sqrt(information)
+    return _Fit(middle, sigma, amplitude[:, -1] * _RADIUS_SIGMA_M)
 
 
-def _interpolated(table: FloatArray, place: FloatArray) -> FloatArray:
-    """Return columns of a table (p, n) at places (g, k) between them, shape (g, p, k)."""
-    before = np.clip(place.astype(np.intp), 0, table.shape[1] - 2)
-    share = place - before
-    low, high = table[:, before], table[:, before + 1]
-    return np.ascontiguousarray(np.swapaxes(low + share * (high - low), 0, 1))
+def _by_chance(squares: FloatArray, spare: FloatArray) -> FloatArray:
+    """Return how often chance makes sums of squares (g,) of so many spare values larger; 1 where it does often."""
+    # Two standard deviations above the mean are reached in more than one case of a hundred.
+    large = np.flatnonzero(squares > spare + 2 * np.sqrt(2 * spare))
+    often = np.ones(squares.size)
+    often[large] = [1 - chi_square_cdf(float(squares[k]), float(spare[k])) for k in large]
+    return often
+
+
+class _Places(NamedTuple):
+    """Samples before places between them, and the share of the way to the next."""
+
+    before: IntArray
+    share: FloatArray
+
+    @classmethod
+    def among(cls, place: FloatArray, count: int) -> "_Places":
+        before = np.clip(place.astype(np.intp), 0, count - 2)
+        return cls(before, place - before)
+
+
+def _between(table: FloatArray, place: FloatArray) -> FloatArray:
+    """Return rows of a table (n, p) at places (g, k) between them, shape (g, k, p)."""
+    before, share = _Places.among(place, len(table))
+    low = table[before]
+    return low + share[..., None] * (table[before + 1] - low)
+
+
+def _of_groups(profiles: FloatArray, place: FloatArray) -> FloatArray:
+    """Return each group's profile (g, n) at its own places (g, k), shape (g, k)."""
+    before, share = _Places.among(place, profiles.shape[1])
+    group = np.arange(len(profiles))[:, None]
+    low = profiles[group, before]
+    return low + share * (profiles[group, before + 1] - low)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -254,7 +284,8 @@ class _Parts:
         if glass is None:
             raise InputError("a tube in glass is looked for where the collector has none; give it a glass")
         radius, outer, inner = collector.absorber_diameter_m / 2, glass.outer_diameter_m / 2, glass.inner_diameter_m / 2
-        beside = np.arange(-_TABLE_M, _TABLE_M + _STEP_M / 2, _STEP_M)
+        # Without its last place: a number of samples that Fourier transforms like.
+        beside = np.arange(-_TABLE_M, _TABLE_M - _STEP_M / 2, _STEP_M)
         far = np.abs(beside)
         metal, within = _up_to(far, radius), _up_to(far, inner) - _up_to(far, radius)
         wall, beyond = _up_to(far, outer) - _up_to(far, inner), 1 - _up_to(far, outer)
@@ -282,11 +313,22 @@ class _Parts:
         parts.append((edge * step * _RADIUS_SIGMA_M, 0.0, 1.0))
         return cls(np.array([one for one, _, _ in parts]), *np.array([[m, s] for _, m, s in parts]).T)
 
-    def blurred(self, sigma_m: float, pixel_m: float) -> FloatArray:
-        """Return the parts as a lens and a pixel show them, shape (p, n)."""
-        frequency = np.fft.rfftfreq(self.table.shape[1], _STEP_M)
-        passed = np.exp(-2 * (np.pi * frequency * sigma_m) ** 2) * np.sinc(frequency * pixel_m)
-        return np.asarray(np.fft.irfft(np.fft.rfft(self.table, axis=1) * passed, self.table.shape[1], axis=1))
+    def blurring(self, pixel_m: float, reach_m: float) -> tuple[int, Callable[[float], FloatArray]]:
+        """Return what shows the parts as a pixel and a lens of some blur [px] do, shape (n, p).
+
+        reach_m: Only places up to this distance from the axis are needed; the first one's number is returned before.
+        """
+        count = self.table.shape[1]
+        first = max(0, int((_TABLE_M - reach_m) / _STEP_M) - 2)
+        frequency = np.fft.rfftfreq(count, _STEP_M)
+        through_pixel = np.fft.rfft(self.table, axis=1) * np.sinc(frequency * pixel_m)
+
+        def blurred(blur_px: float) -> FloatArray:
+            passed = np.exp(-2 * (np.pi * frequency * blur_px * pixel_m) ** 2)
+            shown = np.fft.irfft(through_pixel * passed, count, axis=1)
+            return np.ascontiguousarray(shown[:, first : count - first].T)
+
+        return first, blurred
 
 
 class GlassLight(NamedTuple):
