@@ -87,11 +87,9 @@ class _Window:
         reach = (1.0 + BLURS * blur_px / start.radius_px) ** 2
         # What is farther outside than the blur shows nothing of the mirror.
         self.used = (near < reach) & (self.inside_px > -BLURS * blur_px)
-        photo = rim.photo_dn[part].astype(np.float64)
-        clear = photo[(near >= 1.0) & (self.inside_px > BLURS * blur_px)]
-        ground = float(np.median(clear)) if clear.size else float("nan")
-        self.values_dn = (photo - ground)[self.used]
-        self.sign = 1.0 if np.median(photo[(near < 0.5) & self.used]) < ground else -1.0
+        # Without the dots around, whose own light is in many pixels of the window where they stand close.
+        self.values_dn = (rim.photo_dn[part] - rim.ground_dn[part])[self.used]
+        self.sign = 1.0 if np.median(self.values_dn[(near < 0.5)[self.used]]) < 0.0 else -1.0
         fine = (
             (np.arange(width * _FINE) + 0.5) / _FINE - 0.5 + left,
             (np.arange(height * _FINE) + 0.5) / _FINE - 0.5 + top,
@@ -102,14 +100,14 @@ class _Window:
 
     @classmethod
     def around(cls, rim: Rim, start: Ellipse, blur_px: float) -> "_Window | None":
-        """Return the window of a dot; None where it reaches beyond the photo, or has no ground without the edge."""
+        """Return the window of a dot; None where it reaches beyond the photo."""
         reach = start.semi_axes_px[0] + (BLURS + 1.0) * blur_px + 2.0
         low, high = np.floor(start.center_px - reach).astype(int), np.ceil(start.center_px + reach).astype(int) + 1
         height, width = rim.inside_px.shape
         if low.min() < 0 or high[0] > width or high[1] > height:
             return None
         made = cls(rim, start, blur_px, (int(low[0]), int(low[1])), (int(high[0] - low[0]), int(high[1] - low[1])))
-        return made if np.count_nonzero(made.used) > 12 and np.isfinite(made.values_dn).all() else None
+        return made if np.count_nonzero(made.used) > 12 else None
 
     def model(self, place_px: FloatArray, shape_px2: FloatArray, moved_px: float) -> tuple[FloatArray, FloatArray]:
         """Return the share of each used pixel that shows the dot (n,), and its derivative by the place (n, 2) [1/px].

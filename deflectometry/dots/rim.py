@@ -21,6 +21,7 @@ class Rim(ShortRepr):
     step_dn (h, w): How much brighter the mirror's ground is than what is beside it [DN].
     blur_px: Blur of the edges, as the standard deviation of a Gaussian, pixel included [px].
     sigma_px: How far the outline may be off the edge [px].
+    ground_dn (h, w): The mirror's ground around each pixel, without dots [DN].
     """
 
     photo_dn: Float32Array
@@ -28,6 +29,7 @@ class Rim(ShortRepr):
     step_dn: FloatArray
     blur_px: float
     sigma_px: float
+    ground_dn: FloatArray
 
     def cuts(self, ellipse: Ellipse) -> bool:
         """Return whether an outline goes through a dot."""

@@ -65,7 +65,7 @@ def find_rim(
     step = ground - beside
     missing = step * ndtr(-inside / blur)
     whole = np.where(inside <= -reach, ground, photo + missing)
-    return Rim(np.asarray(whole, dtype=np.float32), inside, step, blur, sigma_edge_px)
+    return Rim(np.asarray(whole, dtype=np.float32), inside, step, blur, sigma_edge_px, ground)
 
 
 def _reach_px(dots: FoundDots) -> float:
