@@ -21,7 +21,7 @@ from calibration.beam.pipeline import compare
 from calibration.beam.planning import BeamPlanOptions, plan
 from data_synth.heliostats import BenchOptions, write_beam_dataset
 
-SEEDS = 12
+SEEDS = 24
 
 
 def fitted(scratch, seed, **options):
@@ -34,6 +34,13 @@ def fitted(scratch, seed, **options):
     truth = np.array(json.loads((folder / "truth.json").read_text())["canting_rad"])
     after = result.after
     return folder, after, 1e3 * (after.canting_rad - truth), 1e3 * after.sigma_canting_rad, spent
+
+
+def joint(after, error):
+    """Return errors along the axes of their covariance, over their sigmas."""
+    values, axes = np.linalg.eigh(1e6 * after.covariance_canting)
+    kept = values > 1e-9 * values[-1]
+    return (axes[:, kept].T @ error.ravel()) / np.sqrt(values[kept])
 
 
 def few():
@@ -55,6 +62,8 @@ def few():
             f"{np.abs(errors / sigmas).max():.1f}",
             "",
         )
+        scores = np.concatenate([joint(one[1], one[2]) for one in told])
+        row("  all facets of a mirror jointly", "", f"{np.sqrt(np.mean(scores**2)):.2f}", "")
 
 
 def many():

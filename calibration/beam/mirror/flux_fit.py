@@ -540,16 +540,18 @@ class _Fit:
     def _result(self, linear: _Linear, steps: int) -> FluxFit:
         normal = linear.rows.T @ linear.rows
         self._refuse_undetermined(normal)
-        covariance = max((self._left_out(linear, normal, index) for index in linear.blocks[:-1]), key=self._size)
+        left_out = max((self._left_out(linear, normal, index) for index in linear.blocks[:-1]), key=self._size)
         # A few blocks span few directions: in the others that covariance is near zero, by chance.
-        covariance = covariance + _alike(linear, normal, linear.blocks[-1])
+        even = _alike(linear, normal, linear.blocks[-1])
+        covariance = left_out + even
         state, half, globals_ = self._state, self._count - 1, self._globals
         nan = float("nan")
         cantings = np.zeros((2 * self._count, 2 * self._count))
         if self._free:
             # Parameters run facet mode by facet mode, x and y in turn.
             spread = np.kron(self._zero_mean, np.eye(2))
-            cantings = spread @ covariance[: 2 * half, : 2 * half] @ spread.T
+            sizes = spread @ covariance[: 2 * half, : 2 * half] @ spread.T
+            cantings = _sized(spread @ even[: 2 * half, : 2 * half] @ spread.T, sizes, spread)
         sigma = np.sqrt(np.maximum(np.diag(covariance), 0.0))
         correlations = [
             correlation(photo.flux_dn, one) for photo, one in zip(self._photos, linear.expected, strict=True)
@@ -595,6 +597,18 @@ def _alike(linear: _Linear, normal: FloatArray, index: IntArray) -> FloatArray:
     variance = float(told @ means**2 / told.sum()) * blocks / spare
     inverse = np.linalg.inv(normal)
     return np.asarray(variance * inverse @ (sums.T @ sums) @ inverse)
+
+
+def _sized(even: FloatArray, sizes: FloatArray, spread: FloatArray) -> FloatArray:
+    """Return a covariance with the correlations of one and the variances of another, for cantings that add up to zero.
+
+    Leaving out some dozens of blocks tells how large each error is, but of a covariance of so few samples the smallest
+    directions are too small: errors of 24 drawn mirrors were 1.5 of it along its own axes and 1.0 facet by facet. What
+    each direction is worth follows from how the flux moves with it, where residuals are alike everywhere.
+    """
+    scale = np.sqrt(np.maximum(np.diag(sizes), 0.0) / np.maximum(np.diag(even), 1e-300))
+    onto = spread @ spread.T
+    return np.asarray(onto @ (even * np.outer(scale, scale)) @ onto)
 
 
 def _blocks(photo: FluxPhoto, scene: Scene, suns: float) -> IntArray:
