@@ -549,7 +549,7 @@ class _Fit:
         cantings = np.zeros((2 * self._count, 2 * self._count))
         if self._free:
             # Parameters run facet mode by facet mode, x and y in turn.
-            spread = np.kron(self._zero_mean, np.eye(2))
+            spread = np.asarray(np.kron(self._zero_mean, np.eye(2)), dtype=np.float64)
             sizes = spread @ covariance[: 2 * half, : 2 * half] @ spread.T
             cantings = _sized(spread @ even[: 2 * half, : 2 * half] @ spread.T, sizes, spread)
         sigma = np.sqrt(np.maximum(np.diag(covariance), 0.0))
