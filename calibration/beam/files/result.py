@@ -64,6 +64,11 @@ class Result(InstrumentResult):
     light_falls: Mapping[str, LightFall] = field(default_factory=dict)
 
     @property
+    def by_calorimeter(self) -> bool:
+        """Whether a calorimeter in the target scales the flux."""
+        return any("calorimeter" in one.words for one in self.scales)
+
+    @property
     def offsets_m(self) -> FloatArray:
         """Measured place minus the label that came with the photos, shape (n, 2); NaN without one [m]."""
         numbers = self.photos.numbers
@@ -129,12 +134,20 @@ class Result(InstrumentResult):
             numbers["median_off_label_m"] = float(np.median(offsets))
             numbers["largest_off_label_m"] = float(offsets.max())
             numbers["median_off_label_centred_m"] = float(np.median(self._centred_m(used)))
+        if self.light_falls:
+            largest = max(self.light_falls.values(), key=lambda one: one.over_target)
+            numbers["light_fall_over_target_share"] = largest.over_target
+            numbers["sigma_light_fall_over_target_share"] = (
+                largest.over_target * largest.sigma_per_radius2 / max(abs(largest.per_radius2), 1e-12)
+            )
         texts = {
             "place": "centre of the light on the target: x right, y up, as seen from the field",
             "sizes": "from all of the light; beyond where it stands out of the background its skirts are continued "
             "by the "
             "elliptic bell that fits the beam, and half of what they change is in the sigma",
             "flux": self.scales[0].words if self.scales else "",
+            "light_fall": "fall of an empty target's light towards the photo's corners over the target: vignetting, or "
+            "daylight that bends so",
             "sigma": "1 standard deviation; of a median: that of the single beam in the median",
         }
         return self._summary(

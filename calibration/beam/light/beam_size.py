@@ -9,6 +9,7 @@ again without them.
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 
 from calibration.beam.light.aureole import Aureole
@@ -24,6 +25,8 @@ SHARES = (0.5, 0.9, 0.95)
 #: What panels that reflect 1 % more or less, and the blur of the photo, change diameters of drawn beams by (1 sigma,
 #: `beam synth`); twice that for moments and light.
 _LIMIT_SHARE = 0.005
+#: Light above so much of the smoothed peak is a paraboloid: of a Gaussian the fit is off by 0.3 %, and by 0.9 %.
+_TOPS = (0.85, 0.75)
 #: An aureole is said where it is seen and would change D90 by 3 of the sigmas that it has without, and by more than
 #: twice what that of a clear sky is found to: a circumsolar ratio of 0.02 at 66 m up to 5 % with frames of the empty
 #: target, 16 % without (`beam synth`).
@@ -62,7 +65,7 @@ class BeamSize:
     diameters_m, sigma_diameters_m (3,): Circles about the centre of the light that hold `SHARES` of it [m].
     moments_m2 (2, 2): Central second moments [m^2].
     covariance_moments_m4 (3, 3): Covariance of their xx, xy, yy [m^4].
-    peak_dn, sigma_peak_dn: Largest brightness, smoothed as the outline [DN].
+    peak_dn, sigma_peak_dn: Largest brightness: top of the paraboloid that fits the light around it [DN].
     skirt_share: Share of the light that the bell continues beyond where it stands out.
     aureole_share: Share of the light that seems to be spread so wide that it counts as background; 0 where the photo
         shows no such light.
@@ -157,9 +160,8 @@ def beam_size(
     has_aureole = aureole is not None and aureole.is_seen and bool(wider[5] > least)
     moments += np.outer(wider[1:4], wider[1:4])
     sigma = np.hypot(sigma, wider)
-    peak = float(smoothed_dn[picture.inside].max()) if picture.inside.any() else float("nan")
-    # The smoothed peak averages so many pixels that the background's error is what is left.
-    sigma_peak = float(np.sqrt(sum(noise.block_dn2) / len(noise.block_dn2) + np.max(noise.white_dn2) / 9))
+    peak, sigma_peak = _peak(bare, picture, smoothed_dn)
+    sigma_peak = float(np.hypot(sigma_peak, np.sqrt(sum(noise.block_dn2) / len(noise.block_dn2))))
     return BeamSize(
         whole[0],
         float(sigma[0]),
@@ -173,6 +175,50 @@ def beam_size(
         aureole_share,
         has_aureole,
     )
+
+
+def _peak(light: FloatArray, picture: LightPicture, smoothed_dn: FloatArray) -> tuple[float, float]:
+    """Return the largest brightness and its standard deviation, the background's error apart [DN].
+
+    Smoothing that finds the peak lowers it (by 8 % where it is half as wide as the beam), so a paraboloid is fitted to
+    the light itself around it. What a narrower and a wider surrounding differ by, and panels of 1 %, are in the sigma.
+    """
+    if not picture.inside.any():
+        return float("nan"), float("nan")
+    smoothed = np.where(picture.inside, smoothed_dn, 0.0)
+    top = np.unravel_index(int(np.argmax(smoothed)), smoothed.shape)
+    found = [_top(light, smoothed, (int(top[0]), int(top[1])), share) for share in _TOPS]
+    (peak, scatter), (wider, _) = found
+    if not np.isfinite(peak):
+        highest = float(smoothed[int(top[0]), int(top[1])])
+        return highest, 0.1 * highest
+    apart = peak - wider if np.isfinite(wider) else 0.0
+    return peak, float(np.sqrt(scatter**2 + apart**2 + (2 * _LIMIT_SHARE * peak) ** 2))
+
+
+def _top(light: FloatArray, smoothed: FloatArray, top: tuple[int, int], share: float) -> tuple[float, float]:
+    """Return the top of the paraboloid through the light above a share of the smoothed peak, and its sigma from noise.
+
+    NaN where too few pixels are so bright, or where the paraboloid has no top among them.
+    """
+    nothing = (float("nan"), float("nan"))
+    _, labels = cv2.connectedComponents((smoothed > share * smoothed[top]).astype(np.uint8), connectivity=4)
+    rows, columns = np.nonzero(labels == labels[top])
+    if rows.size < 12:
+        return nothing
+    scale = max(int(np.ptp(rows)), int(np.ptp(columns)), 1) / 2
+    y, x = (rows - rows.mean()) / scale, (columns - columns.mean()) / scale
+    design = np.column_stack([np.ones(x.size), x, y, x * x, x * y, y * y])
+    values = light[rows, columns]
+    found, _, rank, _ = np.linalg.lstsq(design, values, rcond=None)
+    bend = np.array([[2 * found[3], found[4]], [found[4], 2 * found[5]]])
+    if rank < 6 or not (np.linalg.eigvalsh(bend) < 0).all():
+        return nothing
+    place = np.clip(-np.linalg.solve(bend, found[1:3]), -1.0, 1.0)
+    at = np.array([1.0, place[0], place[1], place[0] ** 2, place[0] * place[1], place[1] ** 2])
+    residuals = values - design @ found
+    variance = float(residuals @ residuals) / max(values.size - 6, 1)
+    return float(at @ found), float(np.sqrt(variance * (at @ np.linalg.pinv(design.T @ design) @ at)))
 
 
 def _with_aureole(picture: LightPicture, skirts: Skirts | None, aureole: Aureole) -> FloatArray:

@@ -5,10 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from calibration.beam.light.beam_size import BeamSize, LightPicture
-from heliogauge.errors import InputError
+from heliogauge.errors import EstimationError, InputError
 from heliogauge.validate import FloatArray
 
-__all__ = ["FluxScale", "Gauge", "absolute_by_gauge", "absolute_by_power", "relative_flux"]
+__all__ = ["FluxScale", "Gauge", "absolute_by_gauge", "absolute_by_power", "relative_flux", "unknown_flux"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -82,6 +82,7 @@ def absolute_by_gauge(size: BeamSize, picture: LightPicture, gauge: Gauge) -> Fl
     """Return the flux of a beam that a calorimeter has measured at one place.
 
     InputError: The calorimeter's opening is not on the target.
+    EstimationError: The beam does not light it.
 
     The brightness over the opening is that of the target around it where the opening itself is dark: the median of the
     ring of twice its diameter, through a plane, stands for it.
@@ -108,7 +109,7 @@ def absolute_by_gauge(size: BeamSize, picture: LightPicture, gauge: Gauge) -> Fl
     scatter = float(np.sqrt(residual @ residual / (x.size - 4)))
     sigma_level = float(np.hypot(scatter * np.sqrt(pull @ np.linalg.pinv(rows.T @ rows) @ pull), size.sigma_peak_dn))
     if not level > 3 * sigma_level:
-        raise InputError(
+        raise EstimationError(
             f"gauge_center_m = {gauge.center_m.tolist()}: the beam is {level:.1f} \u00b1 {sigma_level:.1f} DN "
             f"bright around the "
             "calorimeter; put the beam onto it, or give power_w"
@@ -120,6 +121,11 @@ def absolute_by_gauge(size: BeamSize, picture: LightPicture, gauge: Gauge) -> Fl
     sigma_power = power * float(np.hypot(share, size.sigma_total_dn_m2 / size.total_dn_m2))
     words = "absolute, by a calorimeter in the target"
     return FluxScale(per_dn, share, size.sigma_peak_dn, "W/m2", (peak, sigma_peak, power, sigma_power), words)
+
+
+def unknown_flux() -> FluxScale:
+    """Return what stands for the flux of a beam that does not light the calorimeter: NaN."""
+    return _without_beam("W/m2")
 
 
 def _without_beam(unit: str) -> FluxScale:

@@ -57,7 +57,7 @@ def doubts_of_beams(result: "Result") -> tuple[Doubt, ...]:
                 {"saturated_count": int(saturated.sum()), "beams_count": saturated.size},
             )
         )
-    doubts += [*_labels_aside(result), *_sun_down(result), *_light_falls_off(result)]
+    doubts += [*_labels_aside(result), *_sun_down(result), *_light_falls_off(result), *_gauge_dark(result)]
     held = ~refused & ((beams.flags & np.uint32(BeamFlag.BACKGROUND_MAY_HOLD_LIGHT)) != 0)
     if held.any():
         shares = np.array([one.aureole_share for one in beams.sizes])[held]
@@ -111,6 +111,25 @@ def _sun_down(result: "Result") -> list[Doubt]:
     ]
 
 
+def _gauge_dark(result: "Result") -> list[Doubt]:
+    """Say which beams do not light the calorimeter that scales their flux."""
+    dark = [
+        file.name
+        for file, bad, scale in zip(result.beams.files, result.beams.rejected, result.scales, strict=True)
+        if not bad and not np.isfinite(scale.per_dn)
+    ]
+    if not dark:
+        return []
+    return [
+        Doubt(
+            "calorimeter_not_lit",
+            f"{len(dark)} of {len(result.scales)} beams do not light the calorimeter ({dark[0]}): their flux is not "
+            "known; aim at it, or give power_w",
+            {"beams_count": len(dark)},
+        )
+    ]
+
+
 def _light_falls_off(result: "Result") -> list[Doubt]:
     """Say where the light of an empty target falls towards the photo's corners, and what that does to the beams."""
     found = []
@@ -126,6 +145,8 @@ def _light_falls_off(result: "Result") -> list[Doubt]:
         shifts = [fall.shift_m(np.array([beams.x_m[row], beams.y_m[row]]), beams.sizes[row].moments_m2) for row in mine]
         moved = max((float(np.hypot(*one)) for one in shifts), default=0.0)
         matters = any((np.abs(one) > beams.sigma_m[row]).any() for one, row in zip(shifts, mine, strict=True))
+        if not matters and not result.by_calorimeter:
+            continue  # summary.json has the number.
         corner, sigma = 100 * fall.per_radius2, 100 * fall.sigma_per_radius2
         found.append(
             Doubt(
@@ -134,7 +155,11 @@ def _light_falls_off(result: "Result") -> list[Doubt]:
                 f"{sigma:.1f} % there, {fall.over_target:.1%} over the target): vignetting of the lens, or daylight "
                 f"that bends so. It moves centres by up to {1e3 * moved:.1f} mm"
                 + (", more than their sigma: put the target into the middle of the photo" if matters else "")
-                + "; flux that a calorimeter scales is off by as much as light falls between calorimeter and beam",
+                + (
+                    "; flux is off by as much as light falls between calorimeter and beam"
+                    if result.by_calorimeter
+                    else ""
+                ),
                 {"fall_share": fall.per_radius2, "over_target_share": fall.over_target, "shift_m": moved},
                 Severity.DOUBT if matters else Severity.NOTE,
             )

@@ -1,5 +1,6 @@
 """Photos of beams to places, sizes and flux: list, measure in a stream, scale, judge."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,7 +11,14 @@ from calibration.beam.images.target_finder import TargetFinder
 from calibration.beam.keys import BeamFluxSection, BeamsMeasurement
 from calibration.beam.light.beam_image import Beam, BeamSettings
 from calibration.beam.light.contours import Contour, beam_contours
-from calibration.beam.light.flux_scale import FluxScale, Gauge, absolute_by_gauge, absolute_by_power, relative_flux
+from calibration.beam.light.flux_scale import (
+    FluxScale,
+    Gauge,
+    absolute_by_gauge,
+    absolute_by_power,
+    relative_flux,
+    unknown_flux,
+)
 from calibration.beam.light.vignetting import LightFall
 from calibration.beam.pipeline.beams import measure_beams
 from calibration.beam.pipeline.judgement import doubts_of_beams
@@ -20,6 +28,7 @@ from heliogauge.images.thumbnails import make_thumbnail
 from heliogauge.images.video_names import video_of
 from heliogauge.results.folder import hash_files
 from heliogauge.running.progress import Progress, SilentProgress
+from heliogauge.validate import BoolArray
 
 __all__ = ["Options", "Result", "run"]
 
@@ -60,9 +69,9 @@ def run(measurement: BeamsMeasurement, options: Options | None = None, progress:
     Raises
     ------
     InputError
-        Files that cannot be used, or a calorimeter that the beam does not light.
+        Files that cannot be used, or a calorimeter that is not on the target.
     EstimationError
-        The target is not found in a photo without a beam.
+        The target is not found in a photo without a beam, or no beam lights the calorimeter.
     """
     options, progress = options or Options(), progress or SilentProgress()
     photos = read_photos(measurement)
@@ -88,6 +97,7 @@ def run(measurement: BeamsMeasurement, options: Options | None = None, progress:
         progress=progress,
         keep=keep,
     )
+    _refuse_dark_gauge(measurement.model.flux, beams.rejected, scales)
     with progress.stage("pictures"):
         thumbnails = _pictures(photos)
         falls = _light_falls(photos)
@@ -119,8 +129,22 @@ def _scale(flux: BeamFluxSection, photos: BeamPhotos, row: int, beam: Beam) -> F
             flux.gauge_flux_w_m2, flux.sigma_gauge_flux_w_m2, np.array(flux.gauge_center_m), flux.gauge_diameter_m
         )
         if beam.light is not None and not beam.rejected:
-            return absolute_by_gauge(beam.size, beam.light, gauge)
+            try:
+                return absolute_by_gauge(beam.size, beam.light, gauge)
+            except EstimationError:
+                return unknown_flux()  # The judgement names these photos.
     return relative_flux(beam.size)
+
+
+def _refuse_dark_gauge(flux: BeamFluxSection, rejected: BoolArray, scales: Sequence[FluxScale]) -> None:
+    if flux.gauge_flux_w_m2 is None or flux.gauge_center_m is None or rejected.all():
+        return
+    lit = [one for one, bad in zip(scales, rejected, strict=True) if not bad and np.isfinite(one.per_dn)]
+    if not lit:
+        raise EstimationError(
+            f"flux.gauge_center_m = {list(flux.gauge_center_m)}: none of {len(scales)} beams lights the calorimeter; "
+            "aim at it, or give power_w"
+        )
 
 
 def _light_falls(photos: BeamPhotos) -> dict[str, LightFall]:
