@@ -164,6 +164,9 @@ def solve_reflector(
     if far.any():
         agreed_edges = nominal.agreed_by_both(far)
         fate[far & ~agreed_edges] = EdgeFate.EITHER
+    else:
+        # From far away one row of each panel stands for all others (`most_rows`); nearer they are as alike as they are.
+        grid = replace(grid, y_m=expected.y_m)
     fate[is_alone(edges, fate == EdgeFate.USED, expected.y_m)] = EdgeFate.ALONE
     if np.count_nonzero(fate == EdgeFate.USED) < 2 * grid.n_rows:
         raise EstimationError(
@@ -222,7 +225,11 @@ def solve_reflector(
             "most 0.2 m apart across the trough confirm each other; are camera, targets and dimensions right?"
         )
     used = lines.chosen(keep)
-    roughness = find_along(_apart(used, errors), grid, roughness)
+    alone = replace(roughness, alike=None)
+    if roughness.alike is not None:
+        # Row by row, as they are looked at there: what cameras from all rows leave of each row looks like such slopes.
+        errors = solve_jointly(used, grid, alone, unknowns.covariance, with_shares=None)
+    roughness = replace(find_along(_apart(used, errors), grid, alone), alike=roughness.alike)
     errors = solve_jointly(
         used,
         grid,

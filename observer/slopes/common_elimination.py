@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from heliogauge.validate import FloatArray, IntArray
+from observer.slopes.alike_rows import AlikeSystem, alike_system, rows_correlation
 from observer.slopes.banded_cholesky import BandedFactor
 from observer.slopes.row_spline import Roughness, RowGrid, RowSystem, TouchingLines, assemble
 
@@ -104,7 +105,11 @@ class Reduction:
             deviations of these. They have no influence on the common unknowns.
         numpy.linalg.LinAlgError: They are not determined.
         """
-        system = self._rows.under(prior)
+        correlation = rows_correlation(self._rows.grid, prior)
+        if correlation is None:
+            system: RowSystem | AlikeSystem = self._rows.under(prior)
+        else:
+            system = alike_system(self._rows, prior, correlation)
         solved = system.factor.solve(self._pull)
         evidence = 0.5 * (system.log_determinant + float((self._pull * solved).sum()))
         count, by_slopes = len(self._covariance), self._rows.derivatives()
@@ -113,7 +118,14 @@ class Reduction:
             normal, root, common = np.zeros((0, 0)), np.zeros((0, 0)), np.zeros(0)
             carried = np.zeros((self._rows.grid.n_rows, 0, 2, 0))
         else:
-            normal, carried = self._projected(system, np.zeros(0, dtype=np.intp) if columns is None else columns)
+            nothing = np.zeros((self._rows.grid.n_rows, 0, 2, count))
+            chosen = np.zeros(0, dtype=np.intp) if columns is None else columns
+            if isinstance(system, AlikeSystem):
+                normal = self._projected_alike(system)
+                # Slopes are solved row by row.
+                carried = self._projected(self._rows.under(prior), chosen)[1] if chosen.size else nothing
+            else:
+                normal, carried = self._projected(system, chosen)
             precision, spread = _precision(self._covariance)
             normal += precision
             root, narrowed = root_of(normal)
@@ -159,6 +171,18 @@ class Reduction:
                     carried[i] = (by_common @ chosen.T).T.reshape(columns.size, 2, count)
             normal += self._derivatives[some].T @ projected
         return normal, carried
+
+    def _projected_alike(self, system: AlikeSystem) -> FloatArray:
+        """Return the normal matrix where all rows are one system, shape (c, c)."""
+        count, grid = len(self._covariance), self._rows.grid
+        pulls = (self._rows.derivatives().T @ self._derivatives).T.tocsr()
+        normal = (self._derivatives.T @ self._derivatives).toarray()
+        some = max(1, _ENTRIES_AT_ONCE // pulls.shape[1])
+        for first in range(0, count, some):
+            own = slice(first, min(first + some, count))
+            solved = system.factor.solve(pulls[own].toarray().reshape(-1, grid.n_rows, 2 * grid.x_m.size))
+            normal[:, own] -= pulls @ solved.reshape(len(solved), -1).T
+        return np.asarray(0.5 * (normal + normal.T))
 
     def _solved(self, system: RowSystem, first: int, last: int) -> FloatArray:
         """Return by how much the slopes of some rows change with each of their lines, shape (r, 2 nx, k)."""

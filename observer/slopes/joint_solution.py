@@ -8,7 +8,7 @@ import numpy.typing as npt
 
 from heliogauge.validate import BoolArray, FloatArray, IntArray
 from observer.slopes.common_elimination import Reduced, Reduction, inverse_of, root_of
-from observer.slopes.row_spline import Roughness, RowGrid, TouchingLines, assemble
+from observer.slopes.row_spline import Likeness, Roughness, RowGrid, TouchingLines, assemble
 
 #: Rows that suffice to estimate the common unknowns; with all of them the solution would cost as much as all else. With
 #: many photos fewer rows do, because each mirror point is seen by more of them.
@@ -31,6 +31,9 @@ _COLUMNS_FOR_SHARES = 64
 _EXPONENTS = {2: (-8.0, 1.0), 3: (-6.0, 3.0)}
 #: Waves of 0.6 m have so many times the roughness in the next order [1/m^2].
 _NEXT_ORDER_PER_M2 = 100.0
+#: Lengths along the trough over which rows may be alike: from half their distance, below which they are independent, to
+#: so many times their extent, beyond which all are one; how many, and how often roughness and length take turns.
+_LONGEST, _LENGTHS, _TIMES = 30.0, 10, 3
 #: It is found to such a part of the range, by differences of the evidence over twice so many decades.
 _INTERVALS, _DIFFERENCE = 32, 0.125
 
@@ -101,23 +104,61 @@ def find_roughness(
     def evidence(trial: Roughness) -> float:
         return reduction.under(trial).evidence
 
-    best = _most_probable(prior, evidence)
+    alone = _most_probable(replace(prior, alike=None), evidence)
     if not any_order:
-        return best
-    other = 5 - best.order
-    start = best.across * _NEXT_ORDER_PER_M2 ** (other - best.order)
-    rival = _most_probable(replace(prior, across=start, order=other), evidence)
-    return max(best, rival, key=evidence)
+        return alone if prior.alike is None else replace(alone, alike=_most_probable(prior, evidence).alike)
+    other = 5 - alone.order
+    start = alone.across * _NEXT_ORDER_PER_M2 ** (other - alone.order)
+    both = alone, _most_probable(replace(alone, across=start, order=other), evidence)
+    # Each question is answered by what is most probable for it: a row by itself bends as its own edges say best, what
+    # all rows have in common is found from all of them together.
+    field = max((_with_likeness(one, fewer, evidence) for one in both), key=evidence)
+    return replace(max(both, key=evidence), alike=field.alike)
+
+
+def _with_likeness(prior: Roughness, grid: RowGrid, evidence: Callable[[Roughness], float]) -> Roughness:
+    """Return the most probable likeness of rows; none where independent rows are more probable."""
+    if grid.y_m is None or grid.n_rows < 2:
+        return prior
+    extent = float(np.ptp(grid.y_m))
+    lengths = np.geomspace(extent / (grid.n_rows - 1) / 2, _LONGEST * extent, _LENGTHS)
+    known: dict[tuple[int, float], float] = {}
+
+    def with_alike(number: int, across: float) -> Roughness:
+        return replace(prior, alike=Likeness(across, prior.order, float(lengths[number])))
+
+    def at(number: int, across: float) -> float:
+        if (number, across) not in known:
+            known[number, across] = evidence(with_alike(number, across))
+        return known[number, across]
+
+    place, across = _LENGTHS // 2, prior.across
+    for _ in range(_TIMES):
+        for way in (-1, 1):
+            while 0 <= place + way < _LENGTHS and at(place + way, across) > at(place, across):
+                place += way
+        found = _across_of(_most_probable(with_alike(place, across), evidence))
+        if found == across:
+            break
+        across = found
+    alike = with_alike(place, across)
+    return alike if evidence(alike) > evidence(prior) else prior
 
 
 def _most_probable(prior: Roughness, evidence_of: Callable[[Roughness], float]) -> Roughness:
-    """Return the roughness of the prior's order that has the largest evidence."""
-    low, high = _EXPONENTS[prior.order]
+    """Return the roughness of the prior's order that has the largest evidence: of all rows where they are alike."""
+    low, high = _EXPONENTS[prior.order if prior.alike is None else prior.alike.order]
     width = (high - low) / _INTERVALS
     known: dict[int, bool] = {}
 
+    def trial(exponent: float) -> Roughness:
+        across = 10.0**exponent
+        if prior.alike is not None:
+            return replace(prior, alike=replace(prior.alike, across=across))
+        return replace(prior, across=across)
+
     def evidence(exponent: float) -> float:
-        return evidence_of(replace(prior, across=10.0**exponent))
+        return evidence_of(trial(exponent))
 
     def rises(border: int) -> bool:
         """Return whether the evidence rises at a border between intervals; the first and the last enclose it."""
@@ -128,7 +169,7 @@ def _most_probable(prior: Roughness, evidence_of: Callable[[Roughness], float]) 
             known[border] = evidence(middle + _DIFFERENCE) > evidence(middle - _DIFFERENCE)
         return known[border]
 
-    first = int(np.clip((np.log10(prior.across) - low) / width, 0, _INTERVALS - 1))
+    first = int(np.clip((np.log10(_across_of(prior)) - low) / width, 0, _INTERVALS - 1))
     last, stride = first + 1, 1
     while not rises(first):
         first, last, stride = max(first - stride, 0), first, 2 * stride
@@ -138,7 +179,11 @@ def _most_probable(prior: Roughness, evidence_of: Callable[[Roughness], float]) 
     while last - first > 1:
         middle = (first + last) // 2
         first, last = (middle, last) if rises(middle) else (first, middle)
-    return replace(prior, across=10.0 ** (low + (first + 0.5) * width))
+    return trial(low + (first + 0.5) * width)
+
+
+def _across_of(prior: Roughness) -> float:
+    return prior.across if prior.alike is None else prior.alike.across
 
 
 def _fewer_common(lines: TouchingLines, covariance: FloatArray) -> tuple[TouchingLines, FloatArray]:
@@ -255,7 +300,9 @@ def _sampled(lines: TouchingLines, grid: RowGrid, rows: IntArray) -> tuple[Touch
     number = np.full(grid.n_rows, -1)
     number[rows] = np.arange(rows.size)
     some = lines.chosen(number[lines.row] >= 0)
-    return replace(some, row=number[some.row]), RowGrid(grid.x_m, grid.joined, rows.size)
+    return replace(some, row=number[some.row]), replace(
+        grid, n_rows=rows.size, y_m=None if grid.y_m is None else grid.y_m[rows]
+    )
 
 
 def _shares(reduced: Reduced, apart: BoolArray, beside: FloatArray | None) -> tuple[FloatArray, list[FloatArray]]:

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 #: A prior for the slope error across the trough that no mirror violates; it only keeps unmeasured rows solvable [rad].
-_LARGEST_SLOPE_RAD = 0.05
+LARGEST_SLOPE_RAD = 0.05
 #: Weights of neighbouring nodes in the differences that are white noise, by order.
 _DIFFERENCES = {2: (1.0, -2.0, 1.0), 3: (-1.0, 3.0, -3.0, 1.0)}
 
@@ -32,16 +32,31 @@ class RowGrid:
 
     x_m (nx,): Equally spaced nodes across the trough, an even number [m].
     joined (nx - 1,): Whether neighbouring nodes lie on one panel.
+    y_m (r,): Rows [m]; without, nothing is known of one from another.
     """
 
     x_m: FloatArray
     joined: BoolArray
     n_rows: int
+    y_m: FloatArray | None = None
 
     @property
     def step_m(self) -> float:
         """Distance of the nodes [m]."""
         return float(self.x_m[1] - self.x_m[0])
+
+
+@dataclass(frozen=True, slots=True)
+class Likeness:
+    """How rows are alike along the trough (`observer.slopes.alike_rows`).
+
+    across, order: As of `Roughness`, of all rows as one random field.
+    length_m: Length along the trough over which the bends of rows are alike [m].
+    """
+
+    across: float
+    order: int
+    length_m: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,12 +69,14 @@ class Roughness:
     along_length_m: Length over which the slope along the trough is correlated across the trough [m].
     order: 2: the bend of the mirror is a random walk, as where it has kinks. 3: the change of the bend is one, as
         that of waves; what lies between edges then follows from how the mirror bends beside.
+    alike: How rows are alike; None where each is a mirror of its own.
     """
 
     across: float
     along_rad: float = 2e-3
     along_length_m: float = 0.3
     order: int = 2
+    alike: Likeness | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -206,7 +223,7 @@ def prior_bands(grid: RowGrid, prior: Roughness) -> FloatArray:
     """
     n, step, order = grid.x_m.size, grid.step_m, prior.order
     bands = np.zeros((order + 1, n, 2))
-    bands[0, :, 0] = _LARGEST_SLOPE_RAD**-2
+    bands[0, :, 0] = LARGEST_SLOPE_RAD**-2
     inner = np.lib.stride_tricks.sliding_window_view(grid.joined, order).all(axis=1)
     stiffness = inner / (prior.across * step ** (2 * order - 1))
     for offset, part in enumerate(_DIFFERENCES[order]):
