@@ -63,8 +63,10 @@ class CommandCost:
 
 
 def command_cost(*arguments: str) -> CommandCost:
-    """Run ``heliogauge`` as a process of its own, from its start to its end."""
-    process = subprocess.Popen([sys.executable, "-m", "heliogauge", *arguments], stdout=subprocess.DEVNULL)
+    """Run ``heliogauge`` as a process of its own, from its start to its end; compiled modules are kept, as installed."""
+    environment = {**os.environ, "PYTHONDONTWRITEBYTECODE": ""}
+    command = [sys.executable, "-m", "heliogauge", *arguments]
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, env=environment)
     _, status, used = os.wait4(process.pid, 0)
     process.returncode = os.waitstatus_to_exitcode(status)
     if process.returncode:

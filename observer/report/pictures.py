@@ -52,13 +52,14 @@ def photo_view(results: TroughResults) -> PhotoView | None:
         found.append(_outlined(read_overlay(results.base.folder)))
     thumbnails = read_thumbnails(results.base.folder / NETWORK_FOLDER, results.photos)
     if thumbnails:
+        outline = mirror_lines(results.collector)
         targets, refused = _target_marks(results), _refused_targets(results)
         for name, data in thumbnails.items():
             image = decode_thumbnail(data)
             if image is None:
                 continue
             marks = (*_edge_marks(results, name), *targets.get(name, ()), *([refused[name]] if name in refused else []))
-            found.append(_with_marks(results, name, image, marks))
+            found.append(_with_marks(results, name, image, marks, outline))
     if not found:
         return None
     return PhotoView("Photos with what was found in them", tuple(found))
@@ -79,10 +80,14 @@ def _outlined(stored: StoredOverlay) -> Photo:
 
 
 def _with_marks(
-    results: TroughResults, name: str, image: npt.NDArray[np.uint8], marks: tuple[PhotoMarks, ...]
+    results: TroughResults,
+    name: str,
+    image: npt.NDArray[np.uint8],
+    marks: tuple[PhotoMarks, ...],
+    outline: tuple[FloatArray, tuple[int, ...]],
 ) -> Photo:
     camera = results.base.cameras[results.poses[name].camera]
-    vertices, lengths = mirror_lines(results.collector)
+    vertices, lengths = outline
     places = _in_photo(results, name, vertices)
     pieces = [one for one in np.split(places, np.cumsum(lengths)[:-1]) if np.isfinite(one).all()]
     counts = ", ".join(f"{len(one.xy_px)} {one.name}" for one in marks)

@@ -9,6 +9,7 @@ import numpy.typing as npt
 from heliogauge.reporting.results import Results, open_results
 from heliogauge.results.arrays import read_arrays
 from heliogauge.results.folder import PhotoPose, PointTable, read_cameras_json, read_points_csv, read_table_csv
+from heliogauge.results.tables import read_columns_csv
 from heliogauge.slopes.map import NODE_FIELDS, SlopeMap
 from heliogauge.validate import BoolArray, FloatArray, IntArray
 from observer.files import ANGLES, COLLECTOR, SLICES, StoredSlices, read_collector, read_slices
@@ -118,13 +119,12 @@ def _cut_out(slope_map: SlopeMap, rows: slice, columns: slice) -> SlopeMap:
 
 
 def _read_edges(path: Path, photos: tuple[str, ...]) -> EdgeTable:
-    columns = read_table_csv(path, ("image", "x_m", "y_m", "side", "sigma_x_m", "residual_rad", "fate"))
+    wanted = ("x_m", "y_m", "side", "sigma_x_m", "residual_rad")
+    texts, columns = read_columns_csv(path, ("image", "fate"), wanted)
+    x, y, side, sigma, residual = (columns[name] for name in wanted)
     place = {name: number for number, name in enumerate(photos)}
-    x, y, side, sigma, residual = (
-        numbers(columns, name) for name in ("x_m", "y_m", "side", "sigma_x_m", "residual_rad")
-    )
-    photo = np.array([place[name] for name in columns["image"]], dtype=np.intp)
-    fate = np.array(columns["fate"], dtype=np.str_)
+    photo = np.array([place[name] for name in texts["image"]], dtype=np.intp)
+    fate = np.array(texts["fate"], dtype=np.str_)
     return EdgeTable(photo, x, y, side, sigma, residual, fate, np.asarray(fate == EdgeFate.USED.code))
 
 
