@@ -63,7 +63,7 @@ class CommandCost:
 
 
 def command_cost(*arguments: str) -> CommandCost:
-    """Run ``heliogauge`` as a process of its own, from its start to its end; compiled modules are kept, as installed."""
+    """Run ``heliogauge`` as a process of its own, from start to end; compiled modules are kept, as installed."""
     environment = {**os.environ, "PYTHONDONTWRITEBYTECODE": ""}
     command = [sys.executable, "-m", "heliogauge", *arguments]
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, env=environment)
