@@ -104,8 +104,20 @@ class BeamPlan(InstrumentResult):
             "what the model lacks",
         }
         why = "no number of frames and suns gives what is wanted: what the model lacks is more than that"
-        missing = {} if best is not None else {"suns_count": why, "frames_count": why}
+        if not np.isfinite(self.sigmas_rad[-1]):
+            why = self.told_words()
+        names = () if best is not None else ("suns_count", "frames_count", "least_planned_sigma_canting_rad")
+        missing = {name: why for name in names if numbers[name] is None}
         return self._summary(numbers, texts, missing)
+
+    def told_words(self) -> str:
+        """Say what all suns together tell of the canting."""
+        count, facets, sigma_mrad = len(self.suns), self.worth.facets, 1e3 * float(self.sigmas_rad[-1])
+        if not np.isfinite(sigma_mrad):
+            return f"{count} sun{'s do' if count > 1 else ' does'} not tell the canting of {facets} facets apart"
+        many_mrad = 1e3 * self.worth.sigma_rad(self.suns[-1].information, 10**9)
+        left = f"{count} sun{'s leave' if count > 1 else ' leaves'} the canting at {sigma_mrad:.2g} mrad"
+        return f"{left}, with any number of frames at {many_mrad:.2g} mrad"
 
     def write_files(self, folder: Path) -> None:
         """Write plan.csv."""
@@ -193,14 +205,11 @@ def run(
     )
     if plan.cheapest is not None:
         return plan
-    sigma_mrad = 1e3 * float(plan.sigmas_rad[-1])
-    many_mrad = 1e3 * worth.sigma_rad(chosen[-1].information, 10**9)
     doubt = Doubt(
         "wanted_sigma_not_reached",
-        f"{len(chosen)} suns leave the canting at {sigma_mrad:.2g} mrad, with any number of frames at {many_mrad:.2g} "
-        f"mrad; wanted are {1e3 * options.wanted_rad:.2g} mrad: cover facets, so that fewer are in the light at a "
-        "time, or allow more days and suns",
-        {"sigma_canting_rad": 1e-3 * sigma_mrad},
+        f"{plan.told_words()}; wanted are {1e3 * options.wanted_rad:.2g} mrad: cover facets, so that fewer are in the "
+        "light at a time, or allow more days and suns",
+        {"sigma_canting_rad": float(plan.sigmas_rad[-1])},
         Severity.SERIOUS,
     )
     return replace(plan, doubts=gather_doubts(trial.doubts, [doubt]))

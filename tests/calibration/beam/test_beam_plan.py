@@ -2,13 +2,15 @@
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from calibration.beam.keys import load_beams
 from calibration.beam.pipeline import compare
-from calibration.beam.planning.plan import BeamPlanOptions, promised_rad, run
+from calibration.beam.planning.plan import BeamPlan, BeamPlanOptions, promised_rad, run
 from calibration.beam.planning.sun_choice import Trial, choose_suns
 from data_synth.heliostats import BenchOptions, write_beam_dataset
 from heliogauge.errors import InputError
@@ -40,6 +42,23 @@ def test_the_sun_that_tells_most_comes_first() -> None:
     assert chosen[-1].information == pytest.approx(sum(suns))
     with pytest.raises(InputError, match="suns"):
         choose_suns([], 2, 3)
+
+
+def test_a_plan_of_suns_that_tell_nothing_is_written_with_the_reason(tmp_path: Path) -> None:
+    """One sun that sees of two modes of the canting only their sum."""
+    seen = np.array([[1.0, 1.0, 0.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 1.0, 0.0, 0.0]])
+    suns = choose_suns([seen.T @ seen + np.diag([0.0, 0.0, 0.0, 0.0, 1.0, 1.0])], 3, 1)
+    after = SimpleNamespace(sigma_canting_rad=np.full((3, 2), 1e-4))
+    trial: Any = SimpleNamespace(after=after, photos=("first",))
+    times, angles = ("2026-03-21T12:00Z",), np.zeros((1, 2))
+    worth = Trial(4.0, 3.0, 3)
+    plan = BeamPlan(
+        trial=trial, worth=worth, suns=tuple(suns), times=times, angles_rad=angles, wanted_rad=1e-4, name="one"
+    )
+    plan.write(tmp_path)
+    summary = json.loads((tmp_path / "summary.json").read_text())
+    names = {"suns_count", "frames_count", "least_planned_sigma_canting_rad"}
+    assert summary["not_determined"] == dict.fromkeys(names, "1 sun does not tell the canting of 3 facets apart")
 
 
 @pytest.mark.slow
