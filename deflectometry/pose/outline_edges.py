@@ -186,19 +186,25 @@ class OutlineSearch:
             self.image_dn, pixels, normals, reach_px=reach_px, noise_dn=self.noise_dn, width_px=width
         )
         found = np.isfinite(measured.offset_px)
-        # An edge with less than half the usual step is that of something else.
-        expected = usable.sum(axis=1)
+        expected, covered = usable.sum(axis=1), 0
         if avoid and self.clutter is not None and found.any():
             places = pixels + np.nan_to_num(measured.offset_px)[:, None] * normals
             hidden = _in_clutter(self.clutter, places, normals, measured.width_px)
             expected = expected - np.bincount(np.argwhere(usable)[hidden, 0], minlength=len(expected))
+            covered = int(np.count_nonzero(found & hidden))
             found &= ~hidden
         if found.any():
+            # An edge with less than half the usual step is that of something else.
             found[found] = measured.contrast_dn[found] > 0.5 * np.median(measured.contrast_dn[found])
         if found.sum() < 8:
+            few = f"only {int(found.sum())} edge points of the mirror were found along its expected outline"
+            if covered > found.sum():
+                raise EstimationError(
+                    f"{few}: dots that stand close to each other touch {covered} others; give the pose in "
+                    "[mirror.pose], or use a pattern with smaller dots"
+                )
             raise EstimationError(
-                f"only {int(found.sum())} edge points of the mirror were found along its expected outline; check"
-                " outline_m and the camera's focal length, or give the pose in [mirror.pose]"
+                f"{few}; check outline_m and the camera's focal length, or give the pose in [mirror.pose]"
             )
         return OutlineEdges(
             points_m=outline.points_m[usable][found],

@@ -18,6 +18,7 @@ from deflectometry.shape.smooth_shape import Align
 from heliogauge.camera.model import Camera
 from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.geometry.surfaces import Facet, plane
+from heliogauge.validate import Float32Array
 from tests.recovery.agreement import agreement, measure
 
 
@@ -55,19 +56,33 @@ def test_pose_that_the_image_contradicts_is_said(tmp_path):
     assert doubt.numbers["residual_rms_px"] == pytest.approx(1.0, abs=0.1)
 
 
-def test_edges_scatter_about_their_own_outline_wherever_the_given_pose_puts_it():
-    """Cut dots take this scatter for the outline's uncertainty: it is the edges' own, not that of the given pose."""
-    camera = Camera(300, 240, 900.0, 900.0, 149.5, 119.5)
-    facet = Facet("facet", np.array([[-0.4, -0.3], [0.4, -0.3], [0.4, 0.3], [-0.4, 0.3]]), plane())
-    straight = RigidTransform(np.diag([1.0, -1.0, -1.0]), np.array([0.0, 0.0, 5.0]))
+CAMERA = Camera(300, 240, 900.0, 900.0, 149.5, 119.5)
+FACET = Facet("facet", np.array([[-0.4, -0.3], [0.4, -0.3], [0.4, 0.3], [-0.4, 0.3]]), plane())
+STRAIGHT = RigidTransform(np.diag([1.0, -1.0, -1.0]), np.array([0.0, 0.0, 5.0]))
+
+
+def bright_rectangle() -> Float32Array:
+    """Return what the camera sees of the facet: a step of 100 DN, 0.7 px blurred, and noise of 1 DN."""
     x, y = np.meshgrid(np.arange(300.0), np.arange(240.0))
     bright = [ndtr((900 * half / 5 - np.abs(one)) / 0.7) for one, half in ((x - 149.5, 0.4), (y - 119.5, 0.3))]
-    image = 100 * bright[0] * bright[1] + np.random.default_rng(3).normal(0, 1.0, x.shape)
+    return (100 * bright[0] * bright[1] + np.random.default_rng(3).normal(0, 1.0, x.shape)).astype(np.float32)
+
+
+def test_edges_that_dots_touch_everywhere_are_said_to_be_so():
+    given = UncertainPose(STRAIGHT, 1e-12 * np.eye(6))
+    checked = check_given_pose(bright_rectangle(), CAMERA, [FACET], given, np.ones((240, 300), dtype=np.bool_))
+    assert checked.doubt is not None
+    assert "dots that stand close to each other touch" in checked.doubt.text
+    assert "focal length" not in checked.doubt.text
+
+
+def test_edges_scatter_about_their_own_outline_wherever_the_given_pose_puts_it():
+    """Cut dots take this scatter for the outline's uncertainty: it is the edges' own, not that of the given pose."""
+    image = bright_rectangle()
     found = []
     for aside_m in (0.0, 0.3 * 5 / 900):
-        moved = RigidTransform(straight.rotation, straight.translation_m + [aside_m, 0.0, 0.0])
-        given = UncertainPose(moved, 1e-12 * np.eye(6))
-        found.append(check_given_pose(image.astype(np.float32), camera, [facet], given))
+        moved = RigidTransform(STRAIGHT.rotation, STRAIGHT.translation_m + [aside_m, 0.0, 0.0])
+        found.append(check_given_pose(image, CAMERA, [FACET], UncertainPose(moved, 1e-12 * np.eye(6))))
     # Noise of 1 DN on a step of 100 DN that is 0.7 px blurred places an edge to some hundredths of a pixel.
     assert 0.003 < found[0].scatter_px < 0.05
     assert found[0].residual_rms_px == pytest.approx(found[0].scatter_px, rel=0.2)

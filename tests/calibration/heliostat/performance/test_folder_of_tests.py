@@ -70,12 +70,12 @@ def test_sheet_has_every_entry_and_what_was_not_measured(drawn, results, tmp_pat
     assert lines["control_faults_answered_share"].decision.conformity == "conditional fail"
 
 
-@pytest.mark.slow
 def test_one_result_given_twice_was_measured_once(results):
     sheets = make_sheets([results, results], SheetOptions(pdf=False))
     assert not [one for one in sheets.doubts if one.code == "measured_twice"]
 
 
+@pytest.mark.slow
 def test_year_says_what_a_mrad_costs(tmp_path):
     write_tests_folder(tmp_path / "AB12", seed=1)
     result = run(load_tests(tmp_path / "AB12"), Options("year"))
