@@ -161,6 +161,7 @@ class DotSource(ShortRepr):
                         one,
                         centers_px=np.where(np.array(signs) < 0, size - one.centers_px, one.centers_px),
                         covariance_px2=one.covariance_px2 * np.outer(signs, signs),
+                        shapes_px2=one.outlines_px2 * np.outer(signs, signs),
                     )
                     for one in self.dots
                 )

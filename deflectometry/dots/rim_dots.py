@@ -21,6 +21,8 @@ from photogrammetry.centers import Ellipse, TargetCenter, measure_centers
 
 #: Standard deviations of a blur from where what is left of a dot's step (2 %) is less than the noise of an edge.
 _MOST_OF_BLUR = 2.0
+#: Share of the dots' distance beyond which there is ground whatever their blur: the middle of four dots is 0.7 away.
+_FREE_SHARE = 0.6
 
 
 def _radius_px(dots: FoundDots) -> float:
@@ -56,9 +58,11 @@ def find_rim(
     clear = np.ones(photo_dn.shape, dtype=np.uint8)
     for dots in found:
         expected, _ = expected_dots(dots.centers_px, dots.number)
-        _put_discs(clear, np.concatenate([dots.centers_px, expected]), _reach_px(dots), 0)
-    photo = photo_dn.astype(np.float32)
-    ground = _mean_around(photo, (clear > 0) & (inside > BLURS * blur), spacing)
+        far = min(_reach_px(dots), _FREE_SHARE * dots.spacing_px)
+        _put_discs(clear, np.concatenate([dots.centers_px, expected]), far, 0)
+    photo, within = photo_dn.astype(np.float32), inside > BLURS * blur
+    free = within & (clear > 0)
+    ground = _mean_around(photo, free if free.any() else within, spacing)
     beside = _mean_around(photo, inside < -BLURS * blur, spacing)
     from scipy.special import ndtr
 

@@ -1,8 +1,12 @@
 """The middle of a dot's image against the image of its middle, by summing the area of the image itself."""
 
+from typing import Any
+
 import numpy as np
 
 from deflectometry.dots.dot_size import shift_of_size
+from deflectometry.dots.dot_source import DotSource
+from deflectometry.dots.found_dots import FoundDots
 from heliogauge.validate import FloatArray
 
 _RADIUS, _WAVE = 0.25, 2 * np.pi / 6
@@ -44,3 +48,16 @@ def test_the_middle_of_an_image_is_where_it_is_said_to_be() -> None:
     assert np.isnan(found[0]).all()
     assert np.sqrt(np.mean(true[inner] ** 2)) > 0.01
     assert np.sqrt(np.mean((found - true)[inner] ** 2)) < 0.1 * np.sqrt(np.mean(true[inner] ** 2))
+
+
+def test_ellipses_are_exchanged_with_the_sides_of_the_photo() -> None:
+    places = np.array([[3.0, 2.0], [5.0, 6.0]])
+    shapes = np.tile(np.array([[4.0, 1.0], [1.0, 3.0]]), (2, 1, 1))
+    number = np.array([[0, 0], [1, 1]])
+    dots = FoundDots(places, 0.01 * shapes, number, np.full(2, 50.0), 1.0, shapes_px2=shapes, blur_px=1.0)
+    wall: Any = None
+    source = DotSource(np.zeros((10, 12), dtype=np.float32), (dots,), wall)
+    for words, changed in source.exchanges():
+        assert changed.dots is not None
+        # A centre's covariance and its ellipse were alike, and are.
+        np.testing.assert_allclose(changed.dots[0].outlines_px2, 100 * changed.dots[0].covariance_px2, err_msg=words)

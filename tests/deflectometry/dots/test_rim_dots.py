@@ -10,7 +10,10 @@ from scipy.special import ndtr
 from deflectometry.dots.cut_dots import fit_cut_dot
 from deflectometry.dots.found_dots import FoundDots
 from deflectometry.dots.rim import Rim
-from deflectometry.dots.rim_dots import with_rim_dots
+from deflectometry.dots.rim_dots import find_rim, with_rim_dots
+from heliogauge.camera.model import Camera
+from heliogauge.geometry.rigid import RigidTransform
+from heliogauge.geometry.surfaces import Facet, plane
 from heliogauge.validate import FloatArray
 from photogrammetry.centers import Ellipse
 
@@ -98,3 +101,41 @@ def test_a_cut_dot_is_where_it_is_said_to_be_however_close_its_neighbours_stand(
     assert np.abs(errors.mean(axis=0)).max() < 0.03
     # The mean of 48 squares is right to 0.2; light of neighbours that reaches into its pixels counts as noise.
     assert 0.6 < chi_square < 1.6
+
+
+@pytest.mark.parametrize(("pitch_px", "blur_px"), [(18.0, 1.0), (15.0, 2.0), (12.0, 1.5)])
+def test_the_ground_is_known_between_dots_that_blur_brings_together(pitch_px: float, blur_px: float) -> None:
+    """A mirror of 144 x 108 px; where no place counted as free of dots the ground was 0, and dots 0.4 px off."""
+    camera = Camera(300, 240, 900.0, 900.0, 149.5, 119.5)
+    facet = Facet("facet", np.array([[-0.4, -0.3], [0.4, -0.3], [0.4, 0.3], [-0.4, 0.3]]), plane())
+    pose = RigidTransform(np.diag([1.0, -1.0, -1.0]), np.array([0.0, 0.0, 5.0]))
+    count, fine = (np.array([144, 108]) // pitch_px).astype(int), 4
+    number = np.stack(np.meshgrid(*map(np.arange, count)), axis=-1).reshape(-1, 2)
+    places = np.array([149.5, 119.5]) + pitch_px * (number - 0.5 * (count - 1))
+    y, x = (np.mgrid[: 240 * fine, : 300 * fine] + 0.5) / fine - 0.5
+    light = np.where((np.abs(x - 149.5) < 72) & (np.abs(y - 119.5) < 54), 150.0, 20.0)
+    for place in places:
+        part = tuple(slice(int(fine * (one - 6)), int(fine * (one + 7))) for one in place[::-1])
+        light[part] -= 100.0 * (np.hypot(x[part] - place[0], y[part] - place[1]) < RADIUS_PX)
+    blurred = (
+        gaussian_filter(light, fine * np.sqrt(blur_px**2 - 1 / 12)).reshape(240, fine, 300, fine).mean(axis=(1, 3))
+    )
+    photo = np.rint(blurred + np.random.default_rng(0).normal(0, 1, blurred.shape)).astype(np.uint8)
+    size = len(places)
+    dots = FoundDots(
+        places + 0.1,
+        np.tile(1e-2 * np.eye(2), (size, 1, 1)),
+        number,
+        np.full(size, 100.0),
+        1.0,
+        shapes_px2=np.tile(RADIUS_PX**2 * np.eye(2), (size, 1, 1)),
+        blur_px=blur_px,
+    )
+    width_px = float(np.sqrt(2 * np.pi * blur_px**2 + 1.6**2))
+    rim = find_rim(photo, [dots], camera, pose, [facet], width_px, 0.03)
+    assert np.abs(rim.ground_dn[60:180, 70:230] - 150).max() < 2.0
+    found = with_rim_dots(dots, rim)
+    errors = found.centers_px[np.lexsort(found.number.T)] - places[np.lexsort(number.T)]
+    near = (np.abs(errors - 0.1).max(axis=1) > 1e-9) & ~found.is_cut[np.lexsort(found.number.T)]
+    assert np.count_nonzero(near) >= 18
+    assert np.abs(errors[near]).max() < 0.08
