@@ -170,6 +170,18 @@ def test_filled_marks_as_in_the_thesis() -> None:
         dark_corners(np.full((300, 300), 100, np.uint8))
 
 
+# --- crops whose places go by the index -----------------------------------------------------------------------------
+
+
+def test_places_in_the_middle_of_a_crop_by_index_are_open_by_seven_tenths_of_a_pixel() -> None:
+    """Where the diagonals cross: each corner moves the crossing by half of what it moves across its own diagonal."""
+    crop = whole_image(np.zeros((200, 200), dtype=np.uint8), CORNERS_M, by_index=True)
+    width_m, height_m = np.ptp(np.asarray(CORNERS_M), axis=0)
+    assert crop.view is not None
+    sigma_m = np.sqrt(np.diag(crop.view.covariance_m2(np.mean(np.asarray(CORNERS_M), axis=0))))
+    np.testing.assert_allclose(sigma_m / [width_m / 200, height_m / 200], np.sqrt(0.5), rtol=1e-6)
+
+
 # --- the real frame -------------------------------------------------------------------------------------------------
 
 
