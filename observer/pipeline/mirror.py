@@ -88,7 +88,13 @@ def solve_mirror(inputs: Inputs, seen: SeenInPhotos, photos: Photos, placed: Pla
     expected = replace(inputs.finder.expected, absorber=placed.path)
     together = photos if solution is None else replace(photos, with_tube=solution.with_poses)
     reflector = solve_reflector(
-        seen.edges, together, expected, inputs.column_step_m, inputs.prior, shaped=inputs.shape_from_slopes
+        seen.edges,
+        together,
+        expected,
+        inputs.column_step_m,
+        inputs.prior,
+        shaped=inputs.shape_from_slopes,
+        outward_rad=seen.encodings.outward_rad,
     )
     absorber = reflector.absorber
     nodes = (reflector.grid.x_m, reflector.y_m)

@@ -144,6 +144,7 @@ def solve_reflector(
     prior: Roughness,
     *,
     shaped: bool | None = False,
+    outward_rad: float = 0.0,
 ) -> Reflector:
     """Estimate the slope errors of the mirror.
 
@@ -154,11 +155,12 @@ def solve_reflector(
     prior: What is known of the slope along the trough.
     shaped: Whether the slopes found are integrated to the shape of the mirror and the lines of sight meet that;
         None: estimated from the reflection (`observer.slopes.shape_share`).
+    outward_rad: How far all edges may lie outward together beside what blur does, 1 sigma [rad].
     Returns: Slope errors with covariance, and what became of each edge.
     EstimationError: Too few edges.
     """
     grid = row_grid(expected.collector, expected.y_m.size, step_m)
-    nominal = _Nominal(edges, photos, expected)
+    nominal = _Nominal(edges, photos, expected, outward_rad)
     fate = first_fate(edges, expected.goes_either_way(photos.eyes_m)[edges.photo])
     far = expected.goes_either_way(photos.eyes_m)[edges.photo] & (fate == EdgeFate.USED)
     if far.any():
@@ -183,7 +185,7 @@ def solve_reflector(
         if allowance == 0.0:
             # With the bends as found: where a panel bends by 0.02 / m beside the design, a camera that is 3 mm beside
             # its place moves an edge by 0.1 mrad more.
-            nominal = _Nominal(edges, photos, expected, _bends(edges, present, grid))
+            nominal = _Nominal(edges, photos, expected, outward_rad, _bends(edges, present, grid))
         lines, covariance = _in_round(_lines(nominal, expected, present, grid), nominal, noise, allowance)
         keep = (fate == EdgeFate.USED) & np.isfinite(lines.misfit_rad)
         used = lines.chosen(keep)
@@ -370,10 +372,15 @@ class _Nominal:
     """Edges with what the design's surface suffices for: the noise of their angle and what they have in common."""
 
     def __init__(
-        self, edges: ReflectionEdges, photos: Photos, expected: Expectation, bend_per_m: FloatArray | float = 0.0
+        self,
+        edges: ReflectionEdges,
+        photos: Photos,
+        expected: Expectation,
+        outward_rad: float,
+        bend_per_m: FloatArray | float = 0.0,
     ) -> None:
         focal = expected.collector.focal_length_m
-        self.edges, self._photos, self._expected = edges, photos, expected
+        self.edges, self._photos, self._expected, self._outward_rad = edges, photos, expected, outward_rad
         self.sights = Sights(edges.points_m, photos.eyes_m[edges.photo], edges.side)
         self._found = design_misfit(
             edges.points_m, self.sights.eyes_m, edges.side, expected.collector, expected.absorber
@@ -411,7 +418,15 @@ class _Nominal:
         Where the mirror bends beside the design other movements of a camera matter: its modes are those of the bends.
         """
         modes = reduce_to_modes(self._by_pose, self.edges.photo, self._photos.covariance)
-        return common_unknowns(self.edges, self.sights, self._found, modes, self._expected, self._photos.with_tube)
+        return common_unknowns(
+            self.edges,
+            self.sights,
+            self._found,
+            modes,
+            self._expected,
+            self._photos.with_tube,
+            outward_rad=self._outward_rad,
+        )
 
     @cached_property
     def scatter_square(self) -> FloatArray:

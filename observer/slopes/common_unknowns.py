@@ -27,6 +27,7 @@ import numpy as np
 
 from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.validate import BoolArray, FloatArray, IntArray
+from observer.photo_edges.outward_edges import looks_rad_per_m
 from observer.photo_edges.reflection_edges import ReflectionEdges
 from observer.slopes.pose_modes import CameraModes
 from observer.trough.absorber_path import AbsorberPath
@@ -162,6 +163,8 @@ def common_unknowns(
     modes: CameraModes,
     expected: Expectation,
     with_poses: FloatArray | None = None,
+    *,
+    outward_rad: float = 0.0,
 ) -> CommonUnknowns:
     """Collect what touching lines of sight have in common.
 
@@ -169,6 +172,8 @@ def common_unknowns(
     modes: The unknowns that stand for the poses.
     expected: Collector and the tube's place; it is held where it has no variance.
     with_poses (2 k, 6 n): Covariance of the tube's place with the steps of the poses: wrong targets displace both.
+    outward_rad: How far all edges may lie outward together beside what blur does, 1 sigma, as where it is open how the
+        photos are encoded [rad].
     Returns: Index, derivatives and prior covariance.
     """
     path, collector, m = expected.absorber, expected.collector, edges.photo.size
@@ -178,7 +183,7 @@ def common_unknowns(
     n_photo = n_modes + n_photos
     outward, unit = _outward(edges, sights, found, collector.focal_length_m)
     place = _place(found, path) if n_stations else (np.zeros((m, 0), dtype=np.intp), np.zeros((m, 0)))
-    tube = _tube(found, sights, expected, outward, unit)
+    tube = _tube(found, sights, expected, outward, float(np.hypot(_OUTWARD * unit, outward_rad)))
     panel, lifted, n_panels = _lift_panels(sights, found, expected)
     first_tube = n_photo + 2 * n_stations
     first_panel = first_tube + tube.units.size
@@ -245,12 +250,7 @@ def _outward(edges: ReflectionEdges, sights: Sights, found: Misfit, focal_m: flo
 
     Outward is towards the brighter side.
     """
-    away = sights.eyes_m - sights.points_m
-    distance = np.linalg.norm(away, axis=1)
-    slope = sights.points_m[:, 0] / (2 * focal_m)
-    # How long a step of dx along the mirror looks: its part across the line of sight.
-    along = (away[:, 0] + slope * away[:, 2]) / distance
-    looks = np.sqrt(np.maximum(1 + slope**2 - along**2, 1e-6)) / distance
+    looks = looks_rad_per_m(sights.points_m, sights.eyes_m, focal_m)
     unit = float(np.median(edges.sigma_x_m * looks)) if edges.photo.size else 0.0
     return change_across(sights, found, focal_m) * np.sign(edges.contrast) / looks, unit
 
@@ -276,11 +276,14 @@ class _Tube(NamedTuple):
     units: FloatArray
 
 
-def _tube(found: Misfit, sights: Sights, expected: Expectation, outward: FloatArray, unit: float) -> _Tube:
-    """Return what the tube's own unknowns do to each line."""
+def _tube(found: Misfit, sights: Sights, expected: Expectation, outward: FloatArray, spread_rad: float) -> _Tube:
+    """Return what the tube's own unknowns do to each line.
+
+    spread_rad: How far all edges may lie outward, 1 sigma [rad].
+    """
     collector = expected.collector
     glasses = count_receivers(collector)
-    of_tube = [_RADIUS_SHARE * collector.absorber_diameter_m / 2, _OUTWARD * unit]
+    of_tube = [_RADIUS_SHARE * collector.absorber_diameter_m / 2, spread_rad]
     units = np.array([*of_tube, *[_GLASS_M] * (2 * glasses)])
     receiver = glass_beside_tube(collector, expected.absorber, np.nan_to_num(found.passing_y_m)).receiver
     first = _TUBE_UNKNOWNS + 2 * receiver

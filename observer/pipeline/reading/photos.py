@@ -28,7 +28,15 @@ from observer.photo_edges.tube_bearings import Bearings, tube_bearings
 from observer.photo_edges.views import Shot, View
 from observer.pipeline.reading.photo_poses import PlacedPhoto, place_photo
 from observer.pipeline.reading.target_kinds import TargetKinds
-from observer.pipeline.reading.tone import Encodings, Sample, find_encodings, look_at_tone, sizes_of, some_of
+from observer.pipeline.reading.tone import (
+    Encodings,
+    Sample,
+    between_encodings,
+    find_encodings,
+    look_at_tone,
+    sizes_of,
+    some_of,
+)
 from observer.product.pictures import Slices, empty_slices
 from observer.trough.expectation import Expectation
 from photogrammetry.detection import TargetSearch, measure_at
@@ -600,12 +608,9 @@ def look_again(
     everything = [_renumbered(part, k) for k, part in enumerate(edges)]
     tubes = [_renumbered(part, k) for k, part in enumerate(bearings)]
     together = Bearings(*(np.concatenate([getattr(one, name) for one in tubes]) for name in Bearings.__slots__))
-    return SeenInPhotos(
-        edges_in_poses(joined(everything), before, views, expected),
-        bearings_in_poses(together, before, views, expected),
-        slices,
-        encodings,
-    )
+    moved = edges_in_poses(joined(everything), before, views, expected)
+    placed, encodings = between_encodings(moved, files, views, encodings, expected)
+    return SeenInPhotos(placed, bearings_in_poses(together, before, views, expected), slices, encodings)
 
 
 def _distance_m(first: RigidTransform, second: RigidTransform) -> float:

@@ -2,16 +2,17 @@
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
 from heliogauge.doubts import Doubt
 from heliogauge.flags import SampleFlag
-from heliogauge.images.photos import Image
+from heliogauge.images.photos import Image, read_luma
 from heliogauge.validate import FloatArray
-from observer.photo_edges.reflection_edges import edge_profiles
+from observer.photo_edges.outward_edges import moved_outward, outward_between
+from observer.photo_edges.reflection_edges import ReflectionEdges, edge_profiles, joined, reflection_edges
 from observer.photo_edges.tone import Tone, ToneEvidence, linear_light, log_odds_of_linear, tone_evidence
 from observer.photo_edges.views import Shot, View
 from observer.trough.expectation import Expectation
@@ -30,6 +31,9 @@ _CERTAIN = math.log(100.0)
 _SETTLED = math.log(2.0)
 #: Odds below which the encoding is doubtful, and from which a single photo contradicts the others.
 _CLEAR = math.log(20.0)
+#: Photos that are read in both encodings where it is not clear which is right, and edges that tell how far these are
+#: apart: the median of a hundred is known to a tenth of their scatter.
+_BOTH, _ENOUGH_EDGES = 9, 100
 #: Odds that a JPEG file is encoded for the eye: cameras write no others, programs may.
 _JPEG_ODDS = math.log(100.0)
 
@@ -122,6 +126,16 @@ class Encoding:
     edges: int = 0
     own: Mapping[str, Tone] = field(default_factory=dict)
 
+    @property
+    def is_open(self) -> bool:
+        """Whether it is not clear; photos of two encodings contradict each other in their common odds."""
+        return self.log_odds < _CLEAR and not self.own
+
+    @property
+    def other_probability(self) -> float:
+        """Probability of the other encoding."""
+        return 1 / (1 + math.exp(self.log_odds)) if math.isfinite(self.log_odds) else 0.0
+
     def text(self) -> str:
         """Return a sentence."""
         files = f"{self.kind} files" if self.kind else "photos"
@@ -137,16 +151,26 @@ class Encodings:
     """How the photos of a measurement are encoded.
 
     kinds: Of each kind of file.
+    outward_rad: How far the edges of the reflection may lie outward beside their mean of both encodings where that is
+        not clear, 1 sigma; 0 where it is, or where nothing tells it [rad].
     """
 
     kinds: tuple[Encoding, ...]
+    outward_rad: float = 0.0
+
+    def of(self, name: str) -> Encoding | None:
+        """Return how files like one are encoded."""
+        return next((one for one in self.kinds if name.lower().endswith(one.kind)), None)
 
     def tone_of(self, name: str) -> Tone:
         """Return the encoding of a photo by its name."""
-        for one in self.kinds:
-            if name.lower().endswith(one.kind):
-                return one.own.get(name, one.tone)
-        return Tone.LINEAR
+        one = self.of(name)
+        return Tone.LINEAR if one is None else one.own.get(name, one.tone)
+
+    def other_probability(self, name: str) -> float:
+        """Return the probability that a photo has the other encoding; 0 where it is clear."""
+        one = self.of(name)
+        return one.other_probability if one is not None and one.is_open else 0.0
 
     def text(self) -> str:
         """Return it in words."""
@@ -155,19 +179,60 @@ class Encodings:
     @property
     def doubts(self) -> tuple[Doubt, ...]:
         """What is not clear of it."""
-        # Photos of two encodings contradict each other in their common odds: each was judged by itself.
-        found = [_unclear(one) for one in self.kinds if one.log_odds < _CLEAR and not one.own]
+        found = [_unclear(one, self.outward_rad) for one in self.kinds if one.is_open]
         return (*found, *(_differing(one) for one in self.kinds if one.own))
 
 
-def _unclear(one: Encoding) -> Doubt:
-    odds = math.exp(one.log_odds)
+def _unclear(one: Encoding, outward_rad: float) -> Doubt:
+    held = "slopes are twice as wrong"
+    if outward_rad > 0:
+        held = (
+            "its edges lie elsewhere: they were put between both by their odds, and what that leaves open, "
+            f"{1e6 * outward_rad:.2g} urad of each edge, is part of the sigmas"
+        )
     return Doubt(
         "encoding_unclear",
         f"{one.text()}: that is not certain. With the wrong encoding the tube looks 1.4 % thicker or thinner and "
-        'slopes are twice as wrong; state [images] encoding = "linear" or "srgb", or the targets\' diameter_mm',
-        {"encoding_odds_factor": odds},
+        f'{held}; state [images] encoding = "linear" or "srgb", or the targets\' diameter_mm',
+        {"encoding_odds_factor": math.exp(one.log_odds), "edges_outward_rad": outward_rad},
     )
+
+
+def between_encodings(
+    edges: ReflectionEdges,
+    files: Sequence[Path],
+    views: Sequence[View],
+    encodings: Encodings,
+    expected: Expectation,
+) -> tuple[ReflectionEdges, Encodings]:
+    """Put edges between where both encodings have them, by the odds, where it is not clear which is right.
+
+    edges: As found with the likelier encoding, in the poses of the views.
+    files, views: All photos.
+    Returns: Edges; and the encodings with what that leaves open.
+    InputError: A photo cannot be read.
+
+    The encoding is one unknown of two values. Their mean and variance stand for it: in the adjustment it is the
+    displacement that all edges have outward in common, which the reflection itself tells in part.
+    """
+    probability = np.array([encodings.other_probability(file.name) for file in files])
+    unclear = np.flatnonzero(probability > 0)
+    if unclear.size == 0:
+        return edges, encodings
+    others = []
+    for number in unclear[
+        np.unique(np.linspace(0, unclear.size - 1, min(unclear.size, _BOTH)).round().astype(np.intp))
+    ]:
+        tone = Tone.LINEAR if encodings.tone_of(files[number].name) is Tone.SRGB else Tone.SRGB
+        shot = Shot(linear_light(read_luma(files[number]), tone), int(number), views[number])
+        others += reflection_edges([shot], expected)
+    eyes, focal = np.array([one.eye_m for one in views]), expected.collector.focal_length_m
+    apart = outward_between(edges, joined(others), eyes, focal)
+    if apart.size < _ENOUGH_EDGES:
+        return edges, encodings
+    by_rad = float(np.median(apart))
+    left = abs(by_rad) * float(np.sqrt(probability * (1 - probability)).max())
+    return moved_outward(edges, by_rad * probability, eyes, focal), replace(encodings, outward_rad=left)
 
 
 def _differing(one: Encoding) -> Doubt:

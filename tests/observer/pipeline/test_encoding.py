@@ -14,7 +14,7 @@ from heliogauge.running.progress import SilentProgress
 from observer.photo_edges.tone import Tone, ToneEvidence, tone_evidence
 from observer.pipeline.inputs import Inputs, read_inputs
 from observer.pipeline.reading.photos import look_first
-from observer.pipeline.reading.tone import Encodings, find_encodings
+from observer.pipeline.reading.tone import Encoding, Encodings, find_encodings
 
 NO_EDGES = np.zeros((0, 13))
 LINEAR, SRGB, NOTHING = (1.0, 1.08), (0.93, 1.0), None
@@ -75,6 +75,15 @@ def test_what_nothing_shows_is_said_and_jpeg_are_made_for_the_eye() -> None:
     # Photos overrule the kind of file.
     encodings, _ = found({f"{k}.jpg": LINEAR for k in range(9)})
     assert encodings.tone_of("0.jpg") is Tone.LINEAR
+
+
+def test_the_other_encoding_has_what_the_odds_leave_it() -> None:
+    unclear = Encodings((Encoding(".png", Tone.SRGB, float(np.log(3.0))), Encoding(".jpg", Tone.SRGB, 4.0)))
+    assert unclear.other_probability("1.PNG") == pytest.approx(0.25)
+    # Clear, stated, or each photo judged by itself.
+    mixed = Encoding("", Tone.LINEAR, 0.1, own={"2.tif": Tone.SRGB})
+    for one in (unclear, Encodings((Encoding("", Tone.LINEAR),)), Encodings((mixed,))):
+        assert one.other_probability("1.jpg") == 0
 
 
 def test_kinds_of_files_in_one_folder_are_judged_apart() -> None:
