@@ -5,9 +5,11 @@ the later one's, as the README of the data says; that shift alone is taken off),
 AA39 with the sun. Needs ../shared/data/csp. Nothing here was chosen by what it gives: settings are the commands' own.
 """
 
+import json
 import sys
 from collections import Counter
 
+import cv2
 import numpy as np
 from _measure import ROOT, StageClock, row, title
 
@@ -15,7 +17,11 @@ import heliogauge as hg
 from calibration.beam import Options, run
 from calibration.beam.light import BeamFlag
 from calibration.beam.pipeline import CompareOptions, compare
+from heliogauge.geometry.geodesy import enu_from_geodetic
+from heliogauge.geometry.target_planes import PlaneTarget
 
+TOWER, RECORD = "tower-measurements.json", "calibration-properties.json"
+CORNERS = ("upper_left", "upper_right", "lower_right", "lower_left")
 CSP = ROOT.parent / "shared" / "data" / "csp"
 #: Longitude by which the early release's labels stand aside [deg]; metres at the plant.
 SHIFT_M = np.radians(2.31243e-5) * 6.3906e6 * np.cos(np.radians(50.9134))
@@ -65,6 +71,64 @@ def centres():
     line("all", *(np.concatenate(one) for one in zip(*everything, strict=True)))
 
 
+#: Left, top and right, bottom of the marks by the plant's published code (github.com/ARTIST-Association/PAINT,
+#: paint/util/paint_mappings.py): east and up of the field's origin, rounded to centimetres.
+_MARKS = {
+    "solar_tower_juelich_upper": ((4.32, 46.70), (-4.30, 39.48)),
+    "solar_tower_juelich_lower": ((4.33, 39.49), (-4.29, 32.27)),
+    "multi_focus_tower": ((-14.88, 55.17), (-20.29, 48.78)),
+}
+
+
+def convention():
+    """Read labels back into shares of the crop, as the plant's published code has made them.
+
+    A label is the mean index over the number of pixels, on the rounded marks, moved along their mean sides
+    (focal_spot_extractor.py); labels of AA39 were then turned into latitude and longitude as Gauss-Krueger coordinates
+    (generate_calibration_stacs.py), whose north is 0.301 degrees off: all labels of a target have one north coordinate
+    after that turn, and 8 to 15 mm of it before.
+    """
+    title("Labels as the plant's code makes them: centres in shares of the crop", ("median", "farthest", "ratio"))
+    for name, folder, early in (
+        ("AA39", CSP / "juelich_surface" / "AA39" / "beams", True),
+        ("AA23", CSP / "juelich_beam_images", False),
+    ):
+        result, used = measured(folder)
+        tower = json.loads(
+            next(one for one in (folder, *folder.parents) if list(one.glob(TOWER))).joinpath(TOWER).read_text()
+        )
+        latitude, longitude, height = tower["power_plant_properties"]["coordinates"]
+        turn = np.radians(longitude - 6) * np.sin(np.radians(latitude)) if early else 0.0
+        offsets, norths = [], {}
+        for file, target, x, y in zip(
+            result.beams.files, result.beams.targets, result.beams.x_m, result.beams.y_m, strict=True
+        ):
+            record = json.loads((folder / f"{file.name.split('_')[0].split('-')[0]}-{RECORD}").read_text())
+            spot = np.array(record["focal_spot"]["UTIS"]) + ([4.894e-7, 2.31243e-5, 0.0] if early else [0.0, 0.0, 0.0])
+            east, north, _ = enu_from_geodetic(*spot, (latitude, longitude, height))
+            true_north = np.sin(turn) * east + np.cos(turn) * north
+            norths.setdefault(target, []).append((north, true_north))
+            east = np.cos(turn) * east - np.sin(turn) * north
+            (left, top), (right, bottom) = _MARKS[target]
+            label = [(east - left) / (right - left), (top - (spot[2] - height)) / (top - bottom)]
+            corners = tower[target]["coordinates"]
+            places = [enu_from_geodetic(*corners[one], (latitude, longitude, height)) for one in CORNERS]
+            plane = PlaneTarget.from_corners(target, np.array(places))
+            seen = plane.coordinates(np.array(places)).astype(np.float32)
+            crop = cv2.getPerspectiveTransform(seen, np.array([[0, 0], [1, 0], [1, 1], [0, 1]], dtype=np.float32))
+            ours = crop @ [x, y, 1.0]
+            offsets.append((ours[:2] / ours[2] - label) * [left - right, bottom - top])
+        offsets, sigma = np.array(offsets), result.beams.sigma_m
+        line(f"{name}, {used.sum()} photos", offsets[used], sigma[used])
+        before, after = (max(float(np.ptp(np.array(one)[:, k])) for one in norths.values()) for k in (0, 1))
+        row(
+            f"{name}: range of north coordinates, as published; turned",
+            f"{1e3 * before:.1f} mm",
+            f"{1e3 * after:.2f} mm",
+            "",
+        )
+
+
 def sizes():
     title("D90 of five crops of AA23 with background, against the plant's flux", ("ours", "plant's", "off/sigma"))
     folder = CSP / "juelich_beam_images"
@@ -107,6 +171,6 @@ def traced() -> None:
 
 
 if __name__ == "__main__":
-    studies = {one.__name__: one for one in (centres, sizes, traced)}
+    studies = {one.__name__: one for one in (centres, convention, sizes, traced)}
     for each in sys.argv[1:] or studies:
         studies[each]()
