@@ -44,15 +44,21 @@ _MOST_ITERATIONS = 12
 _ENOUGH_PIXELS = 900
 
 
+#: Blocks of an empty target along each side that are compared: as large as panels.
+_UNEVEN_BLOCKS = 6
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class TargetSurface:
     """Pattern of a target without a beam, averaged over frames.
 
     values_dn (h, w): Mean of the frames [DN].
+    uneven_share: Scatter of the reflectance from panel to panel, as a share of it.
     """
 
     values_dn: FloatArray
     n_frames: int
+    uneven_share: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -104,7 +110,45 @@ def empty_target(frames_dn: Sequence[npt.NDArray[np.generic]]) -> TargetSurface:
     scaled = np.array([frame * (levels[0] / level) for frame, level in zip(frames, levels, strict=True)])
     counts = np.isfinite(scaled).sum(axis=0)
     mean = np.where(counts > 0, np.nansum(scaled, axis=0) / np.maximum(counts, 1), np.nan)
-    return TargetSurface(freeze(mean), len(frames))
+    return TargetSurface(freeze(mean), len(frames), _uneven_share(mean))
+
+
+def _uneven_share(values_dn: FloatArray) -> float:
+    """Return by how much panels of an empty target differ, as a share, 1 sigma of one.
+
+    Neighbouring blocks are compared, and half of the differences may be anything: the edge of a shadow crosses few of
+    them. Panels that are long in one direction differ across the other: the direction that differs more counts.
+    """
+    height, width = values_dn.shape
+    rows, columns = (np.linspace(0, size, _UNEVEN_BLOCKS + 1).astype(int) for size in (height, width))
+    levels = np.full((_UNEVEN_BLOCKS, _UNEVEN_BLOCKS), np.nan)
+    noise = levels.copy()
+    for i in range(_UNEVEN_BLOCKS):
+        for j in range(_UNEVEN_BLOCKS):
+            block = values_dn[rows[i] : rows[i + 1], columns[j] : columns[j + 1]]
+            known = block[np.isfinite(block)]
+            if known.size < 0.5 * block.size or known.size < 16:
+                continue
+            middle = float(np.median(known))
+            scatter = max(1.4826 * float(np.median(np.abs(known - middle))), 1e-3 * abs(middle), 1e-12)
+            kept = known[np.abs(known - middle) < 3 * scatter]
+            if middle > 0:
+                levels[i, j] = np.log(max(float(kept.mean()), 1e-12))
+                # Rectified pixels share those of the photo: four count as one.
+                noise[i, j] = 4 * (scatter / middle) ** 2 / kept.size
+    found = 0.0
+    for axis in (0, 1):
+        steps = np.diff(levels, axis=axis)
+        if np.isfinite(steps).sum() < 0.7 * steps.size or not np.isfinite(steps).any(axis=0).all():
+            continue
+        # Daylight bends: what steps of a row, and then of a column, have in common is no panel.
+        steps = steps - np.nanmedian(steps, axis=0)
+        common = [float(np.median(row[np.isfinite(row)])) if np.isfinite(row).any() else 0.0 for row in steps]
+        away = np.abs(steps - np.array(common)[:, None])
+        spare = steps.size / (steps.size - sum(steps.shape))
+        square = (1.4826 * float(np.nanmedian(away))) ** 2 * spare / 2 - float(np.nanmedian(noise))
+        found = max(found, float(np.sqrt(max(square, 0.0))))
+    return found
 
 
 def seams_of(empty_dn: FloatArray) -> FloatArray:

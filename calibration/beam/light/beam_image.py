@@ -49,6 +49,9 @@ _SATURATION = 0.998
 #: drawn beams of 60 heliostats with canting errors and slanting sun (coma; `tests/recovery/test_beam_middle.py`),
 #: rounded up for vignetting, which moves the beams of `tests/recovery/test_beam_photos.py` by at most 3 mm.
 _MIDDLE_SHARE = 0.008
+#: How far panels of other reflectance pull the centre, over their scatter and the beam's RMS width: of a beam that a
+#: seam halves, sqrt(2 / pi) / sqrt(2).
+_PANEL_PULL = 0.56
 #: Rounds in which a beam's skirts and the background are told apart, and the change that ends them, of the peak.
 _SKIRT_ROUNDS, _SKIRT_SETTLED = 6, 0.002
 #: Of what reflects less than this share of the target around it, the beam's light is not known.
@@ -232,6 +235,7 @@ class _Picture:
     empty: FloatArray | None
     stretch: FloatArray
     reflectance: FloatArray | None
+    uneven_share: float = 0.0
 
 
 def _prepared(
@@ -256,6 +260,8 @@ def _prepared(
         pattern,
         np.array([width / shape[1], height / shape[0]]),
         _relative(reflectance, pattern, shape),
+        # A map has the panels' reflectance.
+        empty.uneven_share if empty is not None and reflectance is None else 0.0,
     )
 
 
@@ -335,7 +341,7 @@ def _measured(image: TargetImage, picture: _Picture, region: BeamRegion, setting
         return no_beam(BeamFlag.NO_BEAM)
     axes = _axes(image, picture, spot, centroids["intensity"].position_px)
     moments, widths = _moments(spot, axes)
-    chosen = _with_shape(settings.method, estimates, moments)
+    chosen = _with_shape(settings.method, estimates, moments, picture.uneven_share)
     saturated = float(picture.saturated[spot.inside].mean())
     edge = _edge_share(region)
     flags = _flags(region, settings, saturated, edge)
@@ -416,8 +422,12 @@ def _estimates(
     return found
 
 
-def _with_shape(method: str, estimates: dict[str, SpotEstimate], moments: BeamMoments) -> SpotEstimate:
+def _with_shape(
+    method: str, estimates: dict[str, SpotEstimate], moments: BeamMoments, uneven_share: float
+) -> SpotEstimate:
     """Add to the covariance what a lopsided beam's centre depends on the method, and what any centroid leaves open.
+
+    Panels that reflect more or less than others are among what it leaves open.
 
     One difference of two places is often near zero by chance; both directions of all methods know the scatter better.
     """
@@ -426,7 +436,8 @@ def _with_shape(method: str, estimates: dict[str, SpotEstimate], moments: BeamMo
     noise = float(np.mean([np.trace(one.covariance_m2) / 2 for one in estimates.values()]))
     scatter = float(places.var(axis=0, ddof=1).mean()) if len(places) > 1 else 0.0
     covariance = chosen.covariance_m2 + max(0.0, scatter - noise) * np.eye(2)
-    return replace(chosen, covariance_m2=freeze(covariance + _MIDDLE_SHARE**2 * moments.covariance_m2))
+    share = _MIDDLE_SHARE**2 + (_PANEL_PULL * uneven_share) ** 2
+    return replace(chosen, covariance_m2=freeze(covariance + share * moments.covariance_m2))
 
 
 def _axes(image: TargetImage, picture: _Picture, spot: Spot, centroid: FloatArray) -> tuple[FloatArray, FloatArray]:
