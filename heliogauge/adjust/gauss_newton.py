@@ -171,7 +171,8 @@ def minimise(
             return _stalled(state, here, system, iteration + 1)
         if gain > 1e-4:
             state, here = trial_state, there
-            damping *= _DAMPING_DOWN if gain > 0.25 else 1.0
+            # A step that keeps little of its promise went too far: undamped ones may hop across a minimum for ever.
+            damping = damping * _DAMPING_DOWN if gain > 0.25 else max(damping, 1e-9) * _DAMPING_UP
             system = here.system(system.scale)
             reason = _stop(system, here, first_cost, options)
         else:

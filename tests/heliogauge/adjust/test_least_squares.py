@@ -304,3 +304,21 @@ class TestPose:
         chart = Chart(retract, lambda turn: np.array([np.arctan2(turn[1, 0], turn[0, 0])]))
         solution = solve(Problem(("angle_rad",), evaluate, chart), rotation_from_vector([0, 0, 3.0]))
         assert solution.value("angle_rad") == pytest.approx((3.1 + 3.0 + 2 * np.pi - 3.1) / 3)
+
+
+@pytest.mark.parametrize("bend", [0.585, 0.592, 0.6, 0.65, 0.8, 1.5])
+def test_steps_that_hop_across_the_minimum_are_shortened(bend: float) -> None:
+    """Where residuals bend as much as they slope, an undamped step goes to the other side of the minimum.
+
+    The minimum is at 0.3; undamped steps multiply the way to it by about -1. Steps that kept little of their promise
+    were accepted without shortening the next, and none of these six was there after 90.
+    """
+    place = 0.3 + 2 * 0.3 * (bend + 0.09)
+
+    def evaluate(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return np.array([x[0] - place, bend + x[0] ** 2]), np.array([[1.0], [2 * x[0]]])
+
+    problem = Problem(("x",), evaluate, VECTOR)
+    solution = solve(problem, np.array([0.4]), options=Options(max_iterations=90, tolerance=1e-6))
+    assert solution.converged, solution.reason
+    assert solution.parameters[0] == pytest.approx(0.3, abs=1e-5)
