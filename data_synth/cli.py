@@ -140,9 +140,11 @@ def deflectometry(
             print(folder)
         return
     if preset == "tower":
-        from data_synth.fringes.tower import KNOWLEDGE, tower_scene
+        from data_synth.fringes.tower import SIGMA_PLACE_MM, tower_knowledge, tower_scene
 
-        write_dataset(folder, tower_scene(), DatasetOptions(seed, KNOWLEDGE, force=force))
+        write_dataset(
+            folder, tower_scene(), DatasetOptions(seed, tower_knowledge(sigma_place_mm=SIGMA_PLACE_MM), force=force)
+        )
         if not quiet:
             print(folder)
         return

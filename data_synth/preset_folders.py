@@ -4,7 +4,7 @@ from pathlib import Path
 
 from data_synth.acceptance import write_tests_folder
 from data_synth.fringes import DatasetOptions, preset_scene, write_dataset
-from data_synth.fringes.tower import KNOWLEDGE, tower_scene
+from data_synth.fringes.tower import SIGMA_PLACE_MM, tower_knowledge, tower_scene
 from data_synth.heliostats import (
     BenchOptions,
     HeliostatChoice,
@@ -48,7 +48,12 @@ def deflectometry(
         write_gazing(folder, gazing_preset(preset, seed), seed, force=force)
         return
     if preset == "tower":
-        write_dataset(folder, tower_scene(), DatasetOptions(seed, KNOWLEDGE, force=force), progress)
+        write_dataset(
+            folder,
+            tower_scene(),
+            DatasetOptions(seed, tower_knowledge(sigma_place_mm=SIGMA_PLACE_MM), force=force),
+            progress,
+        )
         return
     if preset in ("screen-dots", "screen-rims"):
         choice = ScreenChoice("dots" if preset == "screen-dots" else "rims", seed)

@@ -269,6 +269,22 @@ class DistanceSection(Section):
     )
 
 
+class PlaceSection(Section):
+    """Where a survey has a point of the mirror, in the screen's frame: it tells the sight better than the lens does."""
+
+    place_m: Vector3 = Field(description="The point in the screen's frame: x right, y up, z to the viewer [m].")
+    sigma_mm: Sigma3 = Field(description="1 sigma of each coordinate; one number stands for three [mm].")
+    point_m: Vector3 = Field(
+        (0.0, 0.0, 0.0), description="The point in the mirror's frame whose place was surveyed [m]."
+    )
+
+    @model_validator(mode="after")
+    def _uncertain(self) -> Self:
+        if not min(self.sigma_mm) > 0:
+            raise ValueError("sigma_mm: no survey is exact; give more than 0 for each coordinate")
+        return self
+
+
 class KnownPointSection(Section):
     """A point with known coordinates in the mirror's frame that was measured in the image."""
 
@@ -326,6 +342,9 @@ class MirrorSection(DesignKeys):
     )
     pose: PoseSection | None = Field(None, description="A pose measured otherwise; replaces the adjustment.")
     distance: DistanceSection | None = Field(None, description="Distance from mirror to screen, for the adjustment.")
+    place: PlaceSection | None = Field(
+        None, description="Surveyed place of a point of the mirror in the screen's frame; for far mirrors."
+    )
     known_point: tuple[KnownPointSection, ...] = Field(
         (), description="Points of the mirror that were measured in the image."
     )

@@ -24,6 +24,8 @@ class Knowledge:
     sigma_focal_px, sigma_center_px: Errors of the camera, independent in x and y as measurement.toml has it.
     response: Give the response of camera and display (as measured with grey steps) in response.csv.
     roll_deg: How the mirror is turned in the image.
+    sigma_place_mm: Error of each coordinate of the surveyed place of the mirror's origin in the wall's frame; 0: no
+        survey of it.
     """
 
     pose_known: bool = False
@@ -38,6 +40,7 @@ class Knowledge:
     sigma_center_px: float = 0.0
     response: bool = False
     roll_deg: float = 0.0
+    sigma_place_mm: float = 0.0
 
     def __post_init__(self) -> None:
         for name in self.__dataclass_fields__:
@@ -146,6 +149,10 @@ def _mirror(scene: FringeScene, knowledge: Knowledge, rng: np.random.Generator) 
     known: dict[str, Any] = {"pose": pose} if knowledge.pose_known else {"distance": distance}
     if knowledge.roll_deg:
         known["roll_deg"] = knowledge.roll_deg
+    if knowledge.sigma_place_mm:
+        place = bench.cam_from_wall.inverse().apply(bench.cam_from_mirror.translation_m)
+        error = 1e-3 * knowledge.sigma_place_mm * rng.standard_normal(3)
+        known["place"] = {"place_m": place + error, "sigma_mm": knowledge.sigma_place_mm}
     if len(facets) == 1:
         return {**_design(facets[0]), "outline_m": facets[0].outline_m, **known}
     listed = [

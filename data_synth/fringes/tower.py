@@ -10,7 +10,7 @@ from data_synth.fringes.scene import FringeScene, Lighting
 from data_synth.optics.mirror import Design, SyntheticFacet
 from data_synth.optics.pinhole import PinholeCamera
 from data_synth.optics.sensor import Sensor
-from data_synth.optics.surface_errors import Polynomial, SurfaceErrors
+from data_synth.optics.surface_errors import Kink, Polynomial, SurfaceErrors
 from data_synth.optics.trace import Bench
 from data_synth.optics.wall import Wall
 from deflectometry.setup import make_pattern
@@ -36,9 +36,17 @@ KNOWLEDGE = Knowledge(
 )
 
 
-def tower_knowledge(scale: float = 1.0) -> Knowledge:
-    """Return what a survey knows, the lens in the pixels of a camera that has fewer of them."""
-    return replace(KNOWLEDGE, sigma_focal_px=scale * 20.0, sigma_center_px=scale * 5.0)
+#: A surveyed pivot of a heliostat [mm].
+SIGMA_PLACE_MM = 5.0
+
+
+def tower_knowledge(scale: float = 1.0, *, sigma_place_mm: float = 0.0) -> Knowledge:
+    """Return what a survey knows, the lens in the pixels of a camera that has fewer of them.
+
+    sigma_place_mm: Of the heliostat's own place; 0: not surveyed.
+    """
+    known = replace(KNOWLEDGE, sigma_focal_px=scale * 20.0, sigma_center_px=scale * 5.0)
+    return replace(known, sigma_place_mm=sigma_place_mm)
 
 
 #: Canting of a facet beyond this looks past the target in part of it [rad].
@@ -68,6 +76,29 @@ def tower_scene(*, scale: float = 1.0, turned_away_rad: float = 0.0) -> FringeSc
     scene = _at_night("heliostat from the tower", tuple(facets), scale)
     if turned_away_rad == 0.0:
         check_screen_covers(scene)
+    return scene
+
+
+#: Deviations of UNAM's facet of 1.5 m x 1 m from a plane, horizontally and vertically [rad].
+UNAM_SIGMA_RAD = (2.41e-3, 2.18e-3)
+#: Width of the bend: a hundredth of the facet's.
+_BEND_M = 0.015
+
+
+def unam_scene(*, scale: float = 1.0) -> FringeScene:
+    """Return UNAM's field fringe reflection: one facet, bent about a vertical line, 201 m away (C-23, V-42, V-43).
+
+    The map itself was never published: a bend with the rims back, by which its one facet threw two spots, and a bow
+    over its height have the published deviations from a plane, 2.41 and 2.18 mrad.
+    """
+    half_height = 0.5
+    # Over half of the facet, of width w, a slope of a tanh(x / b) has the mean square a^2 (1 - b / w tanh(w / b)).
+    bend = UNAM_SIGMA_RAD[0] / float(np.sqrt(1 - _BEND_M / 0.75))
+    bow = UNAM_SIGMA_RAD[1] * float(np.sqrt(3.0)) / (2 * half_height)
+    errors = SurfaceErrors((Kink(-bend, _BEND_M), Polynomial([(0, 2, bow)])))
+    facet = SyntheticFacet("bent facet", rectangle(1.5, 2 * half_height), Design("plane", {}), errors)
+    scene = _at_night("bent facet at 201 m", (facet,), scale)
+    check_screen_covers(scene)
     return scene
 
 

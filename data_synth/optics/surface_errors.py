@@ -183,6 +183,35 @@ class EdgeTurnDown:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Kink:
+    """A bend about a straight line: on both sides of it the surface is tilted, the rim forward where positive.
+
+    slope_rad: Slope far from the line, away from it [rad].
+    width_m: Distance over which the slope changes sign, as of a hyperbolic tangent [m].
+    direction_rad: Direction across the line, from x towards y [rad].
+    offset_m: Distance of the line from the origin, along that direction [m].
+    """
+
+    KIND: ClassVar[str] = "kink"
+    slope_rad: float
+    width_m: float
+    direction_rad: float = 0.0
+    offset_m: float = 0.0
+
+    def __post_init__(self) -> None:
+        positive("kink width_m", self.width_m, "metres")
+
+    def evaluate(self, x_m: FloatArray, y_m: FloatArray) -> HeightAndSlopes:
+        """Return height [m], slope_x and slope_y [rad] at points (x, y) [m]."""
+        along_x, along_y = np.cos(self.direction_rad), np.sin(self.direction_rad)
+        place = (along_x * np.asarray(x_m) + along_y * np.asarray(y_m) - self.offset_m) / self.width_m
+        # log(2 cosh p) without overflow.
+        height = self.slope_rad * self.width_m * np.logaddexp(place, -place)
+        slope = self.slope_rad * np.tanh(place)
+        return HeightAndSlopes(height, along_x * slope, along_y * slope)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class HeightGrid:
     """Heights on a grid, as from a file, joined by a bicubic spline whose own gradient is the slope.
 
@@ -215,7 +244,7 @@ class HeightGrid:
 
 
 _KINDS: dict[str, type[Any]] = {
-    term.KIND: term for term in (Polynomial, Zernike, Ripple, Dimple, EdgeTurnDown, HeightGrid)
+    term.KIND: term for term in (Polynomial, Zernike, Ripple, Dimple, EdgeTurnDown, Kink, HeightGrid)
 }
 
 

@@ -8,7 +8,7 @@ from deflectometry.keys import CameraSection, KnownPointSection, MirrorSection
 from heliogauge.measurement.models import Section, Sigma, Text, Vector3
 
 #: Keys of a mirror before a screen that a heliostat in its field does not have.
-_OF_BENCHES = ("pose", "distance", "known_point", "roll_deg", "outline_sigma_mm")
+_OF_BENCHES = ("pose", "distance", "place", "known_point", "roll_deg", "outline_sigma_mm")
 
 
 class HeliostatSection(MirrorSection):

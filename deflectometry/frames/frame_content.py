@@ -22,6 +22,11 @@ _CONTRADICTION_TURNS = 0.12
 _LEAST_VIEW_RAD = 2 * TURN_RAD
 
 
+#: Standard deviations of what is expected before: light of a frame, its wave (unknown), the wave's first harmonic.
+_SIGMA_PRIORS = np.array([0.1, np.inf, np.inf, 0.3, 0.3])
+_HAS_PRIOR = np.isfinite(_SIGMA_PRIORS)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class FrameSample:
     """Pixels that show fringes, thinned out.
@@ -230,7 +235,7 @@ def frame_content(
         # Weak priors: light 1 +- 0.1, harmonics 0 +- 0.3, against 2 % of systematic misfit. Where only a third of a
         # fringe is in view, the five waves are nearly dependent, and a misfit of 1 % turned a step by 90 deg.
         systematic = light.shape[1] * (0.02 * float(np.median(own))) ** 2
-        weight = systematic / np.array([0.01, np.inf, np.inf, 0.09, 0.09])
+        weight = systematic / np.square(_SIGMA_PRIORS)
         inverse = np.linalg.pinv(basis @ basis.T + np.diag(weight))
         coefficients = (light @ basis.T + weight * np.array([1.0, 0, 0, 0, 0])) @ inverse
         left = light - coefficients @ basis
@@ -245,7 +250,10 @@ def frame_content(
         sigma[:, j] = np.sqrt(spread * 0.5 * (inverse[1, 1] + inverse[2, 2])) / size
         exposure[position] = coefficients[position, 0]
         contrast[position] = size[position] if np.ptp(angle) > _LEAST_VIEW_RAD else np.nan
-        sigma_exposure[position] = np.sqrt(spread[position] * inverse[0, 0])
+        # Where the view does not tell light from waves (a bent facet shows two places of the display), the prior does,
+        # and is as uncertain as it says.
+        by_prior = ((inverse[0] * weight)[_HAS_PRIOR] * _SIGMA_PRIORS[_HAS_PRIOR]) ** 2
+        sigma_exposure[position] = np.sqrt(spread[position] * inverse[0, 0] + by_prior.sum())
         planned = np.median(size[position]) * own * np.cos(angle - fringes.steps_rad[:, None])
         misfit[position] = (light[position] - offset - planned).std(axis=1) / (planned.std() + 1e-12)
         # The best frame of the set gives the usual misfit: where blur or the other sets limit it, all frames share it.

@@ -17,19 +17,28 @@ from deflectometry.pipeline.headline import (
     numbers_of_maps,
     pose_numbers,
 )
-from deflectometry.pipeline.inputs import build_mounts, check_missing_sigmas, check_screen, inputs_without_sigma
+from deflectometry.pipeline.inputs import (
+    build_mounts,
+    build_place,
+    check_missing_sigmas,
+    check_screen,
+    describe_mirror,
+    inputs_without_sigma,
+)
+from deflectometry.pipeline.mean_normal import mean_normal, turns_by_inputs, words_of_normal
 from deflectometry.pipeline.plausibility import implausible, refuse_impossible, size_doubt
 from deflectometry.pipeline.result import Result
 from deflectometry.pipeline.setup_test import contradiction_of_setup, with_camera_contained
 from deflectometry.pipeline.stated_inputs import stated_inputs, unconfirmed_note, with_sigmas_of_images
-from deflectometry.pose.find_pose import MirrorInput
+from deflectometry.pose.find_pose import MirrorInput, find_pose
+from deflectometry.pose.surveyed_place import setup_with_place
 from deflectometry.setup.camera_and_screen import Setup
 from deflectometry.setup.screen_table import check_beyond_table
 from deflectometry.shape.assemble import assemble_maps
 from deflectometry.shape.facet_canting import canting_of_facets, doubt_of_canting
 from deflectometry.sources.source import Source
 from heliogauge.doubts import Doubt, gather_doubts
-from heliogauge.errors import FailurePicture, showing
+from heliogauge.errors import FailurePicture, InputError, showing
 from heliogauge.results.folder import hash_files
 from heliogauge.running.progress import Progress
 from heliogauge.short_repr import ShortRepr
@@ -64,14 +73,31 @@ class SourceMeasurement(ShortRepr):
     is_adjusted: bool = False
 
 
+def _with_place(ready: SourceMeasurement, progress: Progress) -> tuple[Setup, MirrorInput, Doubt | None]:
+    """Return camera, screen and mirror after the surveyed place of the mirror was heard, where there is one.
+
+    InputError: Several poses, which find camera and screen by themselves.
+    """
+    place = build_place(ready.measurement.model.mirror)
+    if place is None:
+        return ready.setup, ready.mirror, None
+    if ready.is_adjusted:
+        raise InputError("mirror.place: several poses find camera and screen by themselves; leave it out there")
+    with progress.stage("surveyed place"):
+        located = find_pose(ready.source, ready.setup, ready.mirror)
+        placed = setup_with_place(ready.setup, located.pose, place)
+    return placed.setup, describe_mirror(ready.measurement, placed.setup), placed.doubt
+
+
 def measure_source(ready: SourceMeasurement, progress: Progress) -> Result:
     """Evaluate the images of one source and judge the result.
 
     Returns: Maps, samples, poses and doubts.
     EstimationError: No mirror, no slopes, or a result that contradicts itself.
     """
-    measurement, setup, mirror, choices = ready.measurement, ready.setup, ready.mirror, ready.choices
+    measurement, choices = ready.measurement, ready.choices
     with showing(ready.pictures):
+        setup, mirror, of_place = _with_place(ready, progress)
         evaluation = evaluate_source(ready.source, setup, mirror, choices, progress)
     refuse_impossible(setup, evaluation.solution.cam_from_mirror)
     with progress.stage("stated inputs"):
@@ -97,9 +123,16 @@ def measure_source(ready: SourceMeasurement, progress: Progress) -> Result:
         numbers_by_facet = numbers_of_maps(maps, evaluation.maps, cantings)
         numbers |= joined_curl(evaluation.fine_maps, curls)
         numbers_by_facet = {name: one | curls[name] for name, one in numbers_by_facet.items()}
+        normal = mean_normal(setup, evaluation)
+        texts = {}
+        if normal is not None:
+            numbers |= normal.numbers()
+            turns = turns_by_inputs(setup, evaluation, inputs)
+            texts["mean normal"] = words_of_normal(normal, turns, is_placed=setup.are_errors_joint)
     doubts = gather_doubts(
         check_screen(measurement, setup.screen),
         ready.doubts,
+        of_place,
         check_missing_sigmas(unstated),
         size_doubt(inputs, unstated),
         evaluation.doubts,
@@ -126,6 +159,7 @@ def measure_source(ready: SourceMeasurement, progress: Progress) -> Result:
         numbers_by_facet,
         cantings,
         inputs,
+        texts,
         name=measurement.model.name,
         doubts=doubts,
         durations_s=dict(progress.durations_s),

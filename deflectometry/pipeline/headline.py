@@ -270,10 +270,22 @@ def headline_text(summary: Summary) -> str:
         f"  best-fit focus   SDx {number('sdx_best_focus_rad')}   SDy {number('sdy_best_focus_rad')}",
         f"  focal length     x {number('focal_length_x_m')}   y {number('focal_length_y_m')}",
         *_canting_lines(summary),
+        *_normal_lines(summary),
         f"  removed          {summary.texts['removed']}",
         f"  measured share   {100 * float(summary.numbers['measured_share'] or 0):.1f} % of the mirror",
     ]
     return "\n".join(lines)
+
+
+def _normal_lines(summary: Summary) -> list[str]:
+    """Return the line about the mean normal of an ensemble."""
+    if not summary.facets or summary.numbers.get("mean_normal_x_rad") is None:
+        return []
+    said = [
+        f"{axis} {number_text(float(summary.numbers[key] or 0.0), summary.numbers[f'sigma_{key}'], 'rad')}"
+        for axis, key in (("x", "mean_normal_x_rad"), ("y", "mean_normal_y_rad"))
+    ]
+    return [f"  mean normal      {'   '.join(said)} from straight into the screen"]
 
 
 def _canting_lines(summary: Summary) -> list[str]:

@@ -21,6 +21,7 @@ from deflectometry.keys import (
 )
 from deflectometry.pose.find_pose import MirrorInput
 from deflectometry.pose.pose_observations import DistanceObservation, Knowledge, KnownPoints, UncertainPose
+from deflectometry.pose.surveyed_place import SurveyedPlace
 from deflectometry.screen_geometry import read_screen
 from deflectometry.setup.camera_and_screen import RectangularScreen, Screen, Setup, TabulatedScreen
 from deflectometry.setup.dot_screen import DotScreen
@@ -259,6 +260,14 @@ def build_knowledge(section: MirrorSection, setup: Setup) -> Knowledge:
         roll_rad=float(np.deg2rad(section.roll_deg)),
         sigma_outline_m=section.outline_sigma_mm * 1e-3,
     )
+
+
+def build_place(section: MirrorSection) -> SurveyedPlace | None:
+    """Build what a survey says of the mirror's place; None where it says nothing."""
+    place = section.place
+    if place is None:
+        return None
+    return SurveyedPlace(np.array(place.place_m), 1e-3 * np.array(place.sigma_mm), np.array(place.point_m))
 
 
 def describe_mirror(measurement: BenchMeasurement, setup: Setup) -> MirrorInput:

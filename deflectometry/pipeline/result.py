@@ -57,6 +57,8 @@ class Result(InstrumentResult):
         Canting of each facet of an ensemble with the moves of its mounts; empty for a single facet.
     inputs : tuple of StatedInput
         What measurement.toml states, and how much the result rests on each.
+    texts : dict of str to str
+        What else is said of the result, by what it is about.
     name : str
         Name of the mirror.
     doubts : tuple of Doubt
@@ -78,6 +80,7 @@ class Result(InstrumentResult):
     facets: dict[str, Numbers]
     cantings: tuple[FacetCanting, ...]
     inputs: tuple[StatedInput, ...]
+    texts: dict[str, str]
 
     def summarise(self) -> Summary:
         """Collect the headline numbers with their sigmas, doubts and provenance."""
@@ -94,6 +97,7 @@ class Result(InstrumentResult):
         }
         if self.cantings:
             texts["canting"] = CANTING_SIGN
+        texts |= self.texts
         return self._summary(
             self.numbers,
             texts,

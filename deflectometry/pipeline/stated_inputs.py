@@ -62,6 +62,7 @@ class StatedInput:
     sd (2, 3): Of SDx and SDy: mean over the mirror of the squared angle [rad^2], of the angle times its change for one
         unit, and of that change squared.
     sigma_changes (3,): Standard deviations of the curvatures and of the twist [1/m].
+    moved: Camera, screen and the mirror's pose with it off by one unit.
 
     Reliability in the sense of Baarda (A testing procedure for use in geodetic networks, 1968): the error of one
     observation that the tests do not find, and what it does to the result.
@@ -82,6 +83,7 @@ class StatedInput:
     changes: FloatArray
     sd: FloatArray
     sigma_changes: FloatArray
+    moved: MovedInput
 
     def sd_changes_rad(self, amount: float) -> FloatArray:
         """Return how SDx and SDy change by an amount, shape (2,) [rad]."""
@@ -143,6 +145,7 @@ def stated_inputs(setup: Setup, evaluation: Evaluation) -> tuple[StatedInput, ..
                 changes,
                 sd,
                 nodes.sigma_changes,
+                one.moved,
             )
         )
     return tuple(found)

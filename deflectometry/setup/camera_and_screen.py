@@ -189,6 +189,8 @@ class Setup(ShortRepr):
     sigma_periods (2,): Relative standard deviations of the scale of u and of v, where periods were estimated.
     sigma_shift (2,): Standard deviations of u and v that all pixels share, where orders were counted from a point.
     shared_errors: Independent errors of the screen's points and its pose together, where both were measured.
+    are_errors_joint: Whether all errors of the camera and of the screen's pose are among `shared_errors`, because they
+        hang together; the two covariances are then their shares.
     """
 
     camera: Camera
@@ -201,6 +203,7 @@ class Setup(ShortRepr):
     sigma_periods: FloatArray = field(default_factory=lambda: np.zeros(2))
     sigma_shift: FloatArray = field(default_factory=lambda: np.zeros(2))
     shared_errors: tuple[SharedStep, ...] = ()
+    are_errors_joint: bool = False
 
     def __post_init__(self) -> None:
         matrix = covariance_matrix("covariance_cam_from_screen", self.covariance_cam_from_screen, 6)

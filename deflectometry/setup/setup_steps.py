@@ -102,17 +102,24 @@ def moved_setup(setup: Setup, steps: Sequence[SetupStep], amounts: FloatArray) -
 
 def setup_steps(setup: Setup) -> Iterator[SetupStep]:
     """Yield the independent errors of camera and screen, one sigma each."""
-    for step in principal_steps(setup.covariance_cam_from_screen):
-        yield SetupStep("screen pose", cam_from_screen=step)
-    for step in principal_steps(setup.camera.covariance):
-        yield SetupStep("camera", camera=step)
+    if not setup.are_errors_joint:
+        for step in principal_steps(setup.covariance_cam_from_screen):
+            yield SetupStep("screen pose", cam_from_screen=step)
+        for step in principal_steps(setup.camera.covariance):
+            yield SetupStep("camera", camera=step)
     if setup.sigma_screen_points_m > 0:
         for warp in _screen_warps(setup.sigma_screen_points_m):
             yield SetupStep("screen shape", warp=warp)
     for source, warp in _screen_sizes(setup):
         yield SetupStep(source, warp=warp)
     for one in setup.shared_errors:
-        yield SetupStep("screen geometry", cam_from_screen=one.cam_from_screen, warp=one.warp)
+        source = "camera and screen" if setup.are_errors_joint and one.moves_pose else "screen geometry"
+        yield SetupStep(
+            source,
+            cam_from_screen=one.cam_from_screen,
+            camera=one.camera,
+            warp=one.warp if one.warp.coefficients.any() else None,
+        )
 
 
 def principal_steps(covariance: FloatArray) -> FloatArray:

@@ -1,7 +1,7 @@
 """A smooth surface over the display, measured; and smooth errors of it that are shared with the camera's pose."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -81,11 +81,18 @@ class SmoothWarp:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SharedStep:
-    """One sigma of an independent error that a measured screen and the pose of its camera share.
+    """One sigma of an independent error that a measured screen, the pose of its camera and the camera share.
 
     cam_from_screen (6,): Step of the pose, as `RigidTransform.moved` takes it.
     warp: What it does to the screen's points.
+    camera (10,): Step of the camera's parameters.
     """
 
     cam_from_screen: FloatArray
     warp: SmoothWarp
+    camera: FloatArray = field(default_factory=lambda: np.zeros(10))
+
+    @property
+    def moves_pose(self) -> bool:
+        """Whether camera or the screen's pose move."""
+        return bool(self.cam_from_screen.any() or self.camera.any())

@@ -10,6 +10,7 @@ from data_synth.optics.surface_errors import (
     Dimple,
     EdgeTurnDown,
     HeightGrid,
+    Kink,
     Polynomial,
     Ripple,
     SurfaceErrors,
@@ -31,6 +32,7 @@ TERMS = [
     Ripple(2e-4, 0.2, 0.6, 0.3),
     Dimple(-3e-5, 0.1, 0.2, -0.1),
     EdgeTurnDown(5e-4, 0.07, 0.6, 0.5),
+    Kink(2e-3, 0.08, 0.3, 0.1),
     HeightGrid(_GRID, _GRID, 1e-5 * np.outer(np.sin(3 * _GRID), np.cos(2 * _GRID))),
 ]
 

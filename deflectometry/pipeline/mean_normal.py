@@ -1,0 +1,129 @@
+"""Where the mirror as a whole points, in the screen's frame, and what that rests on."""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from deflectometry.pipeline.evaluate import Evaluation
+from deflectometry.pipeline.headline import Numbers
+from deflectometry.pipeline.stated_inputs import StatedInput
+from deflectometry.setup.camera_and_screen import Setup
+from deflectometry.shape.common_modes import MovedInput, moved_inputs
+from deflectometry.shape.smooth_shape import Align
+from heliogauge.validate import FloatArray
+
+#: Parts of the variance below this are not worth a word.
+_LEAST_SHARE = 0.05
+_MOST_NAMED = 3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MeanNormal:
+    """The mirror's mean normal in the screen's frame, which hangs on the wall where the camera may be moved.
+
+    angles_rad (2,): From straight into the screen (its -z) towards its x and its y axis [rad].
+    shares_rad (n, 2): What one sigma of each independent error does to them.
+    sources (n,): Which uncertainty each belongs to.
+    """
+
+    angles_rad: FloatArray
+    shares_rad: FloatArray
+    sources: tuple[str, ...]
+
+    @property
+    def sigma_rad(self) -> FloatArray:
+        """Standard deviations, shape (2,)."""
+        return np.asarray(np.linalg.norm(self.shares_rad, axis=0))
+
+    def numbers(self) -> Numbers:
+        """Return the angles and their sigmas for the summary."""
+        return {
+            "mean_normal_x_rad": float(self.angles_rad[0]),
+            "sigma_mean_normal_x_rad": float(self.sigma_rad[0]),
+            "mean_normal_y_rad": float(self.angles_rad[1]),
+            "sigma_mean_normal_y_rad": float(self.sigma_rad[1]),
+        }
+
+
+def mean_normal(setup: Setup, evaluation: Evaluation) -> MeanNormal | None:
+    """Return the mirror's mean normal and what it rests on; None where slopes refer to the outline's pose.
+
+    The normal in the middle of a mirror halves the angle between camera and the point of the screen that is seen there.
+    An error of camera, screen or pose turns it as it turns that bisector; the shape has no part in it. Of 10^6 pixels
+    the noise is nothing beside that.
+    """
+    if evaluation.choices.align is not Align.NORMAL:
+        return None
+    middle = _Middle.of(evaluation)
+    here = middle.angles(MovedInput("", setup, evaluation.solution.cam_from_mirror))
+    moved = tuple(moved_inputs(setup, evaluation.solution.cam_from_mirror, evaluation.located.pose))
+    shares = np.array([middle.angles(one) - here for one in moved]).reshape(-1, 2)
+    screen_from_mirror = setup.cam_from_screen.inverse() @ evaluation.solution.cam_from_mirror
+    return MeanNormal(_angles(screen_from_mirror.rotation[:, 2]), shares, tuple(one.source for one in moved))
+
+
+def turns_by_inputs(setup: Setup, evaluation: Evaluation, inputs: Iterable[StatedInput]) -> dict[str, FloatArray]:
+    """Return how one sigma of each stated input turns the mean normal, (2,) [rad], by the words for it."""
+    middle = _Middle.of(evaluation)
+    here = middle.angles(MovedInput("", setup, evaluation.solution.cam_from_mirror))
+    return {one.words: one.sigma * (middle.angles(one.moved) - here) for one in inputs}
+
+
+def words_of_normal(found: MeanNormal, turns: Mapping[str, FloatArray], *, is_placed: bool) -> str:
+    """Say how well the mean normal is known, what rules that, and what would better it.
+
+    turns: Of `turns_by_inputs`, from sigmas that hang together where the place was surveyed.
+    is_placed: Whether the mirror's surveyed place was used.
+    """
+    sigma = 1e3 * found.sigma_rad
+    said = (
+        f"{1e3 * found.angles_rad[0]:.3f} and {1e3 * found.angles_rad[1]:.3f} mrad from straight into the screen (its "
+        f"-z) towards its x and y, 1 sigma {sigma[0]:.2g} and {sigma[1]:.2g} mrad"
+    )
+    if is_placed:
+        return f"{said}; from the surveyed place of the mirror, which tells the turn of camera against screen, too"
+    total = float((found.sigma_rad**2).sum())
+    by_size = sorted(turns.items(), key=lambda one: -float((one[1] ** 2).sum()))
+    named = [
+        f"{words} ({1e3 * turn[0]:+.2g}, {1e3 * turn[1]:+.2g})"
+        for words, turn in by_size[:_MOST_NAMED]
+        if float((turn**2).sum()) > _LEAST_SHARE * total
+    ]
+    ruled = f"; of it {', '.join(named)}" if named else ""
+    return (
+        f"{said}{ruled}. It is as good as the line from the mirror to the middle between camera and screen: the "
+        "surveyed place of a point of the mirror in the screen's frame, [mirror.place], gives it without camera and "
+        "turn of the screen"
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Middle:
+    """The middle of the mirror, in its frame, and what it sees of the display on average."""
+
+    point_m: FloatArray
+    u: float
+    v: float
+
+    @classmethod
+    def of(cls, evaluation: Evaluation) -> "_Middle":
+        names = set(evaluation.images)
+        facets = [one for one in evaluation.located.facets if one.name in names]
+        corners = np.concatenate([one.ensemble_from_facet.apply(one.corners_m) for one in facets])
+        seen = evaluation.facet_index >= 0
+        u, v = (float(np.nanmean(one[seen])) for one in (evaluation.screen_map.u, evaluation.screen_map.v))
+        return cls(corners.mean(axis=0), u, v)
+
+    def angles(self, moved: MovedInput) -> FloatArray:
+        """Return the angles of the bisector with inputs as moved."""
+        screen_from_cam = moved.setup.cam_from_screen.inverse()
+        point = screen_from_cam.apply(moved.cam_from_mirror.apply(self.point_m))
+        seen = moved.setup.screen.points_m(np.array(self.u), np.array(self.v))
+        ways = np.stack([screen_from_cam.translation_m - point, seen - point])
+        return _angles((ways / np.linalg.norm(ways, axis=1, keepdims=True)).sum(axis=0))
+
+
+def _angles(normal: FloatArray) -> FloatArray:
+    # A mirror that faces the screen has its normal against the screen's z axis, which points to the viewer.
+    return np.asarray(np.arctan2(normal[:2], -normal[2]))
