@@ -8,8 +8,15 @@ from heliogauge.validate import FloatArray, IntArray
 from photogrammetry.bundle.adjustment import BundleResult, adjust
 from photogrammetry.bundle.statistics import examine_image_points
 from photogrammetry.image_points import ImagePoints
-from photogrammetry.networks.solve_network import Knowledge, NetworkCameras, Solved, SolveOptions, solve_network
-from photogrammetry.start_values.network import StartValues
+from photogrammetry.networks.solve_network import (
+    Knowledge,
+    NetworkCameras,
+    Solved,
+    SolveOptions,
+    solve_from,
+    solve_network,
+)
+from photogrammetry.start_values.network import Network, StartValues
 
 #: A kind with less redundancy than this keeps its stated sigma: its factor would be known to 20 % at best.
 _LEAST_REDUNDANCY = 50
@@ -80,9 +87,13 @@ def solve_weighed(
         found = change * _settled(solved.bundle, own, change) * solved.image_sigma_factor**2
         factors *= np.sqrt(found)
         points = replace(points, covariance_px2=points.covariance_px2 * found[kinds][:, None, None])
-        knowledge = replace(knowledge, start=_start(solved.bundle))
         cameras = replace(cameras, cameras=solved.bundle.state.cameras)
-        solved = solve_network(points, ellipses_px2, cameras, knowledge, options)
+        network = _from_result(solved)
+        if network is None:
+            knowledge = replace(knowledge, start=_start(solved.bundle))
+            solved = solve_network(points, ellipses_px2, cameras, knowledge, options)
+        else:
+            solved = solve_from(network, points, ellipses_px2, cameras, knowledge, options, before=solved)
     return Weighed(solved, points, factors)
 
 
@@ -114,6 +125,14 @@ def _kinds_of(solved: Solved, points: ImagePoints, kinds: IntArray) -> IntArray:
     order = np.argsort(keys)
     place = order[np.searchsorted(keys[order], photo * len(points.targets) + target)]
     return np.asarray(kinds[place])
+
+
+def _from_result(solved: Solved) -> Network | None:
+    """Return the same network with the adjusted state to start from; None where some of it has been left out since."""
+    table, network = solved.bundle.problem.observations, solved.network
+    if (table.photos, table.targets) != (network.observations.photos, network.observations.targets):
+        return None
+    return replace(network, state=solved.bundle.state)
 
 
 def _start(bundle: BundleResult) -> StartValues:

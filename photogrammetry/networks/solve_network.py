@@ -185,10 +185,13 @@ def solve_from(
     cameras: NetworkCameras,
     knowledge: Knowledge,
     options: SolveOptions,
+    *,
+    before: Solved | None = None,
 ) -> Solved:
     """Solve a photo network from start values.
 
     network: Start values; its rows are those of the image points.
+    before: The same image points solved with other sigmas: what was rejected there waits until the others are clean.
     points: All image points, false ones among them.
     ellipses_px2 (m, 2, 2): Ellipses of the targets; NaN where there is none [px^2].
     cameras: What of the cameras is free, and whose the photos are.
@@ -201,6 +204,8 @@ def solve_from(
     if (network.observations.photos, network.observations.targets) != (table.photos, table.targets):
         raise EstimationError("network: photos or targets were lost between start values and adjustment")
     suspects = ~np.isin(rows, network.rows) & options.reject
+    waiting = () if before is None else before.rejected
+    suspects[[one.row for one in waiting]] = True
     chosen = BundleOptions(covariance_scale=CovarianceScale.POSTERIOR if options.rescale else CovarianceScale.PRIOR)
     state, shift = network.state, np.zeros((table.n, 2))
     if np.isfinite(ellipses_px2[rows]).any():
@@ -221,6 +226,9 @@ def solve_from(
             family_significance=options.family_significance,
             suspects=suspects,
         )
+        if waiting:
+            back = {alone.problem.observations.label(row) for row in range(alone.problem.observations.n)}
+            rejected = (*(one for one in waiting if one.label not in back), *rejected)
         table, state = alone.problem.observations, alone.state
         network = _without_innocent(network, table)
         table, state = _without_empty(table, state)
