@@ -7,7 +7,7 @@ import numpy as np
 
 from heliogauge.geometry.rigid import rotation_from_vector
 from heliogauge.short_repr import ShortRepr
-from heliogauge.validate import FloatArray
+from heliogauge.validate import FloatArray, IntArray
 
 #: Waves of each facet: their lengths as shares of a facet's side.
 _WAVES = (0.21, 0.27, 0.34, 0.43, 0.21, 0.27, 0.34, 0.43)
@@ -147,8 +147,8 @@ def draw_photo(
         seen = project(scene, camera_m, around)
         low = np.maximum(np.floor(seen.min(axis=0)).astype(int) - 2, 0)
         high = np.minimum(np.ceil(seen.max(axis=0)).astype(int) + 3, [scene.width_px, scene.height_px])
-        sides = [(np.arange((b - a) * fine) + 0.5) / fine - 0.5 + a for a, b in zip(low, high, strict=True)]
-        u, v = np.meshgrid(*((one - m) / scene.focal_px for one, m in zip(sides, middle_px, strict=True)))
+        place_x, place_y = _ray_places(low, high, fine)
+        u, v = ((one - m) / scene.focal_px for one, m in zip((place_x, place_y), middle_px, strict=True))
         rays = np.stack([u, v, np.ones_like(u)], axis=-1) @ turned_camera
         start, along = (camera_m - [*middle, 0.0]) @ turned, rays @ turned
         t = -start[2] / along[..., 2]
@@ -174,6 +174,17 @@ def draw_photo(
         light[low[1] : high[1], low[0] : high[0]] = patch.reshape(rows, fine, columns, fine).mean(axis=(1, 3))
     light = cv2.GaussianBlur(light, (0, 0), scene.blur_px)
     return np.asarray(np.clip(np.rint(light + rng.normal(0, scene.noise_dn, light.shape)), 0, 255))
+
+
+def _ray_places(low: IntArray, high: IntArray, fine: int) -> tuple[FloatArray, FloatArray]:
+    """Return the places x and y of all rays of the pixels from low to high, as grids [px].
+
+    Rows are shifted against each other within their width, and columns likewise, so that no two rays of a pixel have
+    the same x or the same y: an edge along a row of the photo is placed to 1 / fine^2 of a pixel, not to 1 / fine.
+    """
+    x, y = np.meshgrid(*(np.arange((b - a) * fine) for a, b in zip(low, high, strict=True)))
+    within_x, within_y = (((one % fine) + 0.5) / fine for one in (x, y))
+    return (x + within_y) / fine - 0.5 + low[0], (y + within_x) / fine - 0.5 + low[1]
 
 
 def project(scene: ReflectionScene, camera_m: FloatArray, points_m: FloatArray) -> FloatArray:
