@@ -15,11 +15,9 @@ from _measure import command_cost, row, title
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from data_synth.fringes import DatasetOptions, read_truth, write_dataset
-from data_synth.fringes.tower import SIGMA_PLACE_MM, UNAM_SIGMA_RAD, tower_knowledge, tower_scene, unam_scene
-from deflectometry.keys import load_deflectometry
-from deflectometry.pipeline.measure import run
-from tests.deflectometry.tower_errors import TowerErrors, tower_errors
+from data_synth.fringes import read_truth
+from deflectometry import load_deflectometry, run
+from tests.deflectometry.tower_errors import TowerErrors, draw_night, draw_unam, night_errors
 
 NIGHTS = range(6)
 QUARTER = 0.25
@@ -33,14 +31,12 @@ def measured(folder: Path, scale: float) -> Night:
     result = run(load_deflectometry(folder))
     numbers = result.numbers
     sigma = np.array([numbers["sigma_mean_normal_x_rad"], numbers["sigma_mean_normal_y_rad"]])
-    errors = tower_errors(result, tower_scene(scale=scale), read_truth(folder))
-    return errors, sigma, {one.code for one in result.doubts}
+    return night_errors(result, folder, scale), sigma, {one.code for one in result.doubts}
 
 
 def both_ways(folder: Path, scale: float, seed: int) -> tuple[Night, Night]:
     """Draw a night and measure it without and with the surveyed place of the heliostat."""
-    knowledge = tower_knowledge(scale, sigma_place_mm=SIGMA_PLACE_MM)
-    write_dataset(folder, tower_scene(scale=scale), DatasetOptions(seed, knowledge))
+    draw_night(folder, scale, seed)
     with_place = measured(folder, scale)
     file = folder / "measurement.toml"
     file.write_text(re.sub(r"(?m)^\[mirror.place\]\n(.+\n)+", "", file.read_text()))
@@ -53,7 +49,7 @@ def mrad(values: object) -> str:
 
 def nights(scratch: Path) -> None:
     drawn = [both_ways(scratch / f"night_{seed}", QUARTER, seed) for seed in NIGHTS]
-    for way, words in enumerate(("place not surveyed", f"place surveyed to {SIGMA_PLACE_MM:g} mm")):
+    for way, words in enumerate(("place not surveyed", "place surveyed to 5 mm")):
         found = [one[way] for one in drawn]
         errors = [one for one, _, _ in found]
         title(f"{len(found)} nights at a quarter of the pixels, {words}", ("measured", "asked", "DLR"))
@@ -72,10 +68,9 @@ def nights(scratch: Path) -> None:
 
 def whole_night(scratch: Path) -> None:
     folder = scratch / "whole"
-    scene = tower_scene()
-    write_dataset(folder, scene, DatasetOptions(0, tower_knowledge(sigma_place_mm=SIGMA_PLACE_MM)))
+    draw_night(folder, 1.0, 0)
     result = run(load_deflectometry(folder))
-    found = tower_errors(result, scene, read_truth(folder))
+    found = night_errors(result, folder, 1.0)
     points = sum(int(np.isfinite(one.slope_x).sum()) for one in result.evaluation.images.values())
     title("One night with all pixels", ("measured", "asked", "DLR"))
     row("points", f"{points:,}", "1,000,000", "1,000,000")
@@ -89,14 +84,14 @@ def whole_night(scratch: Path) -> None:
 
 def unam(scratch: Path) -> None:
     folder = scratch / "unam"
-    write_dataset(folder, unam_scene(), DatasetOptions(1, tower_knowledge(sigma_place_mm=SIGMA_PLACE_MM)))
+    asked = draw_unam(folder)
     result = run(load_deflectometry(folder))
     truth, slopes = read_truth(folder), result.assembled
     true = [float(np.std(one[slopes.valid])) for one in truth.slopes(*np.meshgrid(slopes.x_m, slopes.y_m))]
     title(
         "UNAM's facet, bent about a vertical line, 201 m, 1.5 fringes/m (V-42)", ("measured", "true there", "published")
     )
-    for letter, one, published in zip("xy", true, UNAM_SIGMA_RAD, strict=True):
+    for letter, one, published in zip("xy", true, asked, strict=True):
         sd, sigma = result.numbers[f"sd{letter}_rad"], result.numbers[f"sigma_sd{letter}_rad"]
         row(
             f"deviation from a plane in {letter} [mrad]",
@@ -111,9 +106,7 @@ def field(scratch: Path) -> None:
     folders = []
     for seed in range(3):
         folders.append(str(scratch / f"heliostat_{seed}"))
-        scene = tower_scene(scale=QUARTER)
-        knowledge = tower_knowledge(QUARTER, sigma_place_mm=SIGMA_PLACE_MM)
-        write_dataset(Path(folders[-1]), scene, DatasetOptions(seed, knowledge))
+        draw_night(Path(folders[-1]), QUARTER, seed)
     cost = command_cost("measure", *folders, "-o", str(scratch / "field"), "-q", "--jobs", "1")
     with (scratch / "field" / "index.csv").open() as file:
         rows = list(csv.DictReader(file))

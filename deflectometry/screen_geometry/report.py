@@ -10,14 +10,13 @@ from deflectometry.screen_geometry.pipeline.geometry import POINTS_FILE
 from deflectometry.screen_geometry.pipeline.screen_file import read_screen
 from heliogauge.errors import InputError
 from heliogauge.reporting import page
-from heliogauge.reporting.html import Html, join
+from heliogauge.reporting.html import Html, join, table
 from heliogauge.reporting.look import FAINT, LINE_X, LINE_Y
 from heliogauge.reporting.verdict import Verdict, verdict_of
 from heliogauge.results.folder import Summary, read_summary, read_table_csv
 from heliogauge.validate import FloatArray
 from heliogauge.view.charts import ChartSeries, ChartView, Mark
 from heliogauge.view.scenes import ColorScale, SceneGroup, SceneView
-from heliogauge.view.tables import TableColumn, TableView
 
 #: A camera's axis is drawn so long, as a share of its distance.
 _AXIS_SHARE = 0.1
@@ -142,8 +141,12 @@ def scene(report: ScreenReport) -> SceneView:
     return SceneView("The screen", tuple(groups), "x to the right, y up, z towards the viewer")
 
 
-def error_table(report: ScreenReport) -> TableView:
-    """Return the errors that points and camera share, the largest first."""
+#: Errors of which the largest together make this share of the variance of all are shown; the others are folded away.
+_SHOWN_SHARE = 0.9
+
+
+def error_table(report: ScreenReport) -> Html:
+    """Return the errors that points and camera share, the largest first; those that hardly matter folded away."""
     u, v = (one.ravel() for one in np.meshgrid(np.linspace(0, 1, 9), np.linspace(0, 1, 9)))
     rows = []
     for one in report.measured.shared:
@@ -152,11 +155,21 @@ def error_table(report: ScreenReport) -> TableView:
         rows.append((*(1e3 * np.sqrt((moved**2).mean(axis=0))).tolist(), 1e3 * turn, 1e3 * shift))
     rows.sort(key=lambda row: -(row[0] ** 2 + row[1] ** 2 + row[2] ** 2))
     heads = ("x [mm RMS]", "y [mm RMS]", "z [mm RMS]", "camera turned [mrad]", "camera moved [mm]")
-    number = [str(k + 1) for k in range(len(rows))]
-    columns = [
-        TableColumn(head, [f"{row[k]:.3g}" for row in rows], [row[k] for row in rows]) for k, head in enumerate(heads)
-    ]
-    return TableView("Independent errors of the screen", (TableColumn("error", number), *columns))
+    if not rows:
+        return Html("")
+    size = np.array([row[0] ** 2 + row[1] ** 2 + row[2] ** 2 for row in rows])
+    shown = int(np.searchsorted(np.cumsum(size) / max(float(size.sum()), 1e-300), _SHOWN_SHARE)) + 1
+
+    def part(first: int, last: int) -> Html:
+        texts = [(str(k + 1), *(f"{one:.3g}" for one in rows[k])) for k in range(first, last)]
+        return table(("error", *heads), texts, numbers=range(1, 1 + len(heads)))
+
+    largest, count = part(0, shown), len(rows) - shown
+    if count <= 0:
+        return largest
+    words = f"{count} smaller error{'s' if count > 1 else ''}, together {1 - size[:shown].sum() / size.sum():.0%}"
+    rest = f"<details><summary>{words} of the variance of all points</summary>{part(shown, len(rows)).text}</details>"
+    return join(largest, Html(rest))
 
 
 def making(report: ScreenReport) -> Html:

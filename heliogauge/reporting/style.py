@@ -101,6 +101,7 @@ summary {{ cursor: pointer; color: var(--accent); }}
   nav {{ padding: .3em .9em; }}
   nav div {{ justify-content: flex-start; }}
   .numbers {{ font-size: .84em; }}
+  .table td:first-child, .table th:first-child {{ min-width: 9em; }}
 }}
 @page {{ size: A4; margin: 12mm 12mm 14mm; }}
 @media print {{

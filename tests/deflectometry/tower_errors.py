@@ -1,10 +1,12 @@
-"""Errors of a drawn heliostat that was measured from its tower, for tests and benchmark."""
+"""Nights before the tower to draw and the errors of what was measured, for tests and benchmark."""
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
-from data_synth.fringes import FringeScene
+from data_synth.fringes import DatasetOptions, FringeScene, read_truth, write_dataset
+from data_synth.fringes.tower import SIGMA_PLACE_MM, UNAM_SIGMA_RAD, tower_knowledge, tower_scene, unam_scene
 from data_synth.fringes.truth import FringeTruth
 from deflectometry.pipeline.result import Result
 
@@ -44,3 +46,20 @@ def tower_errors(result: Result, scene: FringeScene, truth: FringeTruth) -> Towe
         (found - true)[:2],
         in_screen[:2],
     )
+
+
+def draw_night(folder: Path, scale: float, seed: int) -> None:
+    """Draw a heliostat before its tower, its place surveyed."""
+    knowledge = tower_knowledge(scale, sigma_place_mm=SIGMA_PLACE_MM)
+    write_dataset(folder, tower_scene(scale=scale), DatasetOptions(seed, knowledge))
+
+
+def draw_unam(folder: Path) -> tuple[float, float]:
+    """Draw UNAM's bent facet; return its published deviations from a plane [rad]."""
+    write_dataset(folder, unam_scene(), DatasetOptions(1, tower_knowledge(sigma_place_mm=SIGMA_PLACE_MM)))
+    return UNAM_SIGMA_RAD
+
+
+def night_errors(result: Result, folder: Path, scale: float) -> TowerErrors:
+    """Compare a night that `draw_night` drew with its truth."""
+    return tower_errors(result, tower_scene(scale=scale), read_truth(folder))
