@@ -9,6 +9,7 @@ import numpy as np
 
 from deflectometry.exchange.measure_slopes import grid_points
 from deflectometry.exchange.slope_points import SlopePoints
+from deflectometry.laser.instrument_by_curl import InstrumentByCurl, hear_curl
 from deflectometry.laser.keys import LaserMeasurement, LaserModel
 from deflectometry.laser.pipeline.scan_file import read_scan
 from deflectometry.laser.scan import LaserScan
@@ -55,6 +56,7 @@ class LaserResult(InstrumentResult):
     slope_map: After what was to be removed.
     numbers: Headline numbers.
     scan, found: The beams, and the slopes where they met the mirror.
+    instrument: What the curl of the slopes says of the instrument, in words; empty where it says nothing.
     """
 
     kind: ClassVar[str] = "laser-scan"
@@ -62,6 +64,7 @@ class LaserResult(InstrumentResult):
     numbers: Numbers
     scan: LaserScan
     found: ScanSlopes
+    instrument: str
 
     @property
     def flags(self) -> FlagArray:
@@ -81,6 +84,8 @@ class LaserResult(InstrumentResult):
             "points": f"{seen} of {self.flags.size} beams, interpolated to {one.x_m.size} x {one.y_m.size} nodes",
             "sigma": "1 standard deviation; slopes are those of the normal, a beam turns by twice as much",
         }
+        if self.instrument:
+            texts["instrument"] = self.instrument
         return self._summary(self.numbers, texts, reasons(self.numbers))
 
     def write_files(self, folder: Path) -> None:
@@ -118,7 +123,11 @@ def run(measurement: LaserMeasurement, options: Options | None = None, progress:
             raise EstimationError(f"{np.count_nonzero(found.odd)} spots do not fit those around them, with --strict")
     with progress.stage("grid"):
         step_mm = section.grid_step_mm if options.grid_step_mm is None else options.grid_step_mm
-        gridded = grid_points(_points(found), design, None if step_mm is None else 1e-3 * step_mm)
+        step_m = None if step_mm is None else 1e-3 * step_mm
+        sources = found.common.sources
+        heard = hear_curl(found, replace(grid_points(_points(found), design, step_m), common=found.common))
+        found = found if heard is None else heard.found
+        gridded = grid_points(_points(found), design, step_m)
         frame = "x to the right, y up seen from the laser, z from the mirror to it"
         as_measured = replace(gridded, common=found.common, frame=frame, removed=alignment_words(align, 1))
     with progress.stage("statistics"):
@@ -130,7 +139,8 @@ def run(measurement: LaserMeasurement, options: Options | None = None, progress:
         numbers=numbers,
         scan=scan,
         found=found,
-        doubts=tuple(_doubts(model, scan, found)),
+        instrument="" if heard is None else heard.words(sources),
+        doubts=tuple(_doubts(model, scan, found, heard)),
         durations_s=dict(progress.durations_s),
         input_sha256=hash_files(measurement.input_files, measurement.folder),
     )
@@ -157,8 +167,16 @@ def _points(found: ScanSlopes) -> SlopePoints:
     return SlopePoints(*found.points_m[:, met], *values[:, met])
 
 
-def _doubts(model: LaserModel, scan: LaserScan, found: ScanSlopes) -> Iterator[Doubt]:
+def _doubts(model: LaserModel, scan: LaserScan, found: ScanSlopes, heard: InstrumentByCurl | None) -> Iterator[Doubt]:
     scanned, mirror = model.scan, model.mirror
+    if heard is not None and heard.contradicts:
+        yield Doubt(
+            "scan_contradicts_itself",
+            "the slopes have more smooth curl, which no surface has, than noise and the stated sigmas of the "
+            f"instrument make (probability {heard.probability:.1g}); nothing was corrected by it: check roll, scales "
+            "and places, and state their sigmas as they are",
+            {"agreement_probability": heard.probability},
+        )
     stated = (
         mirror.sigma_distance_mm,
         mirror.sigma_offset_mm,

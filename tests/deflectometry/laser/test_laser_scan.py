@@ -86,6 +86,34 @@ def test_sigmas_are_the_scatter(tmp_path: Path) -> None:
     assert 0.6 < np.mean(modes) < 1.5
 
 
+@pytest.mark.slow
+def test_a_roll_is_told_by_the_curl_it_makes(tmp_path: Path) -> None:
+    """A target turned by one sigma makes slopes across that grow along the trough, which no surface has."""
+    scene = LaserScene(columns=31, rows=21)
+    write_laser_scan(tmp_path / "s", scene, 3)
+    straight = measured(tmp_path / "s")
+    turned = column(tmp_path / "s", "spot_x_m"), column(tmp_path / "s", "spot_y_m")
+    change(tmp_path / "s", spot_x_m=turned[0] - 1e-3 * turned[1], spot_y_m=turned[1] + 1e-3 * turned[0])
+    again = measured(tmp_path / "s")
+    # One sigma more of roll is taken out again: what is left of it is below a tenth of the noise of a slope.
+    off = again.found.slopes - straight.found.slopes
+    assert np.sqrt(np.nanmean(off**2)) < 0.1 * np.nanmean(straight.found.sigmas)
+    assert "roll (" in again.instrument
+    amounts = [float(one.instrument.partition("roll (")[2].split()[0]) for one in (straight, again)]
+    assert amounts[1] - amounts[0] == pytest.approx(1.0, abs=0.03)
+
+
+@pytest.mark.slow
+def test_a_roll_beyond_its_sigma_is_named_and_nothing_corrected(tmp_path: Path) -> None:
+    scene = LaserScene(columns=31, rows=21)
+    write_laser_scan(tmp_path / "s", scene, 3)
+    x, y = column(tmp_path / "s", "spot_x_m"), column(tmp_path / "s", "spot_y_m")
+    change(tmp_path / "s", spot_x_m=x - 2e-2 * y, spot_y_m=y + 2e-2 * x)
+    result = measured(tmp_path / "s")
+    assert "scan_contradicts_itself" in {one.code for one in result.doubts}
+    assert result.instrument == ""
+
+
 def test_a_focal_length_that_is_wrong_is_found_with_its_sigma(drawn: Path) -> None:
     text = (drawn / "measurement.toml").read_text()
     (drawn / "measurement.toml").write_text(text.replace("focal_length_m = 1.71", "focal_length_m = 1.74"))
