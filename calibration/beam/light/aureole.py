@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calibration.beam.light.background import Background, projected, taken_by_background
+from calibration.beam.light.background import Background, projection, taken_by_background
 from calibration.beam.light.beam_centroids import block_sums
 from heliogauge.validate import BoolArray, FloatArray
 
@@ -62,7 +62,7 @@ def find_aureole(background: Background, free: BoolArray, light_dn: FloatArray, 
         # Daylight that bends and an aureole look alike; only a frame without a beam tells them apart for sure.
         height = max(height, _height(background, background.basis[..., ~background.bending], free, shape, skirts_dn)[0])
     open_dn = height if is_seen else float(np.hypot(max(height, 0.0), sigma))
-    taken = taken_by_background(open_dn * shape, free, background)
+    taken = taken_by_background(free, background)(open_dn * shape)
     return Aureole(open_dn * shape, taken, is_seen)
 
 
@@ -70,9 +70,10 @@ def _height(
     background: Background, basis: FloatArray, free: BoolArray, shape: FloatArray, skirts_dn: FloatArray
 ) -> tuple[float, float]:
     """Fit the height of an aureole beside functions of the background; return it and its sigma [DN]."""
+    project = projection(free, basis)
 
     def left(light: FloatArray) -> FloatArray:
-        return np.where(free, light - projected(light, free, basis), 0.0)
+        return (light - project(light)) * free
 
     seen = left(shape)
     strength = float(np.vdot(seen, seen))

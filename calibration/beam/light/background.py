@@ -6,7 +6,7 @@ is a quadratic surface. What is left around the beam (panels, edges of shadows) 
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any, NamedTuple
@@ -28,7 +28,7 @@ __all__ = [
     "background_around",
     "continued_under",
     "empty_target",
-    "projected",
+    "projection",
     "shadow_steps",
     "taken_by_background",
 ]
@@ -221,7 +221,7 @@ def continued_under(background: Background, free: BoolArray) -> Background:
 
     free (h, w): Pixels without a beam.
     """
-    under = background.smooth_dn + _continued(background.residuals_dn, free)
+    under = background.smooth_dn + _continuing(free)(background.residuals_dn)
     return replace(background, values_dn=freeze(under))
 
 
@@ -245,28 +245,37 @@ def shadow_steps(values_dn: FloatArray, free: BoolArray, background: Background,
     return steps
 
 
-def taken_by_background(bell_dn: FloatArray, free: BoolArray, background: Background) -> FloatArray:
-    """Return what a background has taken of a beam's skirts for its own.
+def taken_by_background(free: BoolArray, background: Background) -> Callable[[FloatArray], FloatArray]:
+    """Return what tells which part of a beam's skirts a background has taken for its own.
 
-    bell_dn (h, w): The beam where it does not stand out [DN].
-    free (h, w): Pixels that were taken for free of it.
-    Returns (h, w): The part of the background that is the beam's, under the beam too [DN].
+    free (h, w): Pixels that were taken for free of the beam.
+    Returns: From the beam where it does not stand out, (h, w), to the part of the background that is the beam's, under
+        the beam too [DN].
     """
-    smooth = projected(bell_dn, free, background.basis)
-    return smooth + _continued(np.where(free, bell_dn - smooth, 0.0), free)
+    project = projection(free, background.basis)
+    goes_on = _continuing(free)
+
+    def taken(bell_dn: FloatArray) -> FloatArray:
+        smooth = project(bell_dn)
+        return smooth + goes_on((bell_dn - smooth) * free)
+
+    return taken
 
 
-def projected(values_dn: FloatArray, free: BoolArray, basis: FloatArray) -> FloatArray:
-    """Return what functions take of a picture by least squares over some pixels, shape (h, w) [DN].
+def projection(free: BoolArray, basis: FloatArray) -> Callable[[FloatArray], FloatArray]:
+    """Return what tells the part of a picture, (h, w), that functions take by least squares over some pixels [DN].
 
-    values_dn (h, w): The picture [DN].
     free (h, w): Pixels that count.
     basis (h, w, k): The functions.
     """
     flat = basis.reshape(-1, basis.shape[2])
-    rows = flat * free.reshape(-1, 1)
-    normal = _with_ridge(rows.T @ flat)
-    return np.asarray(flat @ np.linalg.solve(normal, rows.T @ values_dn.ravel())).reshape(values_dn.shape)
+    rows = (flat * free.reshape(-1, 1)).T
+    normal = _with_ridge(rows @ flat)
+
+    def project(values_dn: FloatArray) -> FloatArray:
+        return np.asarray(flat @ np.linalg.solve(normal, rows @ values_dn.ravel())).reshape(values_dn.shape)
+
+    return project
 
 
 class _Smooth(NamedTuple):
@@ -346,20 +355,27 @@ def _with_ridge(normal: FloatArray) -> FloatArray:
     return normal
 
 
-def _continued(residuals: FloatArray, free: BoolArray) -> FloatArray:
-    """Continue residuals to where they are not known: averages of ever larger neighbourhoods (pull and push)."""
+def _continuing(free: BoolArray) -> Callable[[FloatArray], FloatArray]:
+    """Return what continues residuals to where they are not known: averages of ever larger neighbourhoods.
+
+    From known values, 0 where they are not, to values everywhere (pull and push).
+    """
     mask = free.astype(np.float32)
-    known = residuals.astype(np.float32)
-    blurred = cv2.GaussianBlur(known, (0, 0), 1.0)
-    share = cv2.GaussianBlur(mask, (0, 0), 1.0)
-    sums: list[npt.NDArray[Any]] = [np.where(free, blurred / np.maximum(share, 1e-3), 0.0).astype(np.float32)]
+    factor = free / np.maximum(cv2.GaussianBlur(mask, (0, 0), 1.0), np.float32(1e-3))
     shares: list[npt.NDArray[Any]] = [mask]
-    while min(sums[-1].shape) > 2:
-        size = (max(1, sums[-1].shape[1] // 2), max(1, sums[-1].shape[0] // 2))
-        sums.append(cv2.resize(sums[-1], size, interpolation=cv2.INTER_AREA))
+    while min(shares[-1].shape) > 2:
+        size = (max(1, shares[-1].shape[1] // 2), max(1, shares[-1].shape[0] // 2))
         shares.append(cv2.resize(shares[-1], size, interpolation=cv2.INTER_AREA))
-    filled = sums[-1] / np.maximum(shares[-1], 1e-6)
-    for total, part in zip(sums[-2::-1], shares[-2::-1], strict=True):
-        coarser = cv2.resize(filled, (total.shape[1], total.shape[0]), interpolation=cv2.INTER_LINEAR)
-        filled = total + coarser * (1 - part)
-    return np.asarray(filled, dtype=np.float64)
+
+    def continued(residuals: FloatArray) -> FloatArray:
+        blurred = cv2.GaussianBlur(residuals.astype(np.float32), (0, 0), 1.0)
+        sums: list[npt.NDArray[Any]] = [blurred * factor]
+        for share in shares[1:]:
+            sums.append(cv2.resize(sums[-1], share.shape[::-1], interpolation=cv2.INTER_AREA))
+        filled = sums[-1] / np.maximum(shares[-1], 1e-6)
+        for total, part in zip(sums[-2::-1], shares[-2::-1], strict=True):
+            coarser = cv2.resize(filled, (total.shape[1], total.shape[0]), interpolation=cv2.INTER_LINEAR)
+            filled = total + coarser * (1 - part)
+        return np.asarray(filled, dtype=np.float64)
+
+    return continued

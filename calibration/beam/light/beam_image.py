@@ -382,12 +382,13 @@ def _skirts(bell: Bell | None, region: BeamRegion, spot: Spot) -> Skirts | None:
     shape = (spot.values_dn.shape[0], spot.values_dn.shape[1])
     coarse = (region.free.shape[0], region.free.shape[1])
     found: Skirts | None = None
+    taken = taken_by_background(region.free, region.background)
     for _ in range(_SKIRT_ROUNDS):
         if bell is None:
             break
         fine = area_resized(bell.values_dn, shape)
-        taken = taken_by_background(area_resized(bell.values_dn, coarse), region.free, region.background)
-        before, found = found, Skirts(fine, area_resized(taken, shape))
+        own = taken(area_resized(bell.values_dn, coarse))
+        before, found = found, Skirts(fine, area_resized(own, shape))
         moved = found.taken_dn if before is None else found.taken_dn - before.taken_dn
         if np.abs(moved).max() < _SKIRT_SETTLED * spot.peak_dn:
             break

@@ -228,17 +228,18 @@ def _most_light(bright: BoolArray, smoothed: FloatArray) -> BoolArray:
 
 def _near_core(smoothed: FloatArray, core: BoolArray) -> BoolArray:
     """Return the pixels within an ellipse about the beam's bright core: faint bridges to shadows end there."""
-    rows, columns = np.nonzero(core)
-    if rows.size < 6:
+    if np.count_nonzero(core) < 6:
         return np.ones_like(core)
-    points = np.stack([columns, rows]).astype(np.float64)
-    share = smoothed[core] / smoothed[core].sum()
-    middle = points @ share
-    points -= middle[:, None]
-    form = np.linalg.inv((points * share) @ points.T + 0.1 * np.eye(2))
-    x = np.arange(core.shape[1])[None, :] - middle[0]
-    y = np.arange(core.shape[0])[:, None] - middle[1]
-    return np.asarray(form[0, 0] * x**2 + 2 * form[0, 1] * x * y + form[1, 1] * y**2 < _CORE_REACH**2)
+    share = smoothed * core
+    columns, rows = share.sum(axis=0), share.sum(axis=1)
+    total = float(rows.sum())
+    x, y = np.arange(columns.size, dtype=np.float64), np.arange(rows.size, dtype=np.float64)
+    x -= columns @ x / total
+    y -= rows @ y / total
+    cross = float(y @ share @ x) / total
+    spread = np.array([[columns @ x**2 / total, cross], [cross, rows @ y**2 / total]])
+    form = np.linalg.inv(spread + 0.1 * np.eye(2))
+    return np.add.outer(form[1, 1] * y**2, form[0, 0] * x**2) + np.outer(2 * form[0, 1] * y, x) < _CORE_REACH**2
 
 
 def _upper_scatter(smoothed: FloatArray) -> float:
