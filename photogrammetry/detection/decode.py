@@ -299,9 +299,11 @@ class _Sectors(NamedTuple):
 def _blurred_sectors(n_bits: int, blur: float) -> tuple[FloatArray, FloatArray]:
     """Return the ink of each sector round the circle, blurred, shape (angles, n_bits), and its pseudo-inverse."""
     angle = np.arange(n_bits * ANGLES_PER_SECTOR) / ANGLES_PER_SECTOR
-    off = (angle[:, None] - np.arange(n_bits) - 0.5 + n_bits / 2) % n_bits - n_bits / 2
+    off = (angle - 0.5 + n_bits / 2) % n_bits - n_bits / 2
     cumulated = np.vectorize(lambda value: 0.5 * (1 + erf(value / (blur * sqrt(2)))))
-    columns = cumulated(off + 0.5) - cumulated(off - 0.5)
+    first = cumulated(off + 0.5) - cumulated(off - 0.5)
+    # The others are the first one, turned.
+    columns = np.stack([np.roll(first, sector * ANGLES_PER_SECTOR) for sector in range(n_bits)], axis=1)
     return columns, np.linalg.pinv(columns)
 
 
