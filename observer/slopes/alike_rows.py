@@ -9,6 +9,7 @@ as often as there are rows: in simulated passes of 18 photos slopes then erred b
 """
 
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -16,6 +17,11 @@ from heliogauge.validate import FloatArray
 from observer.slopes.banded_cholesky import factorise
 from observer.slopes.row_spline import LARGEST_SLOPE_RAD, Roughness, RowGrid, Rows, prior_bands
 
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
+
+#: Blocks whose squares are added up in one product.
+_BLOCKS_AT_ONCE = 8
 #: Share of a row's bend that no other row has: it keeps the correlation of rows that are alike entirely invertible.
 _OWN_SHARE = 1e-3
 #: What one row of the smoothest mirror has as precision [1/rad^2]: 20 is the middle of the third differences' square.
@@ -73,6 +79,40 @@ class AlikeFactor:
         for i in range(n_blocks - 2, -1, -1):
             blocks[i] = self.turned[i].T @ (blocks[i] - self.below[i].T @ blocks[i + 1])
         return np.ascontiguousarray(values[: self.n_nodes].transpose(3, 1, 0, 2)).reshape(right.shape)
+
+    def explained(self, pulls: "csr_array") -> FloatArray:
+        """Return ``P A^-1 P^T``, A the normal equations, shape (c, c).
+
+        pulls (n, c): P^T, the unknowns of row after row in the order of their nodes.
+
+        With the root L of A it is the square of ``L^-1 P^T``. An edge's photo touches few nodes, and above the first of
+        them its column is zero: columns come into the blocks one after the other.
+        """
+        n_blocks, width, _ = self.turned.shape
+        count = pulls.shape[1]
+        number = np.arange(2 * self.n_rows * self.n_nodes).reshape(self.n_rows, self.n_nodes, 2)
+        sides = pulls[number.transpose(1, 0, 2).ravel()].tocoo()
+        first = np.full(count, n_blocks)
+        np.minimum.at(first, sides.col, sides.row // width)
+        order = np.argsort(first, kind="stable")
+        begun = np.searchsorted(first[order], np.arange(n_blocks), side="right")
+        right = sides.tocsr()[:, order]
+        found = np.zeros((count, count))
+        half = np.zeros((width, 0))
+        for start in range(0, n_blocks, _BLOCKS_AT_ONCE):
+            own = range(start, min(start + _BLOCKS_AT_ONCE, n_blocks))
+            most = begun[own[-1]]
+            dense = right[start * width : (own[-1] + 1) * width, :most].toarray()
+            table = np.zeros((len(own) * width, most))
+            table[: len(dense)] = dense
+            for k, i in enumerate(own):
+                block = table[k * width : (k + 1) * width, : begun[i]]
+                block[:, : half.shape[1]] -= self.below[i - 1] @ half if i else 0.0
+                half = self.turned[i] @ block
+                block[:] = half
+            found[:most, :most] += table.T @ table
+        back = np.argsort(order)
+        return found[np.ix_(back, back)]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -172,17 +172,15 @@ class Reduction:
             normal += self._derivatives[some].T @ projected
         return normal, carried
 
+    @cached_property
+    def _of_all_rows(self) -> "tuple[csr_array, FloatArray]":
+        """Products of the derivatives: of slopes by common unknowns, and of these by themselves."""
+        return self._rows.derivatives().T @ self._derivatives, (self._derivatives.T @ self._derivatives).toarray()
+
     def _projected_alike(self, system: AlikeSystem) -> FloatArray:
         """Return the normal matrix where all rows are one system, shape (c, c)."""
-        count, grid = len(self._covariance), self._rows.grid
-        pulls = (self._rows.derivatives().T @ self._derivatives).T.tocsr()
-        normal = (self._derivatives.T @ self._derivatives).toarray()
-        some = max(1, _ENTRIES_AT_ONCE // pulls.shape[1])
-        for first in range(0, count, some):
-            own = slice(first, min(first + some, count))
-            solved = system.factor.solve(pulls[own].toarray().reshape(-1, grid.n_rows, 2 * grid.x_m.size))
-            normal[:, own] -= pulls @ solved.reshape(len(solved), -1).T
-        return np.asarray(0.5 * (normal + normal.T))
+        pulls, own = self._of_all_rows
+        return np.asarray(own - system.factor.explained(pulls.tocsr()))
 
     def _solved(self, system: RowSystem, first: int, last: int) -> FloatArray:
         """Return by how much the slopes of some rows change with each of their lines, shape (r, 2 nx, k)."""

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 import numpy.typing as npt
@@ -101,6 +102,7 @@ def find_roughness(
     some, own_covariance = _fewer_common(some, covariance)
     reduction = Reduction(some, fewer, own_covariance)
 
+    @cache
     def evidence(trial: Roughness) -> float:
         return reduction.under(trial).evidence
 
