@@ -239,7 +239,8 @@ def _near_core(smoothed: FloatArray, core: BoolArray) -> BoolArray:
     cross = float(y @ share @ x) / total
     spread = np.array([[columns @ x**2 / total, cross], [cross, rows @ y**2 / total]])
     form = np.linalg.inv(spread + 0.1 * np.eye(2))
-    return np.add.outer(form[1, 1] * y**2, form[0, 0] * x**2) + np.outer(2 * form[0, 1] * y, x) < _CORE_REACH**2
+    reach = np.add.outer(form[1, 1] * y**2, form[0, 0] * x**2) + np.outer(2 * form[0, 1] * y, x)
+    return np.asarray(reach < _CORE_REACH**2)
 
 
 def _upper_scatter(smoothed: FloatArray) -> float:
