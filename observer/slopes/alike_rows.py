@@ -20,8 +20,8 @@ from observer.slopes.row_spline import LARGEST_SLOPE_RAD, Roughness, RowGrid, Ro
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
-#: Blocks whose squares are added up in one product.
-_BLOCKS_AT_ONCE = 8
+#: Nodes whose squares are added up in one product.
+_NODES_AT_ONCE = 16
 #: Share of a row's bend that no other row has: it keeps the correlation of rows that are alike entirely invertible.
 _OWN_SHARE = 1e-3
 #: What one row of the smoothest mirror has as precision [1/rad^2]: 20 is the middle of the third differences' square.
@@ -43,23 +43,26 @@ def rows_correlation(grid: RowGrid, prior: Roughness) -> FloatArray | None:
 class AlikeFactor:
     """Block Cholesky root of the normal equations of all rows together.
 
-    Unknowns stand node after node, those of all rows at one node side by side; some neighbouring nodes are a block,
-    which is tied to the next block only.
+    Unknowns stand node after node, those of all rows at one node side by side: a block, which is tied to the next
+    few blocks.
 
-    turned (b, w, w): Inverses of the root's blocks on the diagonal.
-    below (b - 1, w, w): Blocks below these.
-    n_rows, n_nodes: What the unknowns belong to.
+    turned (n, w, w): Inverses of the root's blocks on the diagonal.
+    below (n, k, w, w): The k blocks below each of these; 0 below the last node.
+    n_rows: What the unknowns of a node belong to.
     """
 
     turned: FloatArray
     below: FloatArray
     n_rows: int
-    n_nodes: int
 
     @property
     def log_determinant(self) -> float:
         """Logarithm of the determinant of the normal equations."""
         return float(-2 * np.log(np.diagonal(self.turned, axis1=1, axis2=2)).sum())
+
+    def _below(self, node: int) -> FloatArray:
+        """Return the blocks below a node's own, one below the other, shape (k w, w)."""
+        return self.below[node, : len(self.turned) - 1 - node].reshape(-1, self.turned.shape[1])
 
     def solve(self, right: FloatArray) -> FloatArray:
         """Solve the system.
@@ -67,18 +70,19 @@ class AlikeFactor:
         Shapes: result (..., r, n).
         right (..., r, n): Right sides, the unknowns of a row in the order of its nodes.
         """
-        n_blocks, width, _ = self.turned.shape
-        sides = right.reshape(-1, self.n_rows, self.n_nodes, 2)
-        values = np.zeros((n_blocks * width // (2 * self.n_rows), self.n_rows, 2, len(sides)))
-        values[: self.n_nodes] = sides.transpose(2, 1, 3, 0)
-        blocks = values.reshape(n_blocks, width, -1)
-        blocks[0] = self.turned[0] @ blocks[0]
-        for i in range(1, n_blocks):
-            blocks[i] = self.turned[i] @ (blocks[i] - self.below[i - 1] @ blocks[i - 1])
-        blocks[-1] = self.turned[-1].T @ blocks[-1]
-        for i in range(n_blocks - 2, -1, -1):
-            blocks[i] = self.turned[i].T @ (blocks[i] - self.below[i].T @ blocks[i + 1])
-        return np.ascontiguousarray(values[: self.n_nodes].transpose(3, 1, 0, 2)).reshape(right.shape)
+        n_nodes, width, _ = self.turned.shape
+        sides = right.reshape(-1, self.n_rows, n_nodes, 2)
+        values = np.ascontiguousarray(sides.transpose(2, 1, 3, 0)).reshape(n_nodes * width, -1)
+        for i in range(n_nodes):
+            own, below = slice(i * width, (i + 1) * width), self._below(i)
+            values[own] = self.turned[i] @ values[own]
+            values[own.stop : own.stop + len(below)] -= below @ values[own]
+        for i in range(n_nodes - 1, -1, -1):
+            own, below = slice(i * width, (i + 1) * width), self._below(i)
+            values[own] -= below.T @ values[own.stop : own.stop + len(below)]
+            values[own] = self.turned[i].T @ values[own]
+        found = values.reshape(n_nodes, self.n_rows, 2, -1).transpose(3, 1, 0, 2)
+        return np.ascontiguousarray(found).reshape(right.shape)
 
     def explained(self, pulls: "csr_array") -> FloatArray:
         """Return ``P A^-1 P^T``, A the normal equations, shape (c, c).
@@ -86,31 +90,33 @@ class AlikeFactor:
         pulls (n, c): P^T, the unknowns of row after row in the order of their nodes.
 
         With the root L of A it is the square of ``L^-1 P^T``. An edge's photo touches few nodes, and above the first of
-        them its column is zero: columns come into the blocks one after the other.
+        them its column is zero: columns come in node after node.
         """
-        n_blocks, width, _ = self.turned.shape
-        count = pulls.shape[1]
-        number = np.arange(2 * self.n_rows * self.n_nodes).reshape(self.n_rows, self.n_nodes, 2)
+        n_nodes, width, _ = self.turned.shape
+        reach, count = self.below.shape[1], pulls.shape[1]
+        number = np.arange(2 * self.n_rows * n_nodes).reshape(self.n_rows, n_nodes, 2)
         sides = pulls[number.transpose(1, 0, 2).ravel()].tocoo()
-        first = np.full(count, n_blocks)
+        first = np.full(count, n_nodes)
         np.minimum.at(first, sides.col, sides.row // width)
         order = np.argsort(first, kind="stable")
-        begun = np.searchsorted(first[order], np.arange(n_blocks), side="right")
+        begun = np.searchsorted(first[order], np.arange(n_nodes), side="right")
         right = sides.tocsr()[:, order]
         found = np.zeros((count, count))
-        half = np.zeros((width, 0))
-        for start in range(0, n_blocks, _BLOCKS_AT_ONCE):
-            own = range(start, min(start + _BLOCKS_AT_ONCE, n_blocks))
-            most = begun[own[-1]]
-            dense = right[start * width : (own[-1] + 1) * width, :most].toarray()
-            table = np.zeros((len(own) * width, most))
-            table[: len(dense)] = dense
-            for k, i in enumerate(own):
-                block = table[k * width : (k + 1) * width, : begun[i]]
-                block[:, : half.shape[1]] -= self.below[i - 1] @ half if i else 0.0
-                half = self.turned[i] @ block
-                block[:] = half
-            found[:most, :most] += table.T @ table
+        carried = np.zeros((0, 0))
+        for start in range(0, n_nodes, _NODES_AT_ONCE):
+            stop = min(start + _NODES_AT_ONCE, n_nodes)
+            most, size = begun[stop - 1], (stop - start) * width
+            # What these nodes take off the next ones stands below them.
+            table = np.zeros((size + reach * width, most))
+            table[:size] = right[start * width : stop * width, :most].toarray()
+            table[: len(carried), : carried.shape[1]] += carried
+            for i in range(start, stop):
+                own, below, many = (i - start) * width, self._below(i), begun[i]
+                half = self.turned[i] @ table[own : own + width, :many]
+                table[own : own + width, :many] = half
+                table[own + width : own + width + len(below), :many] -= below @ half
+            found[:most, :most] += table[:size].T @ table[:size]
+            carried = table[size:]
         back = np.argsort(order)
         return found[np.ix_(back, back)]
 
@@ -169,44 +175,36 @@ def _factorised(rows: Rows, bands: FloatArray, walk: FloatArray, precision: Floa
     from scipy.linalg import lapack
 
     n_rows, n_nodes = rows.grid.n_rows, rows.grid.x_m.size
-    n_blocks = -(-n_nodes // order)
-    shape = (n_blocks, order, n_rows, 2, order, n_rows, 2)
-    own, below = np.zeros((2, *shape))
+    own: FloatArray = np.zeros((n_nodes, n_rows, 2, n_rows, 2))
+    below: FloatArray = np.zeros((n_nodes, order, n_rows, 2, n_rows, 2))
     each = np.arange(n_rows)
-
-    def of_nodes(values: FloatArray, first: int, fill: float = 0.0) -> FloatArray:
-        """Return the values of the nodes that are the first, second .. of their block, shape (b, ...)."""
-        filled = np.full((n_blocks * order, *values.shape[1:]), fill)
-        filled[:n_nodes] = values
-        return filled[first::order]
-
+    own[:, each, 0, each, 0] += LARGEST_SLOPE_RAD**-2
+    own[:, each, 1, each, 1] += bands[0, :, 1:]
+    own[:, :, 0, :, 0] += walk[0, :, None, None] * precision
+    for reach in range(1, min(order, n_nodes - 1) + 1):
+        to = below[: n_nodes - reach, reach - 1]
+        to[:, :, 0, :, 0] += walk[reach, : n_nodes - reach, None, None] * precision
+        to[:, each, 1, each, 1] += bands[reach, : n_nodes - reach, 1:]
     normal = np.moveaxis(rows.normal.reshape(n_rows, n_nodes, 2, 4), 0, 1)
-    for node in range(order):
-        # Nodes that are not there are unit rows.
-        own[:, node, each, 0, node, each, 0] += of_nodes(np.full((n_nodes, 1), LARGEST_SLOPE_RAD**-2), node, 1.0)
-        own[:, node, each, 1, node, each, 1] += of_nodes(bands[0, :, 1:], node, 1.0)
-        for reach in range(order + 1):
-            other = node + reach
-            at, to = (own, other) if other < order else (below, other - order)
-            pairs = of_nodes(walk[reach], node)[:, None, None] * precision
-            at[:, to, :, 0, node, :, 0] += pairs
-            if reach:
-                at[:, to, each, 1, node, each, 1] += of_nodes(bands[reach, :, 1:], node)
-        for component in range(2):
-            for offset in range(4):
-                step, of = divmod(component + offset, 2)
-                other = node + step
-                at, to = (own, other) if other < order else (below, other - order)
-                at[:, to, each, of, node, each, component] += of_nodes(normal[:, :, component, offset], node)
-    width = 2 * order * n_rows
-    own, below = own.reshape(n_blocks, width, width), below.reshape(n_blocks, width, width)[:-1]
+    for component in range(2):
+        for offset in range(4):
+            step, of = divmod(component + offset, 2)
+            at = below[: n_nodes - step, step - 1] if step else own
+            at[:, each, of, each, component] += normal[: n_nodes - step, :, component, offset]
+    width = 2 * n_rows
+    own, below = own.reshape(n_nodes, width, width), below.reshape(n_nodes, order, width, width)
     turned = own
-    for i in range(n_blocks):
+    for i in range(n_nodes):
         root, info = lapack.dpotrf(own[i].T, lower=0, clean=1)
         if info != 0:
             raise np.linalg.LinAlgError("the slopes of rows that are alike are not determined")
         turned[i] = lapack.dtrtri(root, lower=0)[0].T
-        if i + 1 < n_blocks:
-            below[i] = below[i] @ turned[i].T
-            own[i + 1] -= below[i] @ below[i].T
-    return AlikeFactor(turned, below, n_rows, n_nodes)
+        tied = below[i, : n_nodes - 1 - i]
+        under = tied.reshape(-1, width) @ turned[i].T
+        squares = (under @ under.T).reshape(len(tied), width, len(tied), width)
+        tied[:] = under.reshape(tied.shape)
+        for k in range(len(tied)):
+            own[i + 1 + k] -= squares[k, :, k]
+            for other in range(k):
+                below[i + 1 + other, k - other - 1] -= squares[k, :, other]
+    return AlikeFactor(turned, below, n_rows)
