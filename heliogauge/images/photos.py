@@ -90,7 +90,7 @@ def read_image(path: Path) -> Image:
 
 
 def read_channel(path: Path, channel: str) -> Image:
-    """Read one colour of a photograph.
+    """Read one colour of a photograph, or of a frame of a video.
 
     channel: "red", "green" or "blue"; "luminance" is what `read_image` gives.
     Returns (height, width): Values of that colour, or of a photograph without colours, in the file's depth [DN].
@@ -100,7 +100,7 @@ def read_channel(path: Path, channel: str) -> Image:
         return read_image(path)
     if channel not in _CHANNELS:
         raise InputError(f"channel: one of luminance, {', '.join(_CHANNELS)} is needed, not {channel!r}")
-    image = _decode(path, _read_bytes(path))
+    image = read_frame(path) if video_of(path) != path else _decode(path, _read_bytes(path))
     if image.ndim == 2 or image.shape[2] < 3:
         return _grey(image)
     return np.ascontiguousarray(image[..., _CHANNELS[channel]])
