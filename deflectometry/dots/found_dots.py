@@ -203,39 +203,44 @@ def _measured(image_dn: npt.NDArray[Any], spots: _Spots, number: IntArray, on_la
     off = centres.centers_px[good] - places[good]
     coarse = np.diag([robust_scale(off[:, axis]) ** 2 for axis in (0, 1)])
     n_coarse = int(np.count_nonzero(~good))
+    blur_px, share = _blur_and_size(image_dn, chosen.chosen(good))
+    # An outline is as large as the blur makes the dot: without it the same light is on less area.
+    by_outline = np.concatenate([centres.by_light[good], more.by_light[there], np.ones(n_coarse, dtype=np.bool_)])
+    size = np.where(by_outline, share, 1.0)
     shapes = np.concatenate([centres.shapes_px2[good], more.shapes_px2[there], chosen.shapes_px2[~good]])
-    blur_px, share = _blur_and_size(image_dn, chosen.chosen(good), centres.shapes_px2[good])
-    shapes *= share
+    contrast = np.concatenate([centres.contrast_dn[good], more.contrast_dn[there], np.full(n_coarse, np.nan)])
     return FoundDots(
         np.concatenate([centres.centers_px[good], more.centers_px[there], places[~good]]),
         np.concatenate([centres.covariance_px2[good], more.covariance_px2[there], np.tile(coarse, (n_coarse, 1, 1))]),
         np.concatenate([number[good], their_number[there], number[~good]]),
-        np.concatenate([centres.contrast_dn[good], more.contrast_dn[there], np.full(n_coarse, np.nan)]),
+        contrast / size,
         float(np.median(np.concatenate([centres.residual_dn[good], more.residual_dn[there]]))),
         n_coarse,
-        shapes,
+        shapes * size[:, None, None],
         blur_px,
     )
 
 
-def _blur_and_size(image_dn: npt.NDArray[Any], dots: _Spots, shapes_px2: FloatArray) -> tuple[float, float]:
+def _blur_and_size(image_dn: npt.NDArray[Any], dots: _Spots) -> tuple[float, float]:
     """Return the blur of dots' edges, pixel included [px], and how large dots are without it, from some of them.
 
-    shapes_px2 (n, 2, 2): Shapes as measured: those of outlines are as large as the blur makes them [px^2].
-    Returns: The blur and the share of the shapes; 1 and 1 where no template fits any dot.
+    Returns: The blur and the share of their outlines' areas; 1 and 1 where no template fits any dot.
     """
     which = np.linspace(0, len(dots.places_px) - 1, _BLUR_DOTS).astype(np.intp)
     fitted = measure_centers(image_dn, dots.chosen(which).ellipses())
     found = [(row, one) for row, one in zip(which.tolist(), fitted, strict=True) if isinstance(one, TargetCenter)]
     if not found:
         return 1.0, 1.0
-    share = [(one.ellipse.radius_px / Ellipse(np.zeros(2), shapes_px2[row]).radius_px) ** 2 for row, one in found]
+    share = [(one.ellipse.radius_px / Ellipse(np.zeros(2), dots.shapes_px2[row]).radius_px) ** 2 for row, one in found]
     return float(np.hypot(np.median([one.blur_px for _, one in found]), _PIXEL_PX)), float(np.median(share))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Centres:
-    """Centres of n dots, of those that settled; contrast and residual as in `FoundDots`."""
+    """Centres of n dots, of those that settled; contrast and residual as in `FoundDots`.
+
+    by_light (n,): Centred by their light: their shapes are those of outlines, and their contrasts go with these.
+    """
 
     centers_px: FloatArray
     covariance_px2: FloatArray
@@ -243,6 +248,7 @@ class _Centres:
     contrast_dn: FloatArray
     residual_dn: FloatArray
     settled: BoolArray
+    by_light: BoolArray
 
 
 def _centres(image_dn: npt.NDArray[Any], every: _Spots, dots: _Spots, noise_dn: float | None = None) -> _Centres:
@@ -271,6 +277,7 @@ def _centres(image_dn: npt.NDArray[Any], every: _Spots, dots: _Spots, noise_dn: 
                 np.abs(found.contrast_dn),
                 np.full(count, found.residual_dn),
                 found.settled.copy(),
+                np.ones(count, dtype=np.bool_),
             )
             # Beside the mirror's edge, or a light: the template leaves out what is no disc.
             _by_template(image_dn, dots, np.flatnonzero(~found.settled), result)
@@ -283,6 +290,7 @@ def _centres(image_dn: npt.NDArray[Any], every: _Spots, dots: _Spots, noise_dn: 
         unknown,
         unknown.copy(),
         np.zeros(count, dtype=np.bool_),
+        np.zeros(count, dtype=np.bool_),
     )
     _by_template(image_dn, dots, np.arange(count), result)
     return result
@@ -294,7 +302,7 @@ def _by_template(image_dn: npt.NDArray[Any], dots: _Spots, rows: IntArray, into:
         if isinstance(one, TargetCenter):
             into.centers_px[row], into.covariance_px2[row] = one.center_px, one.covariance_px2
             into.shapes_px2[row], into.contrast_dn[row] = one.ellipse.shape_px2, abs(one.contrast_dn)
-            into.residual_dn[row], into.settled[row] = one.residual_dn, True
+            into.residual_dn[row], into.settled[row], into.by_light[row] = one.residual_dn, True, False
 
 
 def _sees(region: BoolArray, places_px: FloatArray) -> BoolArray:

@@ -302,8 +302,8 @@ def _profiles(
     height, width = image.shape
     inside = (x >= 0) & (x <= width - 1) & (y >= 0) & (y <= height - 1)
     # OpenCV's remap rounds positions to 1/32 px, as much as the edges are known: interpolate here.
-    column = np.clip(x.astype(np.intp), 0, width - 2)
-    row = np.clip(y.astype(np.intp), 0, height - 2)
+    column = np.clip(x, 0, width - 2).astype(np.intp)
+    row = np.clip(y, 0, height - 2).astype(np.intp)
     right, down = np.clip(x - column, 0, 1), np.clip(y - row, 0, 1)
     flat, base = image.reshape(-1), row * width + column
     upper = flat[base] * (1 - right) + flat[base + 1] * right

@@ -177,7 +177,8 @@ class OutlineSearch:
         """
         corner_reach = 3.0 if width is None else width + 1.0
         projected = project_outline(self.camera, pose, outline, corner_reach)
-        usable = projected.usable
+        # A pose that has gone astray, of a photo whose sides are exchanged, say, shows nothing.
+        usable = projected.usable & np.isfinite(projected.pixels_px).all(axis=-1)
         if len(self.facets) > 1:
             metres_per_px = float(np.linalg.norm(pose.translation_m)) / self.camera.focal_x_px
             usable = usable & ~beside_another(self.facets, outline, corner_reach * metres_per_px)

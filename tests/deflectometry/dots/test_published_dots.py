@@ -91,7 +91,7 @@ def test_slopes_are_the_publishers_with_his_pose(shared_data: Path, folder: Path
     distance, index = cKDTree(points[:, :2]).query(found)
     same = distance < 1e-3
     # Beside these: dots that an edge cuts, whose middle he has from what is left of them, and two under the light.
-    assert np.count_nonzero(same) >= 3746
+    assert np.count_nonzero(same) >= 3760
     apart = found_slopes[same] - slopes[index[same]]
     apart -= apart.mean(axis=0)
     assert (np.sqrt(np.mean(apart**2, axis=0)) < 0.02e-3).all()

@@ -13,9 +13,11 @@ from deflectometry.keys import load_deflectometry
 from deflectometry.pipeline.choices import Options
 from deflectometry.pipeline.measure import run
 from deflectometry.pose.given_pose import check_given_pose
-from deflectometry.pose.pose_observations import UncertainPose
+from deflectometry.pose.outline_edges import OutlineSearch
+from deflectometry.pose.pose_observations import KnownPoints, UncertainPose
 from deflectometry.shape.smooth_shape import Align
 from heliogauge.camera.model import Camera
+from heliogauge.errors import EstimationError
 from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.geometry.surfaces import Facet, plane
 from heliogauge.validate import Float32Array
@@ -88,3 +90,10 @@ def test_edges_scatter_about_their_own_outline_wherever_the_given_pose_puts_it()
     assert found[0].residual_rms_px == pytest.approx(found[0].scatter_px, rel=0.2)
     assert found[1].scatter_px == pytest.approx(found[0].scatter_px, rel=0.05)
     assert found[1].residual_rms_px > 4 * found[1].scatter_px
+
+
+def test_a_pose_that_has_gone_astray_is_refused_and_no_bug():
+    search = OutlineSearch(bright_rectangle(), CAMERA, [FACET], 1.0, 120.0)
+    astray = RigidTransform(STRAIGHT.rotation, np.array([1e22, 0.0, 5.0]))
+    with pytest.raises(EstimationError, match="edge points"):
+        search.follow(astray, KnownPoints())
