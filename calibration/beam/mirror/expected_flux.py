@@ -127,12 +127,14 @@ class Scene(ShortRepr):
         reach_rad = _reach(self.sun, self.scatter_rad)
         half_m = reach_rad * float(np.linalg.norm(self.spread, ord=2))
         half = max(1, int(np.ceil(half_m / positive("step_m", step_m, "metres"))))
-        side = (np.arange((2 * half + 1) * _FINER) + 0.5) / _FINER - 0.5 - half
-        x, y = np.meshgrid(side * step_m, side * step_m)
+        size = 2 * half + 1
+        side = (np.arange(size * _FINER) + 0.5) / _FINER - 0.5 - half
+        # Turned by half a turn the picture is itself: the rows up to the middle one are enough.
+        x, y = np.meshgrid(side * step_m, side[: (half + 1) * _FINER] * step_m)
         angle = np.hypot(inverse[0, 0] * x + inverse[0, 1] * y, inverse[1, 0] * x + inverse[1, 1] * y)
         light = np.asarray(_profile(self.sun, self.scatter_rad)(angle), dtype=np.float64)
-        size = 2 * half + 1
-        picture = light.reshape(size, _FINER, size, _FINER).mean(axis=(1, 3))
+        lower = light.reshape(half + 1, _FINER, size, _FINER).mean(axis=(1, 3))
+        picture = np.concatenate([lower, lower[:-1][::-1, ::-1]])
         return np.asarray(picture / picture.sum())
 
 

@@ -250,6 +250,8 @@ class _Heliostat:
 def _stability_sentence(rows: list[dict[str, Any]]) -> str:
     others = [float(row["rms_mrad"]) for row in rows[1:]]
     text = f"estimated from {rows[0]['date']} it errs by {rows[0]['rms_mrad']:.2f} mrad on that day"
+    if len(others) == 1:
+        return text + f", {others[0]:.2f} mrad on the other"
     return text + (f", {min(others):.2f} to {max(others):.2f} mrad on the others" if others else "")
 
 
