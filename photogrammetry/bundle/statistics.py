@@ -22,6 +22,8 @@ _UNCONTROLLED = 1e-6
 #: one by 3 / 100 of its own error on the average of a hundred, so that all that go shift one by a thirtieth of theirs
 #: at most.
 _POINTS_FOR_ONE = 100
+#: Offset in sigmas to which adjustments go on whose residuals only say which image points are false.
+_ROUGH = 1e-3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -149,7 +151,9 @@ def adjust_and_reject(
     rows = np.nonzero(~outside)[0]
     rejected: dict[int, Rejected] = {}
     first = replace(problem, observations=problem.observations.subset(rows)) if outside.any() else problem
-    result = adjust(first, start, options=options)
+    # Which image points are false shows long before the last digits do: those are found in the end.
+    rough = replace(options, descent=replace(options.descent, tolerance=max(options.descent.tolerance, _ROUGH)))
+    result = adjust(first, start, options=rough)
     for _ in range(most_rounds):
         tests = examine_image_points(result)
         marked = tests.outliers(family_significance)
@@ -166,13 +170,14 @@ def adjust_and_reject(
         keep = ~(gone | singles)
         rows = rows[keep]
         smaller = replace(result.problem, observations=result.problem.observations.subset(keep))
-        result = adjust(smaller, result.state, options=options)
+        result = adjust(smaller, result.state, options=rough)
     asked = [*rejected, *np.nonzero(outside)[0].tolist()]
     back = _innocent(problem, result, asked, family_significance)
     if back:
         rows = np.sort(np.concatenate([rows, np.array(back, dtype=np.intp)]))
-        result = adjust(replace(problem, observations=problem.observations.subset(rows)), result.state, options=options)
-    return result, tuple(one for row, one in rejected.items() if row not in back)
+        result = adjust(replace(problem, observations=problem.observations.subset(rows)), result.state, options=rough)
+    final = adjust(result.problem, result.state, options=options)
+    return final, tuple(one for row, one in rejected.items() if row not in back)
 
 
 def _innocent(problem: BundleProblem, result: BundleResult, rows: list[int], family_significance: float) -> list[int]:

@@ -205,7 +205,7 @@ def solve_from(
         raise EstimationError("network: photos or targets were lost between start values and adjustment")
     suspects = ~np.isin(rows, network.rows) & options.reject
     waiting = () if before is None else before.rejected
-    suspects[[one.row for one in waiting]] = True
+    suspects[_waiting_rows(table, waiting)] = True
     chosen = BundleOptions(covariance_scale=CovarianceScale.POSTERIOR if options.rescale else CovarianceScale.PRIOR)
     state, shift = network.state, np.zeros((table.n, 2))
     if np.isfinite(ellipses_px2[rows]).any():
@@ -291,6 +291,13 @@ def _with_suspicious(points: ImagePoints, network: Network) -> np.ndarray:
     photos = np.isin(np.array(points.photos)[points.photo_index], network.observations.photos)
     targets = np.isin(np.array(points.targets)[points.target_index], network.observations.targets)
     return np.nonzero(photos & targets)[0]
+
+
+def _waiting_rows(table: ImagePoints, rejected: tuple[Rejected, ...]) -> IntArray:
+    """Return the rows of rejected image points, without those of targets that would keep fewer than two rays."""
+    rows = np.array([one.row for one in rejected], dtype=np.intp)
+    rays = table.n_rays - np.bincount(table.target_index[rows], minlength=len(table.targets))
+    return np.asarray(rows[rays[table.target_index[rows]] >= 2])
 
 
 def _without_empty(table: ImagePoints, state: BundleState) -> tuple[ImagePoints, BundleState]:
