@@ -52,6 +52,10 @@ _REACH_M = 0.12
 #: Edges tell the noise where they have less leverage than this. What those with more say of it hangs on their leverage:
 #: it came out as a third of what it is, and 24 photos of a shaped mirror were wrong by 3 mrad with a sigma of 0.3.
 _MOST_INFORMATIVE_LEVERAGE = 0.5
+#: Where the others foretell fewer edges than this share as well as they are measured, how rows are alike matters: what
+#: ties cameras to each other is then the smoothness of the mirror. Where more are, edges of many photos overlap and
+#: tie them, and a field of all rows is several times the work for the same slopes.
+_CHECKED_SHARE = 0.5
 #: An edge that others say nothing of has all the leverage; its residual is taken to have this share of its noise.
 _MOST_LEVERAGE = 0.98
 #: No mirror bends more than this beside its design; what does is noise [1/m].
@@ -112,8 +116,7 @@ class Reflector:
     def gaps(self) -> EdgeGaps:
         """What lies between the edges of one row and panel, and how many edges the others foretell."""
         _, predicted = _residuals(self.lines, self.grid, self.errors)
-        confirmed = predicted < _MOST_INFORMATIVE_LEVERAGE * self.lines.sigma_rad**2
-        return edge_gaps(self.lines, self.grid, confirmed)
+        return edge_gaps(self.lines, self.grid, _confirmed(predicted, self.lines.sigma_rad))
 
     @property
     def alike(self) -> FloatArray:
@@ -192,6 +195,10 @@ def solve_reflector(
         roughness = find_roughness(used, grid, roughness, covariance, any_order=allowance == 0.0)
         errors = solve_jointly(used, grid, roughness, covariance, with_shares=None)
         residuals, predicted = _residuals(lines, grid, errors)
+        if allowance == 0.0 and _confirmed(predicted[keep], used.sigma_rad).mean() < _CHECKED_SHARE:
+            roughness = find_roughness(used, grid, roughness, covariance, any_order=True, maybe_alike=True)
+            errors = solve_jointly(used, grid, roughness, covariance, with_shares=None)
+            residuals, predicted = _residuals(lines, grid, errors)
         factor = 1.0
         if allowance == 0.0:
             factor = _noise_factor(residuals[keep] / used.sigma_rad, predicted[keep] / used.sigma_rad**2)
@@ -507,6 +514,11 @@ def _residuals(lines: TouchingLines, grid: RowGrid, errors: SlopeErrors) -> tupl
     x_x, x_y, y_y = (errors.random[..., i, j][lines.row, nearest] for i, j in ((0, 0), (0, 1), (1, 1)))
     by_x, by_y = lines.d_slope_x, lines.d_slope_y
     return residuals, by_x * (by_x * x_x + 2 * by_y * x_y) + by_y**2 * y_y
+
+
+def _confirmed(predicted: FloatArray, sigma_rad: FloatArray) -> BoolArray:
+    """Return which edges the others foretell about as well as they are measured."""
+    return np.asarray(predicted < _MOST_INFORMATIVE_LEVERAGE * sigma_rad**2)
 
 
 def _noise_factor(normalised: FloatArray, leverage: FloatArray) -> float:

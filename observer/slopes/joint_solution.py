@@ -85,7 +85,13 @@ class SlopeErrors:
 
 
 def find_roughness(
-    lines: TouchingLines, grid: RowGrid, prior: Roughness, covariance: FloatArray, *, any_order: bool = False
+    lines: TouchingLines,
+    grid: RowGrid,
+    prior: Roughness,
+    covariance: FloatArray,
+    *,
+    any_order: bool = False,
+    maybe_alike: bool = False,
 ) -> Roughness:
     """Choose the roughness across the trough under which the lines are most probable.
 
@@ -93,6 +99,7 @@ def find_roughness(
     prior: The slope along the trough, which is kept.
     covariance (c, c): Prior covariance of the common unknowns.
     any_order: Whether the order of the random walk is chosen as well; otherwise it is the prior's.
+    maybe_alike: Whether it is looked for how rows are alike, too.
 
     Marginal likelihood with slopes and common unknowns integrated out, on a sample of rows and photos. The interval
     in which its slope over the logarithm of the roughness changes sign is enclosed from the prior's own, which is
@@ -112,6 +119,8 @@ def find_roughness(
     other = 5 - alone.order
     start = alone.across * _NEXT_ORDER_PER_M2 ** (other - alone.order)
     both = alone, _most_probable(replace(alone, across=start, order=other), evidence)
+    if not maybe_alike:
+        return max(both, key=evidence)
     # Each question is answered by what is most probable for it: a row by itself bends as its own edges say best, what
     # all rows have in common is found from all of them together.
     field = max((_with_likeness(one, fewer, evidence) for one in both), key=evidence)
