@@ -48,6 +48,7 @@ METHOD = {
         "targets",
         "corners",
         "turning",
+        "shutter",
         "photo_edges",
         "absorber",
         "slopes",

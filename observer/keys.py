@@ -248,6 +248,29 @@ class ObserverEvaluationSection(Section):
         return step
 
 
+class RollingShutterSection(Section):
+    """A camera that reads its rows one after the other while it flies; an empty table has the readout estimated.
+
+    The camera is taken to fly straight on and to hold its direction while it reads a frame.
+    """
+
+    readout_ms: Number | None = Field(
+        None,
+        description="Time from the first row to the last, negative where the last one is read first; default: "
+        "estimated from the targets [ms].",
+    )
+    sigma_ms: Positive | None = Field(None, description="Its error, 1 sigma; default: 5 % [ms].")
+    speed_m_s: Positive | None = Field(
+        None, description="Speed over ground; default: by the times of photos or frames [m/s]."
+    )
+
+    @model_validator(mode="after")
+    def _sigma_of_readout(self) -> Self:
+        if self.sigma_ms is not None and self.readout_ms is None:
+            raise ValueError("sigma_ms is the error of readout_ms; give that, or leave both out")
+        return self
+
+
 class ObserverModel(MeasurementModel):
     """The whole measurement.toml of ``kind = "observer"``."""
 
@@ -257,6 +280,9 @@ class ObserverModel(MeasurementModel):
         (NetworkCameraSection(),), description="The camera, or a table for each; default: self-calibration."
     )
     images: PassSection = Field(description="Photos or a video of the pass.")
+    rolling_shutter: RollingShutterSection | None = Field(
+        None, description="A rolling shutter, which reads row after row while the camera flies."
+    )
     targets: KnownTargetsSection | None = Field(None, description="The targets on the collector.")
     corners: CornersSection | None = Field(
         None, description="Corners of the mirror panels as natural targets, instead of marked ones."
@@ -288,6 +314,8 @@ class ObserverModel(MeasurementModel):
             raise ValueError("tilts: they belong to [corners] seen by one fixed camera, without [positions]")
         if self.corners is None:
             return self
+        if self.rolling_shutter is not None:
+            raise ValueError("rolling_shutter: marked targets are needed, [targets]; hover for photos with [corners]")
         if self.positions is None and self.tilts is None:
             raise ValueError(
                 "corners: [positions] is needed: where the drone was, and how its camera was turned; or [tilts] of a "

@@ -88,6 +88,15 @@ def list_frames(video: Path, *, every_nth: int = 1) -> VideoFrames:
     return VideoFrames(tuple(files), tuple(doubts))
 
 
+def frames_per_second(video: Path) -> float | None:
+    """Return how many frames of a video follow in a second, as its container says; None where it does not.
+
+    InputError: It cannot be opened.
+    """
+    rate = float(_open(video).get(cv2.CAP_PROP_FPS))
+    return rate if np.isfinite(rate) and rate > 0 else None
+
+
 def read_frame(path: Path) -> npt.NDArray[np.uint8]:
     """Decode one frame.
 

@@ -134,7 +134,6 @@ def _lattice(view: View, surface: Quadric, x_m: FloatArray, y_m: FloatArray) -> 
 
     Its lines are in the middle between eight lines of the strip each, as the pixels of a picture reduced by eight.
     """
-    camera, cam_from_frame = view
     axes = []
     for values in (x_m, y_m):
         count = -(-values.size // _LATTICE) + 2
@@ -144,7 +143,7 @@ def _lattice(view: View, surface: Quadric, x_m: FloatArray, y_m: FloatArray) -> 
     points = np.empty((axes[1].size, axes[0].size, 3))
     points[..., 0], points[..., 1] = axes[0], axes[1][:, None]
     points[..., 2] = surface.height(axes[0], axes[1][:, None])
-    pixels = camera.project(cam_from_frame.apply(points))
+    pixels = view.project(points)
     # What lies behind the camera is outside the photo. Single precision is 1e-4 px.
     return np.where(np.isfinite(pixels), pixels, -1e4).astype(np.float32)
 

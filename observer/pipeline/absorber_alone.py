@@ -116,7 +116,7 @@ def run(measurement: ObserverMeasurement, options: Options | None = None, progre
     else:
         first = find_corners(survey.photo_files, finder, inputs.corners, jobs=options.jobs, progress=progress)
         listed = keep_placed(survey, first)
-    cameras = adjust_cameras(listed, collector, options.jobs, progress)
+    cameras = adjust_cameras(listed, inputs, options.jobs, progress)
     network = cameras.network
     with progress.stage("absorber"), showing(partial(network.measured.pictures, "no edge of the tube")):
         # Photos that are meant for it, where there are any, else all.
@@ -132,7 +132,7 @@ def run(measurement: ObserverMeasurement, options: Options | None = None, progre
         network,
         solution,
         name=inputs.name,
-        doubts=gather_doubts(inputs.doubts, listed.doubts, network.doubts, doubts),
+        doubts=gather_doubts(inputs.doubts, listed.doubts, network.doubts, cameras.doubts, doubts),
         durations_s=dict(progress.durations_s),
         input_sha256=dict(inputs.input_sha256),
     )

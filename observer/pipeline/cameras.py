@@ -12,17 +12,18 @@ import numpy as np
 from heliogauge.doubts import Doubt, Severity, gather_doubts
 from heliogauge.errors import EstimationError
 from heliogauge.running.progress import Progress
-from observer.photo_edges.views import View
+from observer.photo_edges.views import MovingView, View
 from observer.pipeline.inputs import Inputs
+from observer.pipeline.rolling_shutter import adjust_rolling, shutter_doubts, unstated_doubt
 from observer.pipeline.stated_camera import explained
 from observer.pipeline.target_list import CheckedList, refuse_loose_list
 from observer.pipeline.tilts import LEAST_READINGS, Tilts
+from observer.shutter.readout import RowMotions
 from observer.slopes.pose_modes import Photos
-from observer.trough.collector import Collector
 from observer.turning.far_camera import TiltReadings
 from observer.turning.tied_poses import CONTRADICTED, Turning, compare_turning, tie_poses
 from photogrammetry import pipeline as photogrammetry_pipeline
-from photogrammetry.pipeline import collect_photos
+from photogrammetry.pipeline import MeasuredPhotos, collect_photos
 from photogrammetry.start_values import LeftOut
 
 
@@ -34,12 +35,16 @@ class Cameras:
     photos: Poses with their joint covariance.
     views: Camera and pose of each photo.
     files: Their files.
+    motions: How the cameras move while they read their rows; None: all rows at once.
+    doubts: What contradicts how the photos were read.
     """
 
     network: photogrammetry_pipeline.Result
     photos: Photos
     views: tuple[View, ...]
     files: tuple[Path, ...]
+    motions: RowMotions | None = None
+    doubts: tuple[Doubt, ...] = ()
 
     @classmethod
     def of(cls, network: photogrammetry_pipeline.Result, files: Sequence[Path]) -> "Cameras":
@@ -54,25 +59,46 @@ class Cameras:
         names = bundle.problem.observations.photos
         return cls(network, Photos(poses, covariance), views, tuple(by_name[name] for name in names))
 
+    def moving(self, motions: RowMotions) -> "Cameras":
+        """Return the same, moving while they read their rows, with what is uncertain of that."""
+        views = tuple(MovingView(*view, motion) for view, motion in zip(self.views, motions.motions_m, strict=True))
+        rotations = np.array([pose.rotation for pose in self.photos.poses])
+        covariance = self.photos.covariance + motions.pose_covariance(rotations)
+        photos = replace(self.photos, covariance=covariance, moving=views)
+        return replace(self, photos=photos, views=views, motions=motions)
 
-def adjust_cameras(listed: CheckedList, collector: Collector, jobs: int | None, progress: Progress) -> Cameras:
-    """Adjust poses, targets and, where it is asked for, the camera.
+
+def adjust_cameras(listed: CheckedList, inputs: Inputs, jobs: int | None, progress: Progress) -> Cameras:
+    """Adjust poses, targets and, where it is asked for, the camera and its readout.
 
     jobs: Photos side by side.
     InputError: The list of targets is upside down.
     EstimationError: The photos do not hang together, or the trough's frame is free to turn.
     """
     first = listed.first
-    with explained():
-        network = photogrammetry_pipeline.run(
+
+    def adjusted(measured: MeasuredPhotos | None) -> photogrammetry_pipeline.Result:
+        return photogrammetry_pipeline.run(
             listed.survey,
             photogrammetry_pipeline.Options(jobs=jobs),
             progress,
-            measured=collect_photos(first.targets) if first.targets else None,
+            measured=measured,
             start=first.start,
         )
-    cameras = Cameras.of(network, listed.survey.photo_files)
-    refuse_loose_list(network, listed.survey, collector)
+
+    measured, shutter = collect_photos(first.targets) if first.targets else None, inputs.shutter
+    with explained():
+        if measured is None or shutter is None:
+            network = adjusted(measured)
+            cameras = Cameras.of(network, listed.survey.photo_files)
+            doubts = gather_doubts(unstated_doubt(network) if inputs.tilts is None else None)
+            cameras = replace(cameras, doubts=doubts)
+        else:
+            rolled = adjust_rolling(adjusted, measured, shutter)
+            network = rolled.network
+            cameras = Cameras.of(network, listed.survey.photo_files).moving(rolled.motions)
+            cameras = replace(cameras, doubts=shutter_doubts(rolled, shutter))
+    refuse_loose_list(network, listed.survey, inputs.collector)
     return cameras
 
 
@@ -85,7 +111,7 @@ def adjust_turning(
     Returns: Without the photos whose corners and reading contradict each other; cameras with the tied poses.
     EstimationError: The readings contradict how the collector turns in the photos.
     """
-    cameras = adjust_cameras(listed, inputs.collector, jobs, progress)
+    cameras = adjust_cameras(listed, inputs, jobs, progress)
     tilts = inputs.tilts
     if tilts is None:
         return listed, cameras
@@ -97,7 +123,7 @@ def adjust_turning(
         sigmas = {cameras.files[k].name: abs(float(turning.over_sigma[k])) for k in out}
         doubts.append(_left_out_doubt(sigmas))
         listed = _without(listed, sigmas)
-        cameras = adjust_cameras(listed, inputs.collector, jobs, progress)
+        cameras = adjust_cameras(listed, inputs, jobs, progress)
         turning = _compare(cameras, tilts)
     with progress.stage("tie to tilts"):
         names = [file.name for file in cameras.files]

@@ -18,6 +18,7 @@ from observer.product.panel_shapes import panel_shapes
 from observer.product.slope_map import AngleMaps
 from observer.selection.edge_refusal import EdgeFate
 from observer.selection.solve_and_refuse import Reflector
+from observer.shutter.readout import RowMotions
 from observer.trough.absorber_path import AbsorberPath
 from observer.trough.collector import Collector
 from observer.trough.visibility import Visibility, seeable_shares
@@ -106,6 +107,17 @@ def edge_numbers(reflector: Reflector) -> Numbers:
         "edge_residual_rms_rad": float(np.sqrt(np.mean(reflector.residuals_rad[used] ** 2))),
         "edge_noise_factor": reflector.noise_factor,
     }
+
+
+def shutter_numbers(motions: RowMotions | None) -> Numbers:
+    """Return how long a frame takes to read, and how far the camera flies in that; none without a rolling shutter."""
+    if motions is None:
+        return {}
+    flown = float(np.sqrt((motions.motions_m**2).sum(axis=1).mean()))
+    numbers: Numbers = {"frame_motion_rms_m": flown}
+    if motions.in_seconds:
+        numbers |= {"readout_s": motions.readout, "sigma_readout_s": motions.sigma_readout}
+    return numbers
 
 
 def surface_numbers(reflector: Reflector) -> Numbers:
@@ -223,5 +235,16 @@ def headline_text(summary: Summary) -> str:
             "show the tube",
             f"  design           {summary.texts['design']}",
             f"  files            {summary.texts['encoding']}",
+            *([f"  rolling shutter  {_shutter_text(summary)}"] if "frame_motion_rms_m" in numbers else []),
         ]
     )
+
+
+def _shutter_text(summary: Summary) -> str:
+    """Say how far the camera flew while it read a frame, and how long that took."""
+    numbers = summary.numbers
+    said = f"{number_text(float(numbers['frame_motion_rms_m'] or 0.0), None, 'm')} flown over a frame"
+    if "readout_s" not in numbers:
+        return said
+    readout, sigma = (1e3 * float(numbers[key] or 0.0) for key in ("readout_s", "sigma_readout_s"))
+    return f"{readout:.2f} ± {sigma:.2f} ms for a frame; {said}"

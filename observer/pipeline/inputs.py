@@ -27,6 +27,7 @@ from observer.pipeline.corners import CornerSearch
 from observer.pipeline.reading.photos import Finder, build_finder
 from observer.pipeline.reading.target_kinds import TargetKinds, target_kinds
 from observer.pipeline.reading.tone import Encoding, Encodings
+from observer.pipeline.rolling_shutter import Shutter, read_shutter
 from observer.pipeline.tilts import Tilts, read_tilts
 from observer.slopes.row_spline import Roughness
 from observer.trough.absorber_path import AbsorberPath
@@ -77,6 +78,7 @@ class Inputs:
     targets_file: Name of the list of targets, for messages.
     corners: What predicts the corners of panels, where these take the place of marked targets.
     tilts: Readings of a collector that turns before a fixed camera.
+    shutter: What is stated of a rolling shutter; None: all rows are read at once.
     absorber: The tube's axis: of the table, or of the design where it is measured or assumed.
     absorber_source: Whether it is measured in the photos, from a table, or as designed.
     stations_m (n,): Places along the trough at which it is measured [m].
@@ -103,6 +105,7 @@ class Inputs:
     doubts: tuple[Doubt, ...]
     corners: CornerSearch | None = None
     tilts: Tilts | None = None
+    shutter: Shutter | None = None
     input_sha256: Mapping[str, str] = field(default_factory=dict)
 
 
@@ -247,6 +250,7 @@ def build_inputs(
         (*measurement.doubts, *left_out_doubts(tables)),
         corners,
         tilts,
+        read_shutter(model.rolling_shutter, measurement.photo_files),
     )
 
 

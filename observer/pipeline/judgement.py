@@ -95,7 +95,7 @@ def _sizes_doubt(cameras: Cameras, first: FirstLook) -> Doubt | None:
         view = cameras.views[names.index(table.photo)]
         middle = np.array([place[table.names[k]] for k in rows])
         # Targets look along the optical axis: a unit square across it shows how large a unit disc looks.
-        corners = [view.camera.project(view.cam_from_frame.apply(middle + step)) for step in _SMALL_STEPS]
+        corners = [view.project(middle + step) for step in _SMALL_STEPS]
         area = np.abs(np.linalg.det(np.stack([corners[1] - corners[0], corners[2] - corners[0]], axis=2)))
         photo += [names.index(table.photo)] * len(rows)
         target += [number[table.names[k]] for k in rows]

@@ -12,7 +12,7 @@ from heliogauge.images.photos import read_luma
 from heliogauge.running.progress import Progress, SilentProgress
 from observer.doubts.photos import refuse_impossible_cameras
 from observer.keys import ObserverMeasurement
-from observer.photo_edges.views import Shot, View
+from observer.photo_edges.views import Shot
 from observer.pipeline.cameras import Cameras, adjust_turning
 from observer.pipeline.corners import find_corners
 from observer.pipeline.inputs import Inputs, read_inputs
@@ -121,8 +121,9 @@ def evaluate(inputs: Inputs, first: FirstLook, options: Options, progress: Progr
         refined.poses,
         refined.covariances,
         picture,
+        cameras.motions,
         name=inputs.name,
-        doubts=gather_doubts(cameras.network.doubts, seen.encodings.doubts, doubts, intercept.doubts),
+        doubts=gather_doubts(cameras.network.doubts, cameras.doubts, seen.encodings.doubts, doubts, intercept.doubts),
         durations_s=dict(progress.durations_s),
         input_sha256=inputs.input_sha256,
     )
@@ -137,7 +138,7 @@ def _draw_clearest(
     """
     used = seen.edges.photo[mirror.reflector.fate == EdgeFate.USED]
     clearest = int(np.argmax(np.bincount(used)))
-    view = View(cameras.views[clearest].camera, poses[clearest])
+    view = cameras.views[clearest].posed(poses[clearest])
     shot = Shot(read_luma(cameras.files[clearest]), clearest, view)
     return draw_overlay(
         shot, mirror.slope_map, AbsorberPath.designed(inputs.collector), mirror.absorber, inputs.collector

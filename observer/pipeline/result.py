@@ -29,6 +29,7 @@ from observer.pipeline.headline import (
     edge_numbers,
     headline_text,
     panel_columns,
+    shutter_numbers,
     slope_numbers,
     surface_numbers,
     surface_text,
@@ -39,6 +40,7 @@ from observer.product.pictures import Overlay
 from observer.product.slope_map import AngleMaps
 from observer.selection.edge_refusal import EdgeFate
 from observer.selection.solve_and_refuse import Reflector
+from observer.shutter.readout import RowMotions
 from observer.slopes.pose_modes import Photos
 from observer.trough.absorber_path import AbsorberPath
 from observer.trough.collector import Collector
@@ -82,6 +84,8 @@ class Result(InstrumentResult):
         Of the steps of each [rad, m].
     overlay : Overlay
         One photo with what design and result predict of the reflection.
+    motions : RowMotions or None
+        How the camera moved while it read its rows; None where all were read at once.
     name : str
         Name of what was measured.
     doubts : tuple of Doubt
@@ -108,6 +112,7 @@ class Result(InstrumentResult):
     poses: tuple[RigidTransform, ...]
     pose_covariances: FloatArray
     overlay: Overlay
+    motions: RowMotions | None = None
 
     def summarise(self) -> Summary:
         """Collect the headline numbers of a result with their sigmas, doubts and provenance."""
@@ -122,6 +127,7 @@ class Result(InstrumentResult):
             **surface_numbers(self.reflector),
             **collected,
             "photos_count": len(bundle.problem.observations.photos),
+            **shutter_numbers(self.motions),
             "image_residual_rms_px": float(np.sqrt((bundle.residuals_px**2).sum(axis=1).mean())),
             **({} if self.network.positions is None else self.network.positions.numbers),
         }

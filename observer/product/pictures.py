@@ -67,8 +67,7 @@ class Slices:
         points[..., 2] = collector.surface.height(x, self.y_m[:, None])
         share = np.linspace(0, 1, (_COLUMNS - 1) // (_PROJECTED - 1), endpoint=False)[:, None]
         for one in shots:
-            camera, pose = one.view
-            exact = np.nan_to_num(camera.project(pose.apply(points)), nan=-1.0)
+            exact = np.nan_to_num(one.view.project(points), nan=-1.0)
             between = exact[:, :-1, None] + share * np.diff(exact, axis=1)[:, :, None]
             places = np.concatenate([between.reshape(len(exact), -1, 2), exact[:, -1:]], axis=1).astype(np.float32)
             values = cv2.remap(one.image, places, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)  # type: ignore[call-overload]
@@ -126,8 +125,6 @@ def draw_overlay(
     design, absorber: The tube by design and as measured.
     Returns: The photo, nodes of the mirror in it and the predictions.
     """
-    camera, pose = shot.view
-    eye = shot.view.eye_m
     rows, columns = (
         np.unique(np.linspace(0, size - 1, min(size, _NODES)).round().astype(int)) for size in slope_map.shape
     )
@@ -137,20 +134,21 @@ def draw_overlay(
     design_slopes = (slope_map.design_slope_x[chosen], slope_map.design_slope_y[chosen])
     along = slope_map.slope_y[chosen]
     measured = (slope_map.slope_x[chosen], np.where(np.isfinite(along), along, design_slopes[1]))
-    pixels = camera.project(pose.apply(points))
+    pixels = shot.view.project(points)
+    eyes = shot.view.eyes_at(np.nan_to_num(pixels)).reshape(-1, 3)
     part, pixels = _cut_out(shot.image, pixels)
     return Overlay(
         shot.number,
         part,
         pixels,
-        _beside(points, eye, design_slopes, design, collector),
-        _beside(points, eye, measured, absorber, collector),
+        _beside(points, eyes, design_slopes, design, collector),
+        _beside(points, eyes, measured, absorber, collector),
     )
 
 
 def _beside(
     points_m: FloatArray,
-    eye_m: FloatArray,
+    eyes_m: FloatArray,
     slopes: tuple[FloatArray, FloatArray],
     tube: AbsorberPath,
     collector: Collector,
@@ -158,7 +156,7 @@ def _beside(
     """Return by what angle reflected lines pass beside the tube's surface."""
     shape = points_m.shape[:2]
     flat = points_m.reshape(-1, 3)
-    sights = Sights(flat, np.tile(eye_m, (len(flat), 1)), np.ones(len(flat)))
+    sights = Sights(flat, eyes_m, np.ones(len(flat)))
     slope_x, slope_y = (part.reshape(-1) for part in slopes)
     radius = collector.absorber_diameter_m / 2
     upper = misfit(sights, (slope_x, slope_y), tube, radius).angle_rad

@@ -58,7 +58,7 @@ def tilts_from_photos(
     y_m (r,): Rows along the trough [m].
     Returns: NaN for panels in which not both edges of the image lie.
     """
-    sights = Sights(edges.points_m, photos.eyes_m[edges.photo], edges.side)
+    sights = Sights(edges.points_m, photos.eyes_of(edges.points_m, edges.photo), edges.side)
     found = design_misfit(edges.points_m, sights.eyes_m, edges.side, collector, absorber)
     slope = edges.points_m[:, 0] / (2 * collector.focal_length_m)
     # A turn of the normal towards +x lowers dz/dx by 1 + slope^2 times as much.

@@ -388,7 +388,7 @@ class _Nominal:
     ) -> None:
         focal = expected.collector.focal_length_m
         self.edges, self._photos, self._expected, self._outward_rad = edges, photos, expected, outward_rad
-        self.sights = Sights(edges.points_m, photos.eyes_m[edges.photo], edges.side)
+        self.sights = Sights(edges.points_m, photos.eyes_of(edges.points_m, edges.photo), edges.side)
         self._found = design_misfit(
             edges.points_m, self.sights.eyes_m, edges.side, expected.collector, expected.absorber
         )

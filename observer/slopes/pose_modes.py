@@ -8,6 +8,7 @@ import numpy as np
 
 from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.validate import FloatArray, IntArray
+from observer.photo_edges.views import View
 from observer.trough.observation_equation import Misfit, Sights, gradient_on_mirror
 
 #: Combinations of a pose's six movements that are kept. The first is the camera's place across the trough with the
@@ -25,16 +26,30 @@ class Photos:
     covariance (6 n, 6 n): Joint covariance of their steps (`RigidTransform.moved`) [rad, m].
     with_tube (2 k, 6 n): Covariance of the absorber's k stations (all x, then all z) with those steps; none without
         [m rad, m^2].
+    moving: Views of cameras that move while they read a frame; none where all rows are read at once.
     """
 
     poses: tuple[RigidTransform, ...]
     covariance: FloatArray
     with_tube: FloatArray | None = None
+    moving: tuple[View, ...] = ()
 
     @property
     def eyes_m(self) -> FloatArray:
         """Centres of the cameras, shape (n, 3) [m]."""
         return -np.array([pose.rotation.T @ pose.translation_m for pose in self.poses])
+
+    def eyes_of(self, points_m: FloatArray, photo: IntArray) -> FloatArray:
+        """Return where the camera was when it took points.
+
+        Shapes: points_m (m, 3), photo (m,), result (m, 3) [m].
+        """
+        eyes = self.eyes_m[photo]
+        if not self.moving:
+            return eyes
+        for view, some in zip(self.moving, _rows_of(photo, len(self.moving)), strict=True):
+            eyes[some] = view.eyes_at(view.project(points_m[some]))
+        return eyes
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -87,6 +87,7 @@ def run_on_photos(
         inputs.doubts,
         listed.doubts,
         cameras.network.doubts,
+        cameras.doubts,
         seen.encodings.doubts,
         placed.doubts,
         _panel_doubts(found.to_absorber),
@@ -149,14 +150,14 @@ def _pictures(
             places = image_edges(view.eye_m, along, collector, absorber).reshape(_ROWS, -1)
             for column in places.T[np.isfinite(places).all(axis=0)]:
                 points = np.stack([column, along, column**2 / (4 * collector.focal_length_m)], axis=1)
-                theory.append(view.camera.project(view.cam_from_frame.apply(points)))
+                theory.append(view.project(points))
         own = found.used & (edges.photo == k)
         lines: list[FloatArray] = []
         for number in np.unique(panel[own]):
             for side in (-1.0, 1.0):
                 chosen = np.flatnonzero(own & (panel == number) & (edges.side == side))
                 chosen = chosen[np.argsort(edges.points_m[chosen, 1])]
-                lines.append(view.camera.project(view.cam_from_frame.apply(edges.points_m[chosen])))
+                lines.append(view.project(edges.points_m[chosen]))
         image = np.clip(read_luma(file), 0, 255).astype(np.uint8)
         sheets[file.name] = theory_sheet(image, file.name, theory, [line for line in lines if len(line) > 1])
     return sheets

@@ -561,7 +561,9 @@ def look_again(
     jobs: int | None,
     progress: Progress,
 ) -> SeenInPhotos:
-    """Carry what was found to the adjusted poses; read again only photos that had no pose yet, or a wrong one.
+    """Carry what was found to the adjusted poses.
+
+    Read again are only photos that had no pose yet, or a wrong one, or whose camera moved while it read its rows.
 
     views: Camera and ``cam_from_frame`` of each, adjusted.
     first: What was found when the photos were read.
@@ -586,7 +588,8 @@ def look_again(
     before, late = [], []
     for number, (file, view) in enumerate(zip(files, views, strict=True)):
         pose = first.poses.get(file.name)
-        if pose is not None and file.name in first.edges and _distance_m(pose, view.cam_from_frame) < _FAR_M:
+        is_near = pose is not None and _distance_m(pose, view.cam_from_frame) < _FAR_M
+        if pose is not None and is_near and file.name in first.edges and not view.moves:
             before.append(View(finder.camera_of[file.name], pose))
         else:
             before.append(view)

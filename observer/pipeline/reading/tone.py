@@ -68,7 +68,6 @@ def sizes_of(
     known: Listed coordinates.
     Returns (2, n): Ratios of listed targets; none where no diameter is stated.
     """
-    camera, pose = sample.view
     place = dict(zip(known.names, known.points_m, strict=True))
     table = found.detections
     # White that is overexposed grows into the black, as in numbers encoded for the eye.
@@ -85,7 +84,7 @@ def sizes_of(
     # Targets on the rims look along the optical axis; three points of each give the size at which the lens shows it.
     middle = np.array([place[name] for name in starts.names])
     aside = [middle + 0.5 * diameter_m * np.eye(3)[axis] for axis in range(2)]
-    pixels = [camera.project(pose.apply(points)) for points in (middle, *aside)]
+    pixels = [sample.view.project(points) for points in (middle, *aside)]
     area = np.abs(np.linalg.det(np.stack([pixels[1] - pixels[0], pixels[2] - pixels[0]], axis=2)))
     expected = dict(zip(starts.names, np.sqrt(area), strict=True))
     # A target that can be measured in one of both only says nothing.

@@ -1,0 +1,283 @@
+"""Photos read row after row while the camera flew: image points as a camera at rest would have taken them, and back.
+
+Poses and targets are adjusted to image points that are moved to the middle row; the motions over the frames come from
+the normal equations of that adjustment. Both in turn settle where the joint adjustment has its minimum.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from heliogauge.doubts import Doubt, Severity
+from heliogauge.errors import EstimationError, InputError
+from heliogauge.images.photo_times import photo_time_s
+from heliogauge.images.video_names import FRAME, video_of
+from heliogauge.validate import FloatArray, IntArray
+from observer.keys import RollingShutterSection
+from observer.photo_edges.views import project_moving
+from observer.shutter.flight import Flight, flight_by_places, flight_by_times
+from observer.shutter.readout import Known, RowMotions, estimate_motions, reduce_to_motions
+from photogrammetry import pipeline as photogrammetry_pipeline
+from photogrammetry.pipeline import MeasuredPhotos
+
+#: Rounds of motions and adjustment. Each leaves a tenth to a third of the error, as the path turns with the poses and
+#: rejected image points come back; from 60 mm to a tenth of a sigma takes nine.
+_MOST_ROUNDS = 25
+#: Parts of the way that are tried in a round: image points that are far off can mislead one, as the rejected ones are.
+_SHARES = (1.0, 0.5, 0.25, 0.125)
+#: Motions have settled where none changes by more than this share of its sigma: less than that is left.
+_SETTLED = 0.1
+#: Targets show a readout, or contradict the stated one, from so many sigmas on: by chance one in 10^6.
+CONTRADICTED = 4.9
+#: With fewer photos no path tells in which direction the camera flew.
+_FEWEST_PHOTOS = 3
+#: A readout is stated as well as this share where nothing else is said: read off a data sheet or a test clip.
+_STATED_SHARE = 0.05
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Shutter:
+    """What is stated of a rolling shutter and of the flight.
+
+    known: Readout and its sigma [s], or the way flown in it [m] where no speed is known; None: unknown.
+    speed_m_s: Speed over ground; None: by the times of the photos, or unknown.
+    times_s: When each photo was taken, by its name; empty where that is not known.
+    """
+
+    known: Known | None = None
+    speed_m_s: float | None = None
+    times_s: Mapping[str, float] | None = None
+
+    @property
+    def in_seconds(self) -> bool:
+        """Whether the readout is known and estimated as a time, not as the way flown in it."""
+        return self.speed_m_s is not None or bool(self.times_s)
+
+    def flight(self, names: Sequence[str], places_m: FloatArray) -> Flight:
+        """Return how the camera flew past photos; directions where no speed is known.
+
+        places_m (n, 3): The cameras in the order of the flight [m].
+        """
+        if self.times_s:
+            return flight_by_times(places_m, np.array([self.times_s[name] for name in names]))
+        return flight_by_places(places_m, self.speed_m_s or 1.0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RolledNetwork:
+    """A network adjusted with the motions over its frames.
+
+    network: The adjustment, to image points as a camera at rest would have taken them.
+    motions: How the camera moves while it reads each photo; without the stated readout where the targets contradict it.
+    alone: The same with the readout unknown: what the targets say of it.
+    """
+
+    network: photogrammetry_pipeline.Result
+    motions: RowMotions
+    alone: RowMotions
+
+
+def read_shutter(section: RollingShutterSection | None, files: Sequence[Path]) -> Shutter | None:
+    """Collect what measurement.toml and the photos' times say; None where no rolling shutter is stated.
+
+    files: Photos or frames of a video, in the order of the flight.
+    InputError: A readout in milliseconds without a speed, and no times from which it follows.
+    """
+    if section is None:
+        return None
+    speed = section.speed_m_s
+    times = {} if speed is not None else _times_of(files)
+    known = None
+    if section.readout_ms is not None:
+        if speed is None and not times:
+            raise InputError(
+                "rolling_shutter.readout_ms: how far the camera flew in it is not known: the photos do not say when "
+                "they were taken to fractions of a second; add speed_m_s, or leave readout_ms out"
+            )
+        sigma = section.sigma_ms if section.sigma_ms is not None else _STATED_SHARE * abs(section.readout_ms)
+        known = Known(1e-3 * section.readout_ms, 1e-3 * sigma)
+    return Shutter(known, speed, times)
+
+
+def _times_of(files: Sequence[Path]) -> dict[str, float]:
+    """Return when photos were taken, by their names; empty unless all say it to fractions, each later than the last."""
+    frames = [FRAME.fullmatch(file.name) for file in files]
+    times: list[float] = []
+    if all(frame is not None for frame in frames):
+        from heliogauge.images.video import frames_per_second
+
+        rate = frames_per_second(video_of(files[0]))
+        times = [] if rate is None else [int(frame["number"]) / rate for frame in frames if frame is not None]
+    else:
+        said = [photo_time_s(file) for file in files]
+        times = [one[0] for one in said if one is not None and one[1] == 0]
+    if len(times) < len(files) or (np.diff(times) <= 0).any():
+        return {}
+    return dict(zip([file.name for file in files], times, strict=True))
+
+
+def adjust_rolling(
+    adjust: Callable[[MeasuredPhotos], photogrammetry_pipeline.Result], measured: MeasuredPhotos, shutter: Shutter
+) -> RolledNetwork:
+    """Adjust poses, targets and the motions over the frames.
+
+    adjust: Adjusts the network to image points.
+    measured: Image points as they were measured.
+    EstimationError: They do not settle, or nothing is determined.
+    """
+    network = adjust(measured)
+    motions: RowMotions | None = None
+    for _ in range(_MOST_ROUNDS):
+        before = motions
+        found = motions_of(network, shutter, before)[0]
+        network, motions = _adjusted(adjust, measured, network, found, before)
+        if before is not None and _has_settled(before, motions):
+            return RolledNetwork(network, *motions_of(network, shutter, motions))
+    raise EstimationError(
+        f"rolling_shutter: readout and poses do not settle in {_MOST_ROUNDS} rounds; are the photos in the order of "
+        "the flight, and did the camera hold its direction while it read them?"
+    )
+
+
+def _adjusted(
+    adjust: Callable[[MeasuredPhotos], photogrammetry_pipeline.Result],
+    measured: MeasuredPhotos,
+    network: photogrammetry_pipeline.Result,
+    found: RowMotions,
+    before: RowMotions | None,
+) -> tuple[photogrammetry_pipeline.Result, RowMotions]:
+    """Adjust to new motions, or to a part of the way to them where that cannot be adjusted.
+
+    EstimationError: Not even an eighth of the way.
+    """
+    past = {} if before is None else dict(zip(before.photos, before.motions_m, strict=True))
+    present = np.array([past.get(name, np.zeros(3)) for name in found.photos])
+    for share in _SHARES:
+        motions = replace(found, motions_m=present + share * (found.motions_m - present))
+        try:
+            return adjust(_at_rest(measured, network, motions)), motions
+        except EstimationError as error:
+            refused = error
+    raise refused
+
+
+def motions_of(
+    network: photogrammetry_pipeline.Result, shutter: Shutter, present: RowMotions | None
+) -> tuple[RowMotions, RowMotions]:
+    """Estimate the motions over the frames of an adjusted network: with what is stated, and by the targets alone.
+
+    present: Those to which its image points were moved; None: none.
+    EstimationError: Poses and targets are not determined.
+    """
+    bundle = network.solved.bundle
+    names = bundle.problem.observations.photos
+    # Image points of photos that were not in the network before have not been moved.
+    before = {} if present is None else dict(zip(present.photos, present.motions_m, strict=True))
+    moved = np.array([before.get(name, np.zeros(3)) for name in names])
+    flight = shutter.flight(names, bundle.state.centers_m)
+    reduced = reduce_to_motions(bundle, moved)
+    alone = replace(estimate_motions(reduced, moved, flight), in_seconds=shutter.in_seconds)
+    known = shutter.known
+    if known is None or times_sigma(alone, known) >= CONTRADICTED:
+        return alone, alone
+    both = estimate_motions(reduced, moved, flight, known)
+    return replace(both, in_seconds=shutter.in_seconds), alone
+
+
+def times_sigma(alone: RowMotions, known: Known) -> float:
+    """Return by how many sigmas what the targets say of the readout differs from what is stated."""
+    return float(abs(alone.readout - known.value) / np.hypot(alone.sigma_readout, known.sigma))
+
+
+def _has_settled(before: RowMotions, after: RowMotions) -> bool:
+    if before.photos != after.photos:
+        return False
+    change = np.abs(after.motions_m - before.motions_m).ravel()
+    return bool((change <= _SETTLED * np.sqrt(np.diag(after.covariance_m2))).all())
+
+
+def _at_rest(measured: MeasuredPhotos, network: photogrammetry_pipeline.Result, motions: RowMotions) -> MeasuredPhotos:
+    """Move image points to where a camera at rest in the middle row would have taken them.
+
+    Targets that are not in the network, and dots without a name, are moved as those beside them.
+    """
+    bundle, points, loose = network.solved.bundle, measured.points, measured.loose
+    table, state = bundle.problem.observations, bundle.state
+    pixels = points.pixels_px.copy()
+    dots = np.zeros((0, 2)) if loose is None else loose.dots.pixels_px.copy()
+    place = {name: k for k, name in enumerate(table.targets)}
+    known = np.array([place.get(name, -1) for name in points.targets], dtype=np.intp)[points.target_index]
+    rows_of, dots_of = _rows_by_name(points.photos, points.photo_index), {}
+    if loose is not None:
+        dots_of = _rows_by_name(loose.photos, loose.dots.photo_index)
+    for k, photo in enumerate(table.photos):
+        pose, camera = bundle.cam_from_world[k], state.cameras[int(bundle.problem.camera_index[k])]
+        motion = pose.rotate(motions.motions_m[k])
+        shown = pose.apply(state.points_m[np.unique(table.target_index[table.photo_index == k])])
+        taken = project_moving(camera, shown, motion)
+        away = camera.project(shown) - taken
+        rows = rows_of[photo]
+        own = pose.apply(state.points_m[np.maximum(known[rows], 0)])
+        named = camera.project(own) - project_moving(camera, own, motion)
+        beside = away[_nearest(pixels[rows], taken)]
+        pixels[rows] += np.where((known[rows] >= 0)[:, None], named, beside)
+        mine = dots_of.get(photo)
+        if mine is not None:
+            dots[mine] += away[_nearest(dots[mine], taken)]
+    if loose is not None:
+        loose = replace(loose, dots=replace(loose.dots, pixels_px=dots))
+    return replace(measured, points=replace(points, pixels_px=pixels), loose=loose)
+
+
+def _rows_by_name(photos: Sequence[str], photo_index: IntArray) -> dict[str, IntArray]:
+    return {name: np.flatnonzero(photo_index == k) for k, name in enumerate(photos)}
+
+
+def _nearest(pixels_px: FloatArray, among_px: FloatArray) -> IntArray:
+    """Return which of some image points is nearest to each of others."""
+    return np.asarray(np.linalg.norm(pixels_px[:, None] - among_px, axis=2).argmin(axis=1))
+
+
+def shutter_doubts(found: RolledNetwork, shutter: Shutter) -> tuple[Doubt, ...]:
+    """Say whether the targets contradict the readout as it is stated."""
+    known, alone = shutter.known, found.alone
+    if known is None or times_sigma(alone, known) < CONTRADICTED:
+        return ()
+    text = (
+        f"rolling_shutter: the targets say that a frame is read in {1e3 * alone.readout:.2f} +- "
+        f"{1e3 * alone.sigma_readout:.2f} ms, {1e3 * known.value:.2f} +- {1e3 * known.sigma:.2f} ms are stated, which "
+        "was not used. Is readout_ms the time from the first row to the last one, "
+        "and speed_m_s or the times right? Did the camera turn while it read? Leave readout_ms out to have it estimated"
+    )
+    numbers = {
+        "found_s": alone.readout,
+        "sigma_found_s": alone.sigma_readout,
+        "stated_s": known.value,
+        "sigma_stated_s": known.sigma,
+    }
+    return (Doubt("rolling_shutter_contradicted", text, numbers, Severity.SERIOUS),)
+
+
+def unstated_doubt(network: photogrammetry_pipeline.Result) -> Doubt | None:
+    """Say whether the targets show a rolling shutter that nobody stated; None where they do not, or cannot."""
+    if len(network.solved.bundle.cam_from_world) < _FEWEST_PHOTOS:
+        return None
+    try:
+        found = motions_of(network, Shutter(), None)[0]
+    except EstimationError:
+        return None
+    if abs(found.readout) < CONTRADICTED * found.sigma_readout:
+        return None
+    return Doubt(
+        "rolling_shutter_not_stated",
+        f"photos: targets lie as if the camera had moved by {1e3 * abs(found.readout):.1f} +- "
+        f"{1e3 * found.sigma_readout:.1f} mm along its path while it read each photo"
+        f"{' from the last row to the first' if found.readout < 0 else ''}, as with a rolling shutter; poses, slopes "
+        "and absorber are wrong with that. Write the table [rolling_shutter] into measurement.toml to have it "
+        "estimated, or hover for each photo; else look whether the camera's aspect and skew and the list of targets "
+        "are right",
+        {"motion_m": found.readout, "sigma_motion_m": found.sigma_readout},
+        Severity.SERIOUS,
+    )

@@ -1,0 +1,61 @@
+"""Velocities from the places of neighbouring photos."""
+
+import numpy as np
+import pytest
+
+from heliogauge.errors import InputError
+from observer.keys import RollingShutterSection
+from observer.pipeline.rolling_shutter import Shutter, read_shutter
+from observer.shutter.flight import flight_by_places, flight_by_times
+from observer.shutter.readout import Known
+
+
+def test_a_straight_path_at_one_speed_is_exact():
+    velocity = np.array([1.2, -0.5, 0.1])
+    times = np.array([0.0, 0.3, 0.9, 1.0, 2.0])
+    places = np.array([-2.0, 0.1, 12.0]) + times[:, None] * velocity
+    by_times = flight_by_times(places, times)
+    np.testing.assert_allclose(by_times.velocity, np.tile(velocity, (5, 1)), atol=1e-12)
+    by_places = flight_by_places(places, 3.0)
+    np.testing.assert_allclose(by_places.velocity, np.tile(3.0 * velocity / np.linalg.norm(velocity), (5, 1)))
+
+
+def test_photos_at_even_times_on_a_bend_have_its_tangent():
+    turns = np.linspace(0, 1, 21)
+    places = 10 * np.stack([np.cos(turns), np.sin(turns), np.zeros(21)], axis=1)
+    found = flight_by_times(places, turns).velocity[1:-1]
+    tangent = 10 * np.stack([-np.sin(turns), np.cos(turns), np.zeros(21)], axis=1)[1:-1]
+    # A chord is shorter than its arc by a sixth of the square of half of its angle.
+    np.testing.assert_allclose(found, tangent, rtol=1e-3, atol=0.01)
+
+
+def test_where_the_path_turns_back_the_direction_is_less_certain():
+    out = np.column_stack([np.arange(6) * 0.3, np.zeros(6), np.full(6, 12.0)])
+    back = np.column_stack([np.arange(6)[::-1] * 0.3, np.full(6, 2.0), np.full(6, 12.0)])
+    found = flight_by_places(np.concatenate([out, back]))
+    steady = found.doubt[[1, 2, 3, 8, 9, 10]]
+    assert found.doubt[[5, 6]].min() > 5 * steady.max()
+    assert steady == pytest.approx(np.full(6, steady[0]), rel=1e-6)
+
+
+def test_a_readout_in_milliseconds_needs_a_speed_or_times(tmp_path):
+    files = [tmp_path / f"photo_{k}.jpg" for k in range(3)]
+    for file in files:
+        file.write_bytes(b"\xff\xd8\xff\xd9")
+    with pytest.raises(InputError, match="speed_m_s"):
+        read_shutter(RollingShutterSection(readout_ms=20.0), files)
+    stated = read_shutter(RollingShutterSection(readout_ms=-20.0, speed_m_s=2.0), files)
+    assert stated is not None
+    assert stated.in_seconds
+    assert stated.known == Known(-0.02, 0.001)
+    unknown = read_shutter(RollingShutterSection(), files)
+    assert unknown is not None
+    assert not unknown.in_seconds
+    assert read_shutter(None, files) is None
+
+
+def test_times_of_the_photos_give_the_speed():
+    places = np.column_stack([[0.0, 0.5, 1.5], np.zeros(3), np.full(3, 12.0)])
+    shutter = Shutter(times_s={"a": 10.0, "b": 10.25, "c": 10.75})
+    assert shutter.in_seconds
+    np.testing.assert_allclose(shutter.flight(("a", "b", "c"), places).velocity, np.tile([2.0, 0, 0], (3, 1)))
