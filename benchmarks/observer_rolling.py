@@ -7,7 +7,6 @@ at once, and in 20 and 30 ms; it is measured with the readout unknown, and witho
 
 import subprocess
 import sys
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +16,6 @@ from observer_accuracy import absorber_error_mm, errors
 from heliogauge.errors import MetrologyError
 from heliogauge.measurement.load import load
 from observer import Options, run
-from observer.keys import ObserverMeasurement, RollingShutterSection
 
 SPEED_M_S = 2.0
 READOUTS_MS = (0.0, 20.0, 30.0)
@@ -37,17 +35,21 @@ def drawn(folder: Path, case: str, seed: int, readout_ms: float) -> Path:
     return place
 
 
-def stated(measurement: ObserverMeasurement, section: RollingShutterSection | None) -> ObserverMeasurement:
-    """Return a measurement with another statement of its shutter."""
-    return replace(measurement, model=measurement.model.model_copy(update={"rolling_shutter": section}))
+def state(folder: Path, table: str) -> None:
+    """Write what is said of the shutter to the end of a drawn measurement.toml, instead of what stood there."""
+    file = folder / "measurement.toml"
+    text = file.read_text(encoding="utf-8").partition("\n[rolling_shutter]")[0].rstrip()
+    file.write_text(f"{text}\n{table}", encoding="utf-8")
 
 
 def report(folder: Path, case: str, seed: int, readout_ms: float) -> None:
     place = drawn(folder, case, seed, readout_ms)
     title(f"{case}, seed {seed}, read in {readout_ms:g} ms at {SPEED_M_S:g} m/s", ("measured", "asked"))
-    for name, section in (("readout unknown", RollingShutterSection(speed_m_s=SPEED_M_S)), ("nothing stated", None)):
+    unknown = f"\n[rolling_shutter]\nspeed_m_s = {SPEED_M_S}\n"
+    for name, table in (("readout unknown", unknown), ("nothing stated", "")):
+        state(place, table)
         try:
-            result = run(stated(load(place), section), Options(jobs=1))
+            result = run(load(place), Options(jobs=1))
         except MetrologyError as error:
             row(name, "refused", "")
             print(f"  {error}")
