@@ -133,7 +133,8 @@ def adjust_rolling(
         before = motions
         found = motions_of(network, shutter, before)[0]
         network, motions = _adjusted(adjust, measured, network, found, before)
-        if before is not None and _has_settled(before, motions):
+        # A part of the way is no sign that it is short.
+        if before is not None and _has_settled(before, found):
             return RolledNetwork(network, *motions_of(network, shutter, motions))
     raise EstimationError(
         f"rolling_shutter: readout and poses do not settle in {_MOST_ROUNDS} rounds; are the photos in the order of "
