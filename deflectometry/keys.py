@@ -252,6 +252,9 @@ class FacetSection(DesignKeys):
     reference_point_m: Vector2 | None = Field(
         None, description="Reference of its results; default: the outline's centroid [m]."
     )
+    sigma_position_mm: Sigma3 | None = Field(
+        None, description="1 sigma of its place along each axis of the ensemble; default: the ensemble's [mm]."
+    )
     mounts_m: Outline | None = Field(
         None, description="Its mounts, x and y in the facet's frame; default: mirror.mounts_m [m]."
     )
@@ -337,6 +340,10 @@ class MirrorSection(DesignKeys):
     facet: tuple[FacetSection, ...] = Field(
         (), description="Facets of an ensemble, one table each, instead of outline_m."
     )
+    sigma_facet_position_mm: Sigma3 | None = Field(
+        None,
+        description="1 sigma of each facet's place along each axis of the ensemble; default: from its outline [mm].",
+    )
     mounts_m: Outline | None = Field(
         None, description="Mounts of every facet, x and y in the facet's frame; each gets a move in mounts.csv [m]."
     )
@@ -361,6 +368,11 @@ class MirrorSection(DesignKeys):
             raise ValueError(
                 "mounts_m belongs to the facets of an ensemble; a mirror of one facet is turned as a whole, so that it "
                 "has no canting"
+            )
+        if self.sigma_facet_position_mm is not None and not self.facet:
+            raise ValueError(
+                "sigma_facet_position_mm belongs to the facets of an ensemble; a mirror of one facet has its place as "
+                "a whole ([mirror.pose] or its outline)"
             )
         if (twice := repeated(facet.name for facet in self.facet)) is not None:
             raise ValueError(f'two facets are called "{twice}"; each needs its own name')

@@ -10,11 +10,12 @@ from data_synth.optics.mirror import SyntheticFacet
 from data_synth.optics.wall import Wall
 from heliogauge.errors import InputError
 from heliogauge.geometry.rigid import RigidTransform
+from heliogauge.short_repr import ShortRepr
 from heliogauge.validate import FloatArray
 
 
 @dataclass(frozen=True, slots=True)
-class Knowledge:
+class Knowledge(ShortRepr):
     """How well the measurement file knows the set-up: stated values are the true ones plus errors of these sigmas.
 
     pose_known: Give the mirror's pose; otherwise its outline and the measured distance.
@@ -22,6 +23,8 @@ class Knowledge:
     sigma_screen_rotation_mrad, sigma_screen_translation_mm: Errors of the screen's pose.
     sigma_width_mm, sigma_height_mm: Errors of the displayed image's size.
     sigma_focal_px, sigma_center_px: Errors of the camera, independent in x and y as measurement.toml has it.
+    sigma_facet_mm: How far each facet of an ensemble is from where the file has it, along each axis; None: exact, and
+        the file says nothing of it.
     response: Give the response of camera and display (as measured with grey steps) in response.csv.
     roll_deg: How the mirror is turned in the image.
     sigma_place_mm: Error of each coordinate of the surveyed place of the mirror's origin in the wall's frame; 0: no
@@ -38,13 +41,15 @@ class Knowledge:
     sigma_height_mm: float = 0.0
     sigma_focal_px: float = 0.0
     sigma_center_px: float = 0.0
+    sigma_facet_mm: tuple[float, float, float] | None = None
     response: bool = False
     roll_deg: float = 0.0
     sigma_place_mm: float = 0.0
 
     def __post_init__(self) -> None:
         for name in self.__dataclass_fields__:
-            if name.startswith("sigma") and not getattr(self, name) >= 0:
+            sigma = getattr(self, name)
+            if name.startswith("sigma") and sigma is not None and not np.min(sigma) >= 0:
                 raise InputError(f"{name}: 0 or more is needed, not {getattr(self, name)}")
         if self.sigma_distance_mm == 0:
             raise InputError("sigma_distance_mm: more than 0 is needed; no tape is exact")
@@ -160,12 +165,21 @@ def _mirror(scene: FringeScene, knowledge: Knowledge, rng: np.random.Generator) 
             "name": facet.name,
             **_design(facet),
             "outline_m": facet.outline_m,
-            "position_m": facet.mirror_from_facet.translation_m,
+            "position_m": facet.mirror_from_facet.translation_m + step,
             "rotation_vector_rad": facet.mirror_from_facet.rotation_vector_rad,
         }
-        for facet in facets
+        for facet, step in zip(facets, _steps_of_facets(knowledge, len(facets), rng), strict=True)
     ]
+    if knowledge.sigma_facet_mm is not None:
+        known["sigma_facet_position_mm"] = list(knowledge.sigma_facet_mm)
     return {**_design(facets[0]), "mounts_m": _mounts(facets[0]), **known, "facet": listed}
+
+
+def _steps_of_facets(knowledge: Knowledge, count: int, rng: np.random.Generator) -> FloatArray:
+    """Return how far the file has each facet from its place, shape (count, 3) [m]."""
+    if knowledge.sigma_facet_mm is None:
+        return np.zeros((count, 3))
+    return 1e-3 * np.array(knowledge.sigma_facet_mm) * rng.standard_normal((count, 3))
 
 
 def _mounts(facet: SyntheticFacet) -> FloatArray:

@@ -56,11 +56,13 @@ class PlacedDots(ShortRepr):
     dots: The dots as numbered in the table.
     probability: Of the place that was chosen.
     sigma_shift (2,): Standard deviations of column and row that all dots share, over all hypotheses.
+    own_shift (2,): The part of them that this lattice does not share with the one that was placed first.
     """
 
     dots: FoundDots
     probability: float
     sigma_shift: FloatArray
+    own_shift: FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -134,10 +136,12 @@ def place_dots(sights: Sequence[Sight]) -> tuple[PlacedDots, ...]:
         own = np.sqrt(np.einsum("n,ni->i", weight * (weight > _LEAST_ODDS), off**2))
         # What the first lattice leaves open, those placed after it share.
         sigma = own if sights[k].known is not None else np.hypot(own, shared)
-        shared = own if not before else shared
+        is_first = not before
+        shared = own if is_first else shared
         before.append((frames[k].place_m, frames[k].tilt(best.fit)))
         numbers = sights[k].dots.number @ turn.T + best.shift
-        placed[k] = PlacedDots(sights[k].dots.renumbered(numbers), float(weight.max()), sigma)
+        apart = np.zeros(2) if is_first else own
+        placed[k] = PlacedDots(sights[k].dots.renumbered(numbers), float(weight.max()), sigma, apart)
     return tuple(placed[k] for k in range(len(sights)))
 
 

@@ -109,7 +109,7 @@ def evaluate_source(
         }
     with progress.stage("uncertainty"):
         few = [thinned(sample, max(MODE_PIXELS // len(samples), 60)) for sample in samples]
-        modes = common_modes(setup, few, solution, located.pose, align=align)
+        modes = common_modes(setup, few, solution, located.pose, align=align, places=located.places)
         # Pose and set-up are those of all facets: what follows them is found once.
         inputs = tuple(moved_inputs(setup, solution.cam_from_mirror, located.pose))
         fine = {
@@ -144,7 +144,11 @@ def evaluate_source(
     maps = {name: replace(one.slope_map, fine_share=fine[name]) for name, one in gridded.items()}
     fine_maps = {name: replace(one, fine_share=fine[name]) for name, one in as_pixels.items()}
     # A screen point that is off by s turns the normal by half of s over the distance.
-    off_m = setup.sigma_shift * setup.size_m
+    square = setup.sigma_shift**2
+    for one in setup.facet_shifts:
+        # The mean of all facets turns by the share of those that do.
+        square = square + (one.sigma * len(one.facets) / len(samples)) ** 2
+    off_m = np.sqrt(square) * setup.size_m
     mirror_m = (setup.cam_from_screen.inverse() @ solution.cam_from_mirror).translation_m
     sigma_turn = 0.5 * float(np.linalg.norm(off_m) / np.linalg.norm(mirror_m))
     return Evaluation(located, screen_map, facet_index, solution, images, maps, fine_maps, choices, doubts, sigma_turn)

@@ -259,6 +259,7 @@ def build_knowledge(section: MirrorSection, setup: Setup) -> Knowledge:
         points=known,
         roll_rad=float(np.deg2rad(section.roll_deg)),
         sigma_outline_m=section.outline_sigma_mm * 1e-3,
+        sigma_places_m=tuple(_sigma_place(one, section) for one in section.facet),
     )
 
 
@@ -280,6 +281,11 @@ def describe_mirror(measurement: BenchMeasurement, setup: Setup) -> MirrorInput:
         known_pose=None if section.pose is None else _known_pose(section.pose),
         knowledge=build_knowledge(section, setup),
     )
+
+
+def _sigma_place(facet: FacetSection, section: MirrorSection) -> FloatArray | None:
+    sigma_mm = section.sigma_facet_position_mm if facet.sigma_position_mm is None else facet.sigma_position_mm
+    return None if sigma_mm is None else 1e-3 * np.array(sigma_mm)
 
 
 def inputs_without_sigma(measurement: BenchMeasurement, setup: Setup) -> frozenset[str]:

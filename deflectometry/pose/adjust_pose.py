@@ -13,19 +13,27 @@ import numpy.typing as npt
 from deflectometry.pose.lens_check import check_lens
 from deflectometry.pose.mirror_outline import lit_share
 from deflectometry.pose.mirrors_in_image import find_mirrors
-from deflectometry.pose.outline_edges import OutlineEdges, OutlineFit, OutlineSearch, edge_margin_px
+from deflectometry.pose.outline_edges import (
+    OutlineEdges,
+    OutlineFit,
+    OutlineSearch,
+    correlation_points,
+    edge_margin_px,
+    robust_step,
+)
 from deflectometry.pose.pose_observations import DistanceObservation, Knowledge, KnownPoints, UncertainPose
 from deflectometry.pose.start_poses import mirror_regions, point_poses, start_poses
 from deflectometry.setup.camera_and_screen import Setup
 from deflectometry.setup.setup_steps import principal_steps
 from heliogauge.adjust.chi_square import chi_square_cdf
 from heliogauge.adjust.least_squares import POSE, POSE_NAMES, Options, Problem, Solution, solve
+from heliogauge.adjust.robust_scale import robust_scale
 from heliogauge.camera.model import Camera
 from heliogauge.doubts import Doubt, gather_doubts
 from heliogauge.errors import EstimationError, InputError
 from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.geometry.surfaces import Facet
-from heliogauge.validate import BoolArray, FloatArray, freeze
+from heliogauge.validate import BoolArray, FloatArray, IntArray, freeze
 
 #: Below this probability of so large a disagreement the distance and the image are reported as contradicting.
 MIN_PROBABILITY = 0.01
@@ -39,6 +47,8 @@ _DISTANCE_REMEDY = "check the distance, its point, the size of the mirror and th
 MIN_POINT_SHARE = 0.4
 #: More rejected edge points than this share are reported: clips and stains on the reference facet take 8 %.
 MAX_REJECTED_SHARE = 0.2
+#: Profiles one pixel apart share pixels through the interpolation: so many neighbours err together at least.
+_SHARED_POINTS = 1.5
 #: A facet with less than this share lit is reported.
 MIN_LIT_SHARE = 0.5
 
@@ -238,12 +248,12 @@ def _finish(best: OutlineFit, camera: Camera, knowledge: Knowledge, share: Float
 
     Which points are rejected was decided by the image alone: a contradicting distance must not hide behind them.
     """
-    edges = best.edges.subset(best.used)
-    sigma_px = best.sigma_px * float(np.sqrt(best.correlation_points))
-    side_px = np.hypot(
-        knowledge.side_share * edges.width_px, knowledge.sigma_outline_m * edges.pixels_per_metre(camera, best.pose)
-    )
-    observations = PoseObservations(_Outline(edges, sigma_px, side_px), knowledge.points, knowledge.distances)
+    outline = _observed_outline(best, camera, knowledge)
+    observations = PoseObservations(outline, knowledge.points, knowledge.distances, best.edges)
+    edges = outline.edges
+    # Facets that are beside their places are no fault of the lens.
+    beside_m = knowledge.beside_m[edges.facet_of_side] if knowledge.sigma_places_m else 0.0
+    side_px = np.hypot(outline.sigma_side_px, beside_m * edges.pixels_per_metre(camera, best.pose))
     image_only = observations.image_only().adjust(camera, best.pose).require("mirror pose")
     final = image_only
     if knowledge.distances:
@@ -286,6 +296,33 @@ def _finish(best: OutlineFit, camera: Camera, knowledge: Knowledge, share: Float
     )
 
 
+def observed(fit: OutlineFit, camera: Camera, knowledge: Knowledge) -> "PoseObservations":
+    """Return what a pose is adjusted to: the edges of a fit, each counted for its independent share, and the rest."""
+    return PoseObservations(_observed_outline(fit, camera, knowledge), knowledge.points, knowledge.distances, fit.edges)
+
+
+def _observed_outline(fit: OutlineFit, camera: Camera, knowledge: Knowledge) -> "_Outline":
+    edges = fit.edges.subset(fit.used)
+    sigma_px = fit.sigma_px * float(np.sqrt(fit.correlation_points))
+    side_px = np.hypot(
+        knowledge.side_share * edges.width_px, knowledge.sigma_outline_m * edges.pixels_per_metre(camera, fit.pose)
+    )
+    return _Outline(edges, sigma_px, side_px)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OutlineRows:
+    """Distances of edge points from the outline, and how they follow the pose.
+
+    residuals (n,), derivatives (n, 6): In sigma, with what a side has in common taken into account.
+    facet (n,): Number of the facet that each belongs to.
+    """
+
+    residuals: FloatArray
+    derivatives: FloatArray
+    facet: IntArray
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class _Outline:
     """Edge points with the sigma of each and of each side."""
@@ -302,11 +339,13 @@ class PoseObservations:
     outline: Edge points, where there is an outline.
     points: Known points.
     distances: Distances to the origin of the screen.
+    measured: All edge points, also those that are not on the outline of the ensemble.
     """
 
     outline: _Outline | None
     points: KnownPoints
     distances: tuple[DistanceObservation, ...]
+    measured: OutlineEdges | None = None
 
     def image_only(self) -> "PoseObservations":
         """Return the observations without the distances."""
@@ -326,6 +365,38 @@ class PoseObservations:
         extra = tuple(distance.constraint() for distance in self.distances)
         # A ten-thousandth of a sigma is enough; iterating to round-off doubles the time.
         return solve(Problem(POSE_NAMES, evaluate, POSE, extra=extra), start, options=Options(tolerance=1e-4))
+
+    def outline_rows(self, camera: Camera, pose: RigidTransform) -> OutlineRows:
+        """Return the edge points that a pose is adjusted to; none where there is no outline."""
+        if self.outline is None:
+            return OutlineRows(np.zeros(0), np.zeros((0, 6)), np.zeros(0, dtype=np.intp))
+        one = self.outline
+        rows = one.edges.whitened(camera, pose, one.sigma_px, one.sigma_side_px)
+        return OutlineRows(*rows, one.edges.facet_of_side[one.edges.place[:, 0]])
+
+    def rows_of_facets(self, camera: Camera, pose: RigidTransform) -> OutlineRows:
+        """Return the edge points that belong to each facet by itself, wherever it is, in sigma of their own scatter.
+
+        Of a facet that is beside its place the ensemble's pose rejects edges, or the half of each side that suits it,
+        and the scatter of edges about the rigid ensemble has the facets' misplacement in it.
+        """
+        edges = self.measured
+        if edges is None or self.outline is None:
+            return self.outline_rows(camera, pose)
+        residuals, derivatives = edges.rows(camera, pose)
+        facet = edges.facet_of_side[edges.place[:, 0]]
+        used, left = np.zeros(facet.size, dtype=np.bool_), np.array(residuals)
+        nothing = np.zeros(0), np.zeros((0, 6))
+        for number in np.unique(facet):
+            on = facet == number
+            found = robust_step(residuals[on], derivatives[on], nothing, edges.floor_px)
+            used[on] = found.weights > 0
+            left[on] += derivatives[on] @ found.step
+        scatter_px = max(robust_scale(left[used], upper=True), edges.floor_px)
+        together = correlation_points(edges.along_sides(np.where(used, left, np.nan)))
+        sigma_px = scatter_px * float(np.sqrt(max(together, _SHARED_POINTS)))
+        rows = edges.subset(used).whitened(camera, pose, sigma_px, self.outline.sigma_side_px)
+        return OutlineRows(*rows, facet[used])
 
     def pose_with(self, setup: Setup, start: RigidTransform) -> RigidTransform:
         """Return the pose that the same observations give with another camera, or with the screen elsewhere."""

@@ -1,11 +1,13 @@
 """Where the mirror is: from the pose as given, from its outline, or from its reflection alone."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
 
 from deflectometry.pose.adjust_pose import MirrorPose, pose_from_outline, pose_from_points
+from deflectometry.pose.facet_places import FacetPlace, FacetPlaces, OutlinedEnsemble, facet_places, stated_places
 from deflectometry.pose.given_pose import check_given_pose
 from deflectometry.pose.pose_observations import Knowledge, UncertainPose
 from deflectometry.pose.pose_without_outline import outline_from_image
@@ -15,7 +17,7 @@ from heliogauge.doubts import Doubt, gather_doubts
 from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.geometry.surfaces import Facet, Quadric
 from heliogauge.short_repr import ShortRepr
-from heliogauge.validate import Float32Array
+from heliogauge.validate import Float32Array, FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,6 +52,7 @@ class LocatedMirror:
     edge_width_px: Width of the mirror's edges in the image; NaN where none were measured [px].
     sigma_outline_px: How far the outline of `outline_pose` may be off the edges: as the edge points scatter about it;
         0 where none were measured [px].
+    places: How well the place of each facet of an ensemble is known; empty for a single facet.
     """
 
     facets: tuple[Facet, ...]
@@ -61,6 +64,7 @@ class LocatedMirror:
     doubts: tuple[Doubt, ...] = ()
     edge_width_px: float = float("nan")
     sigma_outline_px: float = 0.0
+    places: tuple[FacetPlace, ...] = ()
 
 
 def find_pose(source: Source, setup: Setup, mirror: MirrorInput) -> LocatedMirror:
@@ -72,7 +76,19 @@ def find_pose(source: Source, setup: Setup, mirror: MirrorInput) -> LocatedMirro
     """
     image = source.mirror_image()
     if mirror.facets and mirror.known_pose is not None:
-        checked = check_given_pose(image, setup.camera, mirror.facets, mirror.known_pose, source.clutter())
+        checked = check_given_pose(
+            image, setup.camera, mirror.facets, mirror.known_pose, source.clutter(), mirror.knowledge
+        )
+        places = FacetPlaces()
+        if checked.observations is not None:
+            # A given pose does not follow the outlines, which tell of the facets' places among themselves.
+            fitted = checked.observations.adjust(setup.camera, checked.outline_pose).require("pose of the outlines")
+            outlined = OutlinedEnsemble(
+                setup.camera, mirror.facets, checked.observations, fitted.state, fitted.covariance, gives_pose=False
+            )
+            places = _places(outlined, mirror)
+        elif len(mirror.facets) > 1:
+            places = stated_places(mirror.facets, _stated(mirror))
         words = f"given in measurement.toml; its outline lies {checked.residual_rms_px:.3f} px RMS off the edges"
         return LocatedMirror(
             mirror.facets,
@@ -80,13 +96,23 @@ def find_pose(source: Source, setup: Setup, mirror: MirrorInput) -> LocatedMirro
             checked.margin_px,
             words,
             checked.outline_pose,
-            doubts=gather_doubts(checked.doubt),
+            doubts=gather_doubts(checked.doubt, places.doubts),
             edge_width_px=checked.edge_width_px,
             sigma_outline_px=checked.scatter_px,
+            places=places.places,
         )
     if not mirror.facets:
         return _find_without_outline(source, image, setup, mirror)
     evidence = pose_from_outline(image, setup.camera, mirror.facets, mirror.knowledge, clutter=source.clutter())
+    outlined = OutlinedEnsemble(
+        setup.camera,
+        mirror.facets,
+        evidence.observations,
+        evidence.cam_from_mirror,
+        evidence.covariance,
+        gives_pose=True,
+    )
+    places = _places(outlined, mirror)
     words = (
         f"outline in the image: {evidence.n_points} edge points, residual {evidence.residual_rms_px:.3f} px RMS, "
         f"{evidence.n_rejected} rejected"
@@ -98,10 +124,19 @@ def find_pose(source: Source, setup: Setup, mirror: MirrorInput) -> LocatedMirro
         words,
         evidence.cam_from_mirror,
         evidence,
-        evidence.doubts,
+        gather_doubts(evidence.doubts, places.doubts),
         evidence.edge_width_px,
         float(np.nan_to_num(evidence.residual_rms_px)),
+        places.places,
     )
+
+
+def _stated(mirror: MirrorInput) -> Sequence[FloatArray | None]:
+    return mirror.knowledge.sigma_places_m or (None,) * len(mirror.facets)
+
+
+def _places(outlined: OutlinedEnsemble, mirror: MirrorInput) -> FacetPlaces:
+    return facet_places(outlined, _stated(mirror))
 
 
 def _find_without_outline(source: Source, image: Float32Array, setup: Setup, mirror: MirrorInput) -> LocatedMirror:

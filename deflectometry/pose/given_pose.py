@@ -5,9 +5,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from deflectometry.pose.adjust_pose import PoseObservations, observed
 from deflectometry.pose.mirrors_in_image import find_mirrors
 from deflectometry.pose.outline_edges import OutlineFit, OutlineSearch, edge_margin_px
-from deflectometry.pose.pose_observations import KnownPoints, UncertainPose
+from deflectometry.pose.pose_observations import Knowledge, KnownPoints, UncertainPose
 from deflectometry.pose.start_poses import mirror_regions
 from heliogauge.camera.model import Camera
 from heliogauge.doubts import Doubt
@@ -36,6 +37,7 @@ class OutlineCheck:
     edge_width_px: Width of the edges; NaN where none were found [px].
     doubt: The outline lies off the edges by more than pose and image allow, or could not be compared.
     scatter_px: RMS distance of the edges from the outline of `outline_pose`; 0 where none were found [px].
+    observations: The edges that were found.
     """
 
     outline_pose: RigidTransform
@@ -44,6 +46,7 @@ class OutlineCheck:
     edge_width_px: float = float("nan")
     doubt: Doubt | None = None
     scatter_px: float = 0.0
+    observations: PoseObservations | None = None
 
 
 def check_given_pose(
@@ -52,11 +55,13 @@ def check_given_pose(
     facets: Sequence[Facet],
     given: UncertainPose,
     clutter: BoolArray | None = None,
+    knowledge: Knowledge | None = None,
 ) -> OutlineCheck:
     """Look where the edges of a mirror with a given pose really are, and how wide.
 
     image_dn (h, w): Modulation of the fringes, or bright minus dark [DN].
     clutter (h, w): Where something else may be taken for an edge, or hides it.
+    knowledge: How well the outline is known.
     Returns: The pose and margin for the mask, and how far the outline of the given pose is off the edges.
     """
     pose = given.cam_from_mirror
@@ -86,7 +91,8 @@ def check_given_pose(
             {"residual_rms_px": rms, "allowed_px": allowed},
         )
     margin_px = edge_margin_px(edges.width_px, fit.sigma_px)
-    return OutlineCheck(fit.pose, margin_px, rms, edges.width_px, off, fit.rms_px)
+    observations = observed(fit, camera, knowledge or Knowledge())
+    return OutlineCheck(fit.pose, margin_px, rms, edges.width_px, off, fit.rms_px, observations)
 
 
 def _refuse_strayed(

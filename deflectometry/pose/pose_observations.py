@@ -96,6 +96,8 @@ class Knowledge:
     sigma_outline_m: Standard deviation of where the design puts each side of the outline [m].
     side_share: Standard deviation of what all edge points of one side have in common, as a share of the edges'
         width.
+    sigma_places_m: Standard deviations (3,) of each facet's place along the axes of the ensemble; None where none is
+        stated. Empty: for no facet.
     InputError: A negative sigma.
     """
 
@@ -104,6 +106,12 @@ class Knowledge:
     roll_rad: float = 0.0
     sigma_outline_m: float = 0.0
     side_share: float = SIDE_SHARE
+    sigma_places_m: tuple[FloatArray | None, ...] = ()
+
+    @property
+    def beside_m(self) -> FloatArray:
+        """How far each facet may be from its place as stated, (n,), 0 where nothing is [m]."""
+        return np.array([0.0 if one is None else float(one.max()) for one in self.sigma_places_m])
 
     def __post_init__(self) -> None:
         for name in ("sigma_outline_m", "side_share"):

@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from deflectometry.poses.adjustment import JointSolution, PoseSlopes
-from deflectometry.setup.setup_steps import principal_steps
-from deflectometry.shape.common_modes import MIRROR_POSE
+from deflectometry.setup.setup_steps import PLACE_IN_PATTERN, principal_steps
+from deflectometry.shape.common_modes import FACET_PLACE, MIRROR_POSE
 from heliogauge.errors import EstimationError
 from heliogauge.flags import SampleFlag
 from heliogauge.geometry.surfaces import Facet
@@ -16,7 +16,7 @@ from heliogauge.slopes.map import CommonModes, SlopeMap, monomials
 from heliogauge.validate import BoolArray, FlagArray, Float32Array, FloatArray
 
 #: Sources whose errors each pose has for itself; all others are those of camera and screen.
-_OWN_SOURCES = (MIRROR_POSE, "fringe periods")
+_OWN_SOURCES = (MIRROR_POSE, FACET_PLACE, PLACE_IN_PATTERN, "fringe periods")
 #: Turns of the aligned mirror between poses: the tilt of a rough surface is sure to far less.
 _TURN_RAD = 1e-3
 #: Nodes worked on at a time.

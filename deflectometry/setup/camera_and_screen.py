@@ -176,6 +176,18 @@ def _thin_plate_kernel(points: FloatArray, nodes: FloatArray) -> FloatArray:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class FacetShift:
+    """How far the points that some facets show may be others of the pattern.
+
+    facets: Their names.
+    sigma (2,): Standard deviations of u and v that all their samples share.
+    """
+
+    facets: frozenset[str]
+    sigma: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Setup(ShortRepr):
     """Camera and screen in one frame.
 
@@ -191,6 +203,7 @@ class Setup(ShortRepr):
     shared_errors: Independent errors of the screen's points and its pose together, where both were measured.
     are_errors_joint: Whether all errors of the camera and of the screen's pose are among `shared_errors`, because they
         hang together; the two covariances are then their shares.
+    facet_shifts: What is open of single facets beside `sigma_shift`, where each counts for itself.
     """
 
     camera: Camera
@@ -204,6 +217,7 @@ class Setup(ShortRepr):
     sigma_shift: FloatArray = field(default_factory=lambda: np.zeros(2))
     shared_errors: tuple[SharedStep, ...] = ()
     are_errors_joint: bool = False
+    facet_shifts: tuple[FacetShift, ...] = ()
 
     def __post_init__(self) -> None:
         matrix = covariance_matrix("covariance_cam_from_screen", self.covariance_cam_from_screen, 6)

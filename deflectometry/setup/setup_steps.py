@@ -10,6 +10,9 @@ from deflectometry.setup.camera_and_screen import Screen, Setup
 from deflectometry.setup.smooth_screen import SmoothWarp
 from heliogauge.validate import AnyFloatArray, FloatArray
 
+#: Source of the modes of single facets that may show other points of the pattern.
+PLACE_IN_PATTERN = "place in the pattern"
+
 
 @dataclass(frozen=True, slots=True)
 class Warp:
@@ -70,12 +73,14 @@ class SetupStep:
     cam_from_screen (6,): Step of the screen's pose, as `RigidTransform.moved` takes it.
     camera (10,): Step of the camera's parameters.
     warp: Shape that is added to the screen; None for none.
+    facets: Facets that it concerns; None for all.
     """
 
     source: str
     cam_from_screen: FloatArray = field(default_factory=lambda: np.zeros(6))
     camera: FloatArray = field(default_factory=lambda: np.zeros(10))
     warp: Warp | SmoothWarp | None = None
+    facets: frozenset[str] | None = None
 
     @property
     def moves_pose(self) -> bool:
@@ -120,6 +125,11 @@ def setup_steps(setup: Setup) -> Iterator[SetupStep]:
             camera=one.camera,
             warp=one.warp if one.warp.coefficients.any() else None,
         )
+    size_m = setup.size_m
+    for shift in setup.facet_shifts:
+        for axis in np.flatnonzero(shift.sigma > 0).tolist():
+            warp = Warp(axis, (0, 0), float(shift.sigma[axis] * size_m[axis]))
+            yield SetupStep(PLACE_IN_PATTERN, warp=warp, facets=shift.facets)
 
 
 def principal_steps(covariance: FloatArray) -> FloatArray:

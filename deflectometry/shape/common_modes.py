@@ -1,10 +1,11 @@
 """The share of the uncertainty that a whole slope map has in common: pose, screen and camera."""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from deflectometry.pose.facet_places import FacetPlace
 from deflectometry.pose.pose_observations import UncertainPose
 from deflectometry.setup.camera_and_screen import Setup
 from deflectometry.setup.setup_steps import SetupStep, moved_setup, principal_steps, setup_steps
@@ -20,6 +21,10 @@ from heliogauge.validate import FloatArray
 MODE_DEGREE = 3
 #: Source of the modes of the mirror's own pose; all others are of camera and screen.
 MIRROR_POSE = "mirror pose"
+#: Source of the modes of single facets that are not where the ensemble has them.
+FACET_PLACE = "place of a facet"
+#: Facets are moved by so much at most [m].
+_STEP_M = 2e-3
 
 
 def common_modes(
@@ -29,11 +34,13 @@ def common_modes(
     located: UncertainPose,
     *,
     align: bool,
+    places: Sequence[FacetPlace] = (),
 ) -> list[CommonModes]:
     """Propagate the uncertainty of pose, screen and camera into the slopes of each facet.
 
     solution: The shape found with the values as given.
     located: The mirror's pose.
+    places: How well the place of each facet of an ensemble is known.
     align: As in `deflectometry.shape.smooth_shape.solve_shape`.
     Returns: One mode for each independent direction of each covariance, for each facet.
 
@@ -44,9 +51,12 @@ def common_modes(
     is independent of theirs. (With the pose held in place, a focal length off by 0.15 % and a distance that gave way
     to it would count five times too much, a principal point in y half of its true share.)
     """
-    return modes_of_inputs(
-        setup, samples, solution, lambda cam_from_mirror: moved_inputs(setup, cam_from_mirror, located), align=align
-    )
+
+    def inputs(cam_from_mirror: RigidTransform) -> Iterator[MovedInput]:
+        yield from moved_inputs(setup, cam_from_mirror, located)
+        yield from moved_facets(setup, cam_from_mirror, located, places)
+
+    return modes_of_inputs(setup, samples, solution, inputs, align=align)
 
 
 def modes_of_inputs(
@@ -62,21 +72,30 @@ def modes_of_inputs(
     solution, align: As in `common_modes`.
     inputs: Makes them from the pose of the mirror.
     """
+    as_given = trace_samples(setup, samples)
 
     def moved(cam_from_mirror: RigidTransform) -> Iterator[MovedSamples]:
         for one in inputs(cam_from_mirror):
-            yield MovedSamples(one.source, trace_samples(one.setup, samples), one.cam_from_mirror)
+            traced = [
+                old if one.facets is not None and old.facet.name not in one.facets else one.sampled(sample)
+                for old, sample in zip(as_given, samples, strict=True)
+            ]
+            yield MovedSamples(one.source, traced, one.cam_from_mirror, one.times)
 
-    return modes_of_samples(trace_samples(setup, samples), solution, moved, align=align)
+    return modes_of_samples(as_given, solution, moved, align=align)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MovedSamples:
-    """Lines of sight and the points seen along them with one input moved, and the name of its source."""
+    """Lines of sight and the points seen along them with one input moved, and the name of its source.
+
+    times: How many of these moves are one sigma.
+    """
 
     source: str
     samples: Sequence[FacetSamples]
     cam_from_mirror: RigidTransform
+    times: float = 1.0
 
 
 def modes_of_samples(
@@ -103,7 +122,7 @@ def modes_of_samples(
         shape = solve_shape(one.samples, one.cam_from_mirror, align=align, start=start, rounds=rounds)
         sources.append(one.source)
         moved_on = departures(one.samples, shape, start)
-        changes.append([after[1] - before[1] for after, before in zip(moved_on, base, strict=True)])
+        changes.append([one.times * (after[1] - before[1]) for after, before in zip(moved_on, base, strict=True)])
     return [
         _as_modes(sources, [change[k] for change in changes], base[k][0], samples[k].facet) for k in range(len(samples))
     ]
@@ -126,11 +145,28 @@ def departures(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MovedInput:
-    """Inputs of which one was moved, and the name of its source."""
+    """Inputs of which one was moved, and the name of its source.
+
+    facets: Names of the facets whose samples it concerns; None for all.
+    shift_m (3,): By how much these facets are moved in the mirror's frame [m].
+    times: How many of these moves are one sigma.
+    """
 
     source: str
     setup: Setup
     cam_from_mirror: RigidTransform
+    facets: frozenset[str] | None = None
+    shift_m: FloatArray = field(default_factory=lambda: np.zeros(3))
+    times: float = 1.0
+
+    def sampled(self, sample: PixelSamples) -> FacetSamples:
+        """Return the lines of sight of a facet that it concerns, and what is seen along them."""
+        (traced,) = trace_samples(self.setup, [sample])
+        if not self.shift_m.any():
+            return traced
+        place = traced.facet.ensemble_from_facet
+        moved = RigidTransform(place.rotation, place.translation_m + self.shift_m)
+        return replace(traced, facet=replace(traced.facet, ensemble_from_facet=moved))
 
 
 def moved_inputs(setup: Setup, cam_from_mirror: RigidTransform, located: UncertainPose) -> Iterator[MovedInput]:
@@ -141,11 +177,27 @@ def moved_inputs(setup: Setup, cam_from_mirror: RigidTransform, located: Uncerta
         yield moved_input(setup, cam_from_mirror, located, one)
 
 
+def moved_facets(
+    setup: Setup, cam_from_mirror: RigidTransform, located: UncertainPose, places: Sequence[FacetPlace]
+) -> Iterator[MovedInput]:
+    """Yield the facets moved one by one, by one sigma along each principal direction of what is known of their place.
+
+    A pose that was found from the outlines follows.
+    """
+    aligned = located.cam_from_mirror.inverse() @ cam_from_mirror
+    for place in places:
+        for step in principal_steps(place.covariance_m2):
+            # Steps of a place that is hardly known are no small ones; what they do is proportional to them.
+            times = max(float(np.linalg.norm(step)) / _STEP_M, 1.0)
+            pose = located.cam_from_mirror.moved(place.pose_by_place @ step / times) @ aligned
+            yield MovedInput(FACET_PLACE, setup, pose, frozenset({place.name}), step / times, times)
+
+
 def moved_input(setup: Setup, cam_from_mirror: RigidTransform, located: UncertainPose, step: SetupStep) -> MovedInput:
     """Return the inputs after one step of camera or screen, which the pose follows."""
     moved = moved_setup(setup, (step,), np.ones(1))
     follows = located.following(moved, cam_from_mirror) if step.moves_pose else cam_from_mirror
-    return MovedInput(step.source, moved, follows)
+    return MovedInput(step.source, moved, follows, step.facets)
 
 
 def _as_modes(sources: list[str], changes: list[FloatArray], points_m: FloatArray, facet: Facet) -> CommonModes:

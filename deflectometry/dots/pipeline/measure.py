@@ -22,6 +22,7 @@ from deflectometry.pipeline.plausibility import refuse_impossible
 from deflectometry.pipeline.result import Result
 from deflectometry.pose.find_pose import find_pose
 from deflectometry.pose.mirror_outline import mirror_masks
+from deflectometry.setup.camera_and_screen import FacetShift
 from deflectometry.setup.dot_screen import DotScreen
 from heliogauge.doubts import Doubt, gather_doubts
 from heliogauge.errors import FailurePicture, InputError, showing
@@ -122,9 +123,18 @@ def run(measurement: DotsMeasurement, options: Options | None = None, progress: 
         ]
         placed = place_dots(sights)
     rows, columns = screen.shape
-    # Every lattice may be off by itself; the most uncertain one stands for all.
-    shift = np.max([one.sigma_shift for one in placed], axis=0)
-    setup = replace(setup, sigma_shift=shift / (columns - 1, rows - 1))
+    # All lattices are as open as the one that was placed first; what each is beyond that turns its own facets.
+    scale = np.array([columns - 1, rows - 1])
+    shared = np.max([np.sqrt(np.maximum(one.sigma_shift**2 - one.own_shift**2, 0.0)) for one in placed], axis=0)
+    setup = replace(
+        setup,
+        sigma_shift=shared / scale,
+        facet_shifts=tuple(
+            FacetShift(frozenset(located.facets[k].name for k in lattice.facets), one.own_shift / scale)
+            for lattice, one in zip(lattices, placed, strict=True)
+            if one.own_shift.any()
+        ),
+    )
     dots = tuple(one.dots for one in placed)
     ready = SourceMeasurement(
         measurement,
