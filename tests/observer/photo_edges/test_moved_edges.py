@@ -27,7 +27,7 @@ def views(rng: np.random.Generator) -> tuple[list, list]:
     for x in (-1.0, 0.0, 1.5):
         pose = RigidTransform(down, -down @ np.array([x, 0.2, 15.0]))
         before.append(View(CAMERA, pose))
-        after.append((ADJUSTED, pose.moved(np.concatenate([rng.normal(0, 1e-3, 3), rng.normal(0, 0.02, 3)]))))
+        after.append(View(ADJUSTED, pose.moved(np.concatenate([rng.normal(0, 1e-3, 3), rng.normal(0, 0.02, 3)]))))
     return before, after
 
 

@@ -5,6 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from scipy.optimize import least_squares
+from scipy.stats import chi2
 
 from heliogauge.camera.model import Camera
 from heliogauge.geometry.rigid import RigidTransform
@@ -102,6 +103,20 @@ class Flight:
     def rolled(self, shutter=None):
         return adjust_rolling(self.network, self.measured(), shutter or Shutter(speed_m_s=SPEED_M_S))
 
+    def eyes_over_sigma(self, found):
+        """Errors of all camera places together, whitened by the covariance of the poses."""
+        bundle = found.network.solved.bundle
+        covariance = bundle.covariance.joint((), np.arange(len(self.poses)))
+        steps = found.motions.moved_poses
+        covariance = covariance + steps @ found.motions.covariance_m2 @ steps.T
+        error = []
+        for pose, true in zip(bundle.cam_from_world, self.poses, strict=True):
+            # The step (w, d) that takes the pose to the truth: exp(w) R and t + d are the true ones.
+            turn = true.rotation @ pose.rotation.T
+            w = 0.5 * np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])
+            error += [w, true.translation_m - pose.translation_m]
+        return np.linalg.solve(np.linalg.cholesky(covariance), np.concatenate(error))
+
 
 def test_readout_and_poses_are_those_of_one_dense_adjustment(monkeypatch):
     spread = 2e-3
@@ -141,6 +156,22 @@ def test_readout_and_poses_are_those_of_one_dense_adjustment(monkeypatch):
     steps = found.motions.moved_poses
     poses = bundle.covariance.joint((), np.arange(n)) + steps @ found.motions.covariance_m2 @ steps.T
     np.testing.assert_allclose(np.sqrt(np.diag(poses)), sigma[: 6 * n], rtol=0.03)
+
+
+@pytest.mark.parametrize("readout_s", [0.02, -0.03])
+def test_readout_is_found_within_its_sigma_over_many_flights(readout_s):
+    errors, places = [], []
+    for seed in range(10):
+        flight = Flight(100 + seed, readout_s=readout_s, along_rows=seed % 2 == 0, gusts=0.05)
+        found = flight.rolled()
+        errors.append((found.motions.readout - readout_s) / found.motions.sigma_readout)
+        places.append(flight.eyes_over_sigma(found))
+    low, high = chi2.ppf([0.005, 0.995], len(errors))
+    assert low < np.square(errors).sum() < high
+    # Poses of a flight share the errors of the list: all flights together.
+    total = np.square(np.concatenate(places))
+    low, high = chi2.ppf([0.001, 0.999], total.size) / total.size
+    assert low < total.mean() < high
 
 
 def test_a_stated_readout_is_used_with_its_sigma():
