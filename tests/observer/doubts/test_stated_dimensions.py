@@ -118,7 +118,7 @@ def test_dimensions_in_other_units_are_refused(wrong):
 def camera_above(x_m: float) -> View:
     """A camera 12 m above that looks down; its x is the trough's y."""
     turn = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
-    return CAMERA, RigidTransform(turn, -turn @ np.array([x_m, 0.0, 12.0]))
+    return View(CAMERA, RigidTransform(turn, -turn @ np.array([x_m, 0.0, 12.0])))
 
 
 def drawn_mirror(
