@@ -74,6 +74,11 @@ class PanelLattice:
                     found += [PanelLine(axis, number, cell, is_rim) for cell in range(other.size - 1)]
         return tuple(found)
 
+    @property
+    def along_trough(self) -> tuple[PanelLine, ...]:
+        """Lines of constant x, which a pass across the trough sees from different sides."""
+        return tuple(line for line in self.lines if line.axis == 0)
+
     @cached_property
     def corners(self) -> tuple[tuple[int, int], ...]:
         """Numbers of the edges in x and in y that cross in each corner."""

@@ -19,6 +19,7 @@ from observer.pipeline.inputs import Inputs, read_inputs
 from observer.pipeline.intercept import evaluate_intercept
 from observer.pipeline.judgement import judge
 from observer.pipeline.mirror import SolvedMirror, place_absorber, refine_poses, solve_mirror
+from observer.pipeline.panels import place_panels
 from observer.pipeline.reading.photos import FirstLook, SeenInPhotos, look_again, look_first
 from observer.pipeline.result import Result
 from observer.pipeline.stated_camera import blamed
@@ -90,6 +91,8 @@ def evaluate(inputs: Inputs, first: FirstLook, options: Options, progress: Progr
     listed, cameras = adjust_turning(listed, inputs, options.jobs, progress)
     refuse_impossible_cameras(cameras.photos.eyes_m, inputs.collector)
     seen = look_again(cameras.files, cameras.views, inputs.finder, listed.first, jobs=options.jobs, progress=progress)
+    panels = place_panels(inputs, cameras, seen, options.jobs, progress)
+    cameras, seen = panels.cameras, panels.seen
     shown = partial(cameras.network.measured.pictures, "too little is seen of the absorber")
     with progress.stage("absorber"), blamed(cameras.network), showing(shown):
         placed = place_absorber(inputs, seen, cameras.photos)
@@ -104,7 +107,7 @@ def evaluate(inputs: Inputs, first: FirstLook, options: Options, progress: Progr
         refined = refine_poses(cameras.photos, mirror.reflector)
         picture = _draw_clearest(inputs, cameras, refined.poses, seen, mirror)
     with progress.stage("check the design"):
-        doubts = judge(inputs, listed, cameras, placed, mirror, seen.encodings)
+        doubts = panels.doubts + judge(inputs, listed, cameras, placed, mirror, seen.encodings)
     return Result(
         inputs.collector,
         inputs.orientation_rad,

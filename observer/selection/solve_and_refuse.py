@@ -249,6 +249,11 @@ def solve_reflector(
         # From far away nothing but the mirror's own shape says where the tube is, and that is one for a panel's rows.
         most_rows=len(expected.collector.panel_edges_y_m) - 1 if far.any() else None,
     )
+    if unknowns.mean is not None:
+        # From here on the unknowns count from zero.
+        errors = replace(errors, common=errors.common + unknowns.mean)
+        lines = replace(lines, misfit_rad=lines.misfit_rad - unknowns.expected_rad)
+        used = lines.chosen(keep)
     absorber = unknowns.moved(expected.absorber, errors.common, errors.covariance_common)
     return Reflector(
         grid,
@@ -397,6 +402,11 @@ class _Nominal:
         self.sigma_rad = np.hypot(self.across_rad_per_m * edges.sigma_x_m, _MODEL_RAD)
         self._by_pose = pose_derivatives(self.sights, self._found, photos.poses, edges.photo, focal, bend_per_m)
 
+    @cached_property
+    def known_rad(self) -> FloatArray:
+        """By how much each edge is moved by what is known of glass and panels beside the design, shape (m,) [rad]."""
+        return self.glass_rad + self.unknowns.expected_rad
+
     @property
     def turned(self) -> BoolArray:
         """Which edges lie where the mirror bends so much that the reflection moves the other way on it, shape (m,)."""
@@ -433,6 +443,7 @@ class _Nominal:
             self._expected,
             self._photos.with_tube,
             outward_rad=self._outward_rad,
+            panels=self._photos.panels,
         )
 
     @cached_property
@@ -480,7 +491,7 @@ def _lines(nominal: _Nominal, expected: Expectation, present: _Surface, grid: Ro
     return TouchingLines(
         edges.row,
         points[:, 0],
-        found.angle_rad + nominal.glass_rad - found.d_slope_x * slopes[:, 0] - found.d_slope_y * slopes[:, 1],
+        found.angle_rad + nominal.known_rad - found.d_slope_x * slopes[:, 0] - found.d_slope_y * slopes[:, 1],
         found.d_slope_x,
         found.d_slope_y,
         nominal.sigma_rad,

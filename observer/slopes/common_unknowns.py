@@ -29,6 +29,7 @@ from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.validate import BoolArray, FloatArray, IntArray
 from observer.photo_edges.outward_edges import looks_rad_per_m
 from observer.photo_edges.reflection_edges import ReflectionEdges
+from observer.slopes.panel_places import PanelPlaces
 from observer.slopes.pose_modes import CameraModes
 from observer.trough.absorber_path import AbsorberPath
 from observer.trough.expectation import Expectation
@@ -61,6 +62,8 @@ class CommonUnknowns:
     steps (n, 6, MODES_PER_PHOTO): Step of each photo's pose (`RigidTransform.moved`) for one unit of its first
         unknowns [rad, m].
     height_unit_m: Unit of the panels' heights; 0 where they are held, and not among the unknowns [m].
+    n_panels: Panels whose heights are unknowns; where their edges were seen, so many leans along the trough follow.
+    mean (k,): What the unknowns are expected to be; none: zero.
     """
 
     index: IntArray
@@ -71,6 +74,15 @@ class CommonUnknowns:
     units: FloatArray
     steps: FloatArray
     height_unit_m: float = 0.0
+    n_panels: int = 0
+    mean: FloatArray | None = None
+
+    @property
+    def expected_rad(self) -> FloatArray:
+        """By how much each line is moved by what the unknowns are expected to be, shape (m,) [rad]."""
+        if self.mean is None:
+            return np.zeros(len(self.index))
+        return np.asarray(np.einsum("mc,mc->m", self.derivative, self.mean[self.index]))
 
     @property
     def place(self) -> slice:
@@ -116,9 +128,9 @@ class CommonUnknowns:
         Shapes: common (k,), covariance (k, k).
         height_m, sigma_m (p,): In the order of `Collector.panel_index`; empty where heights are held [m].
         """
-        first = self.radius + self.units.size
-        sigma = np.sqrt(np.diagonal(covariance)[first:])
-        return self.height_unit_m * common[first:], self.height_unit_m * sigma
+        own = slice(self.radius + self.units.size, self.radius + self.units.size + self.n_panels)
+        sigma = np.sqrt(np.diagonal(covariance)[own])
+        return self.height_unit_m * common[own], self.height_unit_m * sigma
 
     def moved_poses(
         self, poses: Sequence[RigidTransform], covariance: FloatArray, common: FloatArray, covariance_common: FloatArray
@@ -165,6 +177,7 @@ def common_unknowns(
     with_poses: FloatArray | None = None,
     *,
     outward_rad: float = 0.0,
+    panels: PanelPlaces | None = None,
 ) -> CommonUnknowns:
     """Collect what touching lines of sight have in common.
 
@@ -174,6 +187,7 @@ def common_unknowns(
     with_poses (2 k, 6 n): Covariance of the tube's place with the steps of the poses: wrong targets displace both.
     outward_rad: How far all edges may lie outward together beside what blur does, 1 sigma, as where it is open how the
         photos are encoded [rad].
+    panels: How high the panels are by their own edges; None: as well as they are mounted.
     Returns: Index, derivatives and prior covariance.
     """
     path, collector, m = expected.absorber, expected.collector, edges.photo.size
@@ -184,7 +198,7 @@ def common_unknowns(
     outward, unit = _outward(edges, sights, found, collector.focal_length_m)
     place = _place(found, path) if n_stations else (np.zeros((m, 0), dtype=np.intp), np.zeros((m, 0)))
     tube = _tube(found, sights, expected, outward, float(np.hypot(_OUTWARD * unit, outward_rad)))
-    panel, lifted, n_panels = _lift_panels(sights, found, expected)
+    lifted = _lift_panels(sights, found, expected, None if panels is None else panels.lean_sigma)
     first_tube = n_photo + 2 * n_stations
     first_panel = first_tube + tube.units.size
     index = np.column_stack(
@@ -193,12 +207,13 @@ def common_unknowns(
             n_modes + edges.photo,
             n_photo + place[0],
             first_tube + tube.unknown,
-            first_panel + panel,
+            first_panel + lifted.unknown,
         ]
     )
     of_photo = _OUTWARD_OF_PHOTO * unit * outward
-    derivative = np.column_stack([modes.derivative, of_photo, place[1], tube.derivative, lifted])
-    covariance = np.eye(first_panel + n_panels)
+    derivative = np.column_stack([modes.derivative, of_photo, place[1], tube.derivative, lifted.derivative])
+    covariance = np.eye(first_panel + lifted.n_unknowns)
+    mean = None
     covariance[:n_modes, :n_modes] = modes.covariance
     if n_stations:
         # A micrometre keeps the matrix positive definite.
@@ -206,6 +221,15 @@ def common_unknowns(
         if with_poses is not None:
             covariance[n_photo:first_tube, :n_modes] = modes.read(with_poses)
             covariance[:n_modes, n_photo:first_tube] = covariance[n_photo:first_tube, :n_modes].T
+    if panels is not None and lifted.n_unknowns:
+        units = np.repeat([collector.panel_height_sigma_m, panels.lean_sigma], collector.n_panels)
+        mean = np.zeros(len(covariance))
+        mean[first_panel:] = panels.value / units
+        covariance[first_panel:, first_panel:] = panels.covariance / np.outer(units, units)
+        covariance[first_panel:, :n_modes] = modes.read(panels.with_poses) / units[:, None]
+        if n_stations and with_poses is not None:
+            covariance[first_panel:, n_photo:first_tube] = panels.by_poses @ with_poses.T / units[:, None]
+        covariance[:first_panel, first_panel:] = covariance[first_panel:, :first_panel].T
     return CommonUnknowns(
         index,
         np.nan_to_num(derivative),
@@ -215,19 +239,24 @@ def common_unknowns(
         tube.units,
         modes.steps,
         collector.panel_height_sigma_m,
+        collector.n_panels if lifted.n_unknowns else 0,
+        mean,
     )
 
 
 class _Lifted(NamedTuple):
-    """Each line's panel and what its height does to the line, shapes (m, 1); no column where heights are held."""
+    """Which heights of panels move each line, and by how much, shapes (m, c); no column where heights are held."""
 
-    panel: IntArray
+    unknown: IntArray
     derivative: FloatArray
-    n_panels: int
+    n_unknowns: int
 
 
-def _lift_panels(sights: Sights, found: Misfit, expected: Expectation) -> _Lifted:
-    """Lift each line's panel: the line of sight stays, and meets the panel at another place."""
+def _lift_panels(sights: Sights, found: Misfit, expected: Expectation, lean_unit: float | None) -> _Lifted:
+    """Lift each line's panel: the line of sight stays, and meets the panel at another place.
+
+    lean_unit: Unit of the panels' slopes along the trough, by which their heights change; None: they are held.
+    """
     collector, m = expected.collector, len(sights.side)
     unit, focal = collector.panel_height_sigma_m, collector.focal_length_m
     if unit == 0:
@@ -241,8 +270,14 @@ def _lift_panels(sights: Sights, found: Misfit, expected: Expectation) -> _Lifte
     )
     by_height = (later.angle_rad - found.angle_rad) / _LIFT_M
     panel = collector.panel_index(x, y)
-    derivative = np.where(panel >= 0, unit * by_height, 0.0)
-    return _Lifted(np.maximum(panel, 0)[:, None].astype(np.intp), derivative[:, None], collector.n_panels)
+    derivative = np.where(panel >= 0, by_height, 0.0)
+    own = np.maximum(panel, 0).astype(np.intp)
+    if lean_unit is None:
+        return _Lifted(own[:, None], unit * derivative[:, None], collector.n_panels)
+    middles = 0.5 * (collector.panel_edges_y_m[1:] + collector.panel_edges_y_m[:-1])
+    beside = y - middles[own // (len(collector.panel_edges_x_m) - 1)]
+    both = np.column_stack([unit * derivative, lean_unit * beside * derivative])
+    return _Lifted(np.column_stack([own, collector.n_panels + own]), both, 2 * collector.n_panels)
 
 
 def _outward(edges: ReflectionEdges, sights: Sights, found: Misfit, focal_m: float) -> tuple[FloatArray, float]:

@@ -9,6 +9,7 @@ import numpy as np
 from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.validate import FloatArray, IntArray
 from observer.photo_edges.views import View
+from observer.slopes.panel_places import PanelPlaces
 from observer.trough.observation_equation import Misfit, Sights, gradient_on_mirror
 
 #: Combinations of a pose's six movements that are kept. The first is the camera's place across the trough with the
@@ -27,12 +28,14 @@ class Photos:
     with_tube (2 k, 6 n): Covariance of the absorber's k stations (all x, then all z) with those steps; none without
         [m rad, m^2].
     moving: Views of cameras that move while they read a frame; none where all rows are read at once.
+    panels: How high the panels are, where their edges in the photos say so; only their mounting is known otherwise.
     """
 
     poses: tuple[RigidTransform, ...]
     covariance: FloatArray
     with_tube: FloatArray | None = None
     moving: tuple[View, ...] = ()
+    panels: PanelPlaces | None = None
 
     @property
     def eyes_m(self) -> FloatArray:

@@ -13,7 +13,8 @@ from observer.photo_edges.reflection_edges import ReflectionEdges, joined
 from observer.photo_edges.views import View
 from observer.pipeline.headline import _height_columns
 from observer.planning.simulated_edges import EdgeNoise, Scene, measured_edges, seen_again, true_edges
-from observer.selection.solve_and_refuse import Reflector, solve_reflector
+from observer.selection.solve_and_refuse import Reflector, _Nominal, solve_reflector
+from observer.slopes.panel_places import PanelPlaces
 from observer.slopes.pose_modes import Photos
 from observer.slopes.row_spline import Roughness
 from observer.trough.collector import ls2
@@ -53,14 +54,25 @@ def raised_scene() -> tuple[Scene, np.ndarray, ReflectionEdges]:
     return scene, heights, joined(parts)
 
 
-def solved(sigma_m: float, seed: int) -> Reflector:
+def solved(sigma_m: float, seed: int, panels: PanelPlaces | None = None) -> Reflector:
     scene, _, edges = raised_scene()
     rng = np.random.default_rng(seed)
     found = measured_edges(scene, edges, scene.views, rng)
-    photos = Photos(tuple(pose for _, pose in scene.views), np.eye(6 * len(scene.views)) * 1e-12)
+    photos = Photos(tuple(pose for _, pose in scene.views), np.eye(6 * len(scene.views)) * 1e-12, panels=panels)
     truth = scene.truth
     stated = replace(truth, collector=replace(truth.collector, panel_height_sigma_m=sigma_m))
     return solve_reflector(found, photos, stated, 0.05, Roughness(1e-3, 0.2e-3))
+
+
+def with_edges(off_m: float) -> tuple[Reflector, Reflector]:
+    """Solve with heights that the panels' edges say, right within 0.1 mm or off by so much, and with the mounting's."""
+    scene, heights, _ = raised_scene()
+    n, count = heights.size, len(scene.views)
+    value = np.concatenate([heights + off_m, np.zeros(n)])
+    sigma = np.repeat([0.1e-3, 0.05e-3], n)
+    nothing = np.zeros((2 * n, 6 * count))
+    panels = PanelPlaces(value, np.diag(sigma**2), nothing, nothing, 1e-3)
+    return solved(SIGMA_M, 0, panels), solved(SIGMA_M, 0)
 
 
 def heights_of(found: Reflector) -> tuple[np.ndarray, np.ndarray]:
@@ -83,6 +95,56 @@ def test_heights_come_out_within_their_sigma_and_slopes_with_them():
         gains.append(np.std(errors[0]) / np.std(errors[1]))
     assert 0.6 < np.sqrt(np.mean(np.square(ratios))) < 1.4
     assert np.mean(gains) < 0.7
+
+
+def _slope_error(found: Reflector) -> float:
+    scene = raised_scene()[0]
+    x, y = np.meshgrid(found.grid.x_m, found.y_m)
+    true = scene.mirror.errors(x.ravel(), y.ravel())[0].reshape(x.shape)
+    return float(np.std((found.errors.slopes[..., 0] - true)[found.measured]))
+
+
+@pytest.mark.slow
+def test_heights_by_the_panels_edges_are_where_the_solution_starts():
+    heights = raised_scene()[1]
+    found, mounted = with_edges(0.0)
+    height, sigma = heights_of(found)
+    assert np.abs(height - heights).max() < 0.2e-3
+    assert (sigma < 0.11e-3).all()
+    assert height.size == heights.size
+    assert _slope_error(found) < 0.8 * _slope_error(mounted)
+    # Wrong ones make wrong slopes.
+    assert _slope_error(with_edges(1e-3)[0]) > 1.5 * _slope_error(found)
+
+
+@pytest.mark.slow
+def test_what_the_unknowns_are_expected_to_be_counts_once():
+    found, _ = with_edges(0.0)
+    lines, before = found.lines, np.searchsorted(found.grid.x_m, found.lines.x_m) - 1
+    before = np.clip(before, 0, found.grid.x_m.size - 2)
+    share = ((lines.x_m - found.grid.x_m[before]) / found.grid.step_m)[:, None]
+    slopes = (1 - share) * found.errors.slopes[lines.row, before] + share * found.errors.slopes[lines.row, before + 1]
+    left = lines.misfit_rad + lines.d_slope_x * slopes[:, 0] + lines.d_slope_y * slopes[:, 1]
+    left += np.einsum("mc,mc->m", lines.d_common, found.errors.common[lines.common_index])
+    inner = (before > 0) & found.grid.joined[before]
+    assert np.median(np.abs(left[inner])) < 1.2 * np.median(np.abs(found.residuals_rad[found.fate == 0]))
+
+
+def test_a_panel_that_leans_is_higher_towards_one_end():
+    scene, heights, edges = raised_scene()
+    n, count = heights.size, len(scene.views)
+    nothing = np.zeros((2 * n, 6 * count))
+    panels = PanelPlaces(np.zeros(2 * n), np.eye(2 * n) * 1e-8, nothing, nothing, 2e-3)
+    photos = Photos(tuple(pose for _, pose in scene.views), np.eye(6 * count) * 1e-12, panels=panels)
+    truth = replace(scene.truth, collector=replace(scene.truth.collector, panel_height_sigma_m=SIGMA_M))
+    unknowns = _Nominal(edges, photos, truth, 0.0).unknowns
+    by_height, by_lean = unknowns.derivative[:, -2:].T
+    row = unknowns.index[:, -1] - unknowns.radius - unknowns.units.size - n
+    ends = truth.collector.panel_edges_y_m
+    middle = (0.5 * (ends[1:] + ends[:-1]))[row // (truth.collector.panel_edges_x_m.size - 1)]
+    assert np.allclose(by_lean * SIGMA_M, by_height * 2e-3 * (edges.points_m[:, 1] - middle))
+    assert np.abs(by_lean).max() > 0
+    assert (unknowns.index[:, -1] - unknowns.index[:, -2] == n).all()
 
 
 @pytest.mark.slow

@@ -1,0 +1,390 @@
+"""Panels and cameras by the panels' own edges, beside the marked targets that gave the poses.
+
+A gap between two panels, or a rim, that runs along the trough is seen from all places of a pass across it. Its place
+across the trough and its height follow from that as those of a target do, to 0.1 or 0.2 mm from some twenty photos:
+where cameras and tube are over the mirror, which a list of targets tells to the millimetre it is good for, and how high
+each panel is mounted.
+
+All is linear and Gaussian. Edges are beside where poses and drawing predict them by ``J s + K e + noise``, with the
+steps s of the poses, which the targets know with their covariance, and the places e of the edges' ends. These are made
+by the panels (moved along the mirror, higher, higher towards one end of the trough), by the shape of each panel, which
+its slopes say, and by what each edge is off besides. How much that is in height the edges themselves say.
+"""
+
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from heliogauge.adjust.robust_scale import robust_scale
+from heliogauge.validate import BoolArray, FloatArray, IntArray
+from observer.corners.lattice import PanelLattice
+from observer.corners.panel_lines import FoundLine, normal_at
+from observer.photo_edges.views import View
+from observer.slopes.panel_places import EdgeShare, PanelPlaces
+from observer.slopes.pose_modes import Photos
+
+#: Places of a line whose offsets are independent of each other where its pieces count alike.
+END_SHARES = (0.5 - 12**-0.5, 0.5 + 12**-0.5)
+#: What each edge may be off in height besides its panel [m]: bends along the trough, its own rim. Weighted by how
+#: probable each makes what is seen.
+_OWN_M = (0.05e-3, 0.1e-3, 0.2e-3, 0.4e-3, 0.8e-3, 1.6e-3)
+#: Times the standard deviation beyond which a photo does not show an edge; rounds of that.
+_REJECT_TIMES, _ROUNDS = 4.0, 4
+#: Photos next to each other err alike: the background of a rim moves slowly. Means of so many tell by how much.
+_ALIKE_PHOTOS = 4
+#: A share of the covariance of poses that keeps it positive definite.
+_TINY = 1e-9
+
+
+class EdgeSights(NamedTuple):
+    """Ends of edges in photos, arrays of m rows.
+
+    photo, end (m,): Numbers of the photo and of the end.
+    offset_px, sigma_px (m,): How far the edge is beside where the pose predicts it, along its normal [px].
+    by_pose (m, 6): What a step of the pose adds to the prediction [px/rad, px/m].
+    by_place (m, 2): What a movement of the end across the trough adds, and a higher end [px/m].
+    """
+
+    photo: IntArray
+    end: IntArray
+    offset_px: FloatArray
+    sigma_px: FloatArray
+    by_pose: FloatArray
+    by_place: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class EdgeEnds:
+    """Two places on each edge of a panel that runs along the trough.
+
+    points_m (e, 3): By the drawing [m].
+    panel (e, 2): Numbers of the panels at smaller and larger x, -1 beyond the rims (`Collector.panel_index`).
+    """
+
+    points_m: FloatArray
+    panel: IntArray
+
+    @classmethod
+    def of(cls, lattice: PanelLattice) -> "EdgeEnds":
+        """Return the ends of all lines of constant x, in their order."""
+        points, panels, columns = [], [], len(lattice.edges_m[0]) - 1
+        for line in lattice.along_trough:
+            points.append(lattice.along(line, np.array(END_SHARES)))
+            beside = [line.cell * columns + k if 0 <= k < columns else -1 for k in (line.number - 1, line.number)]
+            panels += [beside, beside]
+        return cls(np.concatenate(points), np.array(panels, dtype=np.intp))
+
+    @property
+    def sides(self) -> IntArray:
+        """Number of panels at each end, shape (e,)."""
+        return np.asarray((self.panel >= 0).sum(axis=1))
+
+
+def edge_sights(number: int, view: View, lattice: PanelLattice, found: tuple[FoundLine | None, ...]) -> EdgeSights:
+    """Return what one photo shows of the ends of the lines along the trough.
+
+    number: Of the photo.
+    view: Camera and pose by which the lines were looked for.
+    found: Lines of constant x as found, in their order; None where one is not seen.
+    """
+    rows, share = [], np.array(END_SHARES)
+    for k, one in enumerate(found):
+        if one is None:
+            continue
+        _, normals = normal_at(view, lattice, one.line, share)
+        seen = view.camera.project_posed(lattice.along(one.line, share), view.cam_from_frame)
+        for end, normal in enumerate(normals):
+            offset, variance = one.at(END_SHARES[end])
+            place = normal @ seen.d_pixel_d_point[end]
+            pose = normal @ seen.d_pixel_d_pose[end]
+            rows.append([number, 2 * k + end, offset, np.sqrt(variance), *pose, place[0], place[2]])
+    table = np.array(rows, dtype=np.float64).reshape(-1, 12)
+    whole = table[:, :2].astype(np.intp)
+    return EdgeSights(whole[:, 0], whole[:, 1], table[:, 2], table[:, 3], table[:, 4:10], table[:, 10:])
+
+
+def joined_sights(parts: list[EdgeSights]) -> EdgeSights:
+    """Return the rows of several photos."""
+    return EdgeSights(*(np.concatenate(some) for some in zip(*parts, strict=True)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlacedByEdges:
+    """Poses and panels by the panels' edges.
+
+    photos: Poses with their covariance, and the panels.
+    used (m,): Which rows agree with the others.
+    ends_m (e, 2): How far each end is beside the drawing, across the trough and in height [m].
+    over_sigma (e,): The first of these over what is expected of it before the photos are seen.
+    own_m: What each edge is off in height besides its panel [m].
+    """
+
+    photos: Photos
+    used: BoolArray
+    ends_m: FloatArray
+    over_sigma: FloatArray
+    own_m: float
+
+
+def place_by_edges(
+    sights: EdgeSights,
+    ends: EdgeEnds,
+    shape_m: FloatArray,
+    photos: Photos,
+    lattice: PanelLattice,
+    lean_sigma: float,
+    *,
+    shaped: bool | None,
+) -> PlacedByEdges:
+    """Adjust poses and panels to the panels' edges.
+
+    shape_m (e,): How much higher each end is by the shape that the slopes of its panels say, mean zero over the row of
+        a panel [m].
+    photos: Poses by the targets.
+    lean_sigma: Standard deviation of a panel's slope along the trough.
+    shaped: Whether the mirror has that shape; None: as its edges say, and how surely is put down with the panels.
+    """
+    steady = _Steady.of(sights, ends, photos, _Panels.of(ends, lattice, lean_sigma))
+    kinds = {kind: steady.solve(kind * shape_m) for kind in (True, False)}
+    better = kinds[True].evidence >= kinds[False].evidence
+    chosen = better if shaped is None else shaped
+    solved = kinds[chosen]
+    moved, places = _moved(photos, steady, solved), _places(photos, steady, solved)
+    if places is not None:
+        places = replace(places, shape=_edge_share(kinds[better], shape_m, better=better))
+    beside = np.stack(np.split(solved.ends, 2), axis=1) + np.stack([0 * shape_m, chosen * shape_m], axis=1)
+    over = np.abs(beside[:, 0]) / np.sqrt(np.diag(solved.prior_ends)[: len(beside)])
+    return PlacedByEdges(replace(moved, panels=places), steady.used, beside, over, solved.own_m)
+
+
+def _edge_share(solved: "_Solved", shape_m: FloatArray, *, better: bool) -> EdgeShare | None:
+    """Return by what factor of the shape the edges are high.
+
+    solved: With all of the shape, or none, whichever is more probable.
+    """
+    kept = solved.normal - solved.normal @ solved.covariance_ends @ solved.normal
+    precision = float(shape_m @ kept[len(shape_m) :, len(shape_m) :] @ shape_m)
+    if precision <= 0:
+        return None
+    beside = float(shape_m @ (solved.right - solved.normal @ solved.ends)[len(shape_m) :])
+    return EdgeShare(float(better) + beside / precision, precision**-0.5)
+
+
+class _Steady(NamedTuple):
+    """What stays the same whatever shape the panels have.
+
+    sights: With sigmas as they scatter.
+    rank (m,): Number of the photo of each row among those that show any.
+    used (m,): Rows that agree with the others.
+    steps (6 k,): Which steps of poses move the rows.
+    root (6 k, 6 k): Lower root of their covariance.
+    """
+
+    sights: EdgeSights
+    rank: IntArray
+    used: BoolArray
+    steps: IntArray
+    root: FloatArray
+    panels: "_Panels"
+
+    @classmethod
+    def of(cls, sights: EdgeSights, ends: EdgeEnds, photos: Photos, panels: "_Panels") -> "_Steady":
+        seen = np.unique(sights.photo)
+        steps = (6 * seen[:, None] + np.arange(6)).ravel()
+        known = photos.covariance[np.ix_(steps, steps)]
+        root = np.linalg.cholesky(known + _TINY * np.diag(np.diag(known)))
+        rank, used = np.searchsorted(seen, sights.photo), np.ones(sights.photo.size, dtype=bool)
+        found = cls(sights, rank, used, steps, root, panels)
+        for _ in range(_ROUNDS):
+            # No shape: what each end is off by itself takes it.
+            solved = found.solve(np.zeros(len(ends.panel)))
+            miss = sights.offset_px - solved.predicted(found)
+            scaled = sights.sigma_px * _noise_ratio(miss / sights.sigma_px, sights, found.used, ends)
+            used = np.abs(miss) < _REJECT_TIMES * scaled
+            is_settled = bool((used == found.used).all()) and np.allclose(scaled, found.sights.sigma_px, rtol=0.02)
+            found = found._replace(sights=sights._replace(sigma_px=scaled), used=used)
+            if is_settled:
+                break
+        return found
+
+    def solve(self, shape_m: FloatArray) -> "_Solved":
+        """Solve for steps and ends; how far each end is off by itself is what makes the sights probable.
+
+        shape_m (e,): How much higher the ends are by the shape of the panels [m].
+        """
+        sights, m, count = self.sights, np.flatnonzero(self.used), len(shape_m)
+        weight = 1 / sights.sigma_px[m]
+        own = np.asarray(6 * self.rank[m, None] + np.arange(6), dtype=np.intp)
+        by_step, by_end = np.zeros((m.size, len(self.root))), np.zeros((m.size, 2 * count))
+        np.put_along_axis(by_step, own, weight[:, None] * sights.by_pose[m], axis=1)
+        by_step = by_step @ self.root
+        np.put_along_axis(
+            by_end, sights.end[m, None] + np.array([0, count]), weight[:, None] * sights.by_place[m], axis=1
+        )
+        offset = weight * (sights.offset_px - sights.by_place[:, 1] * shape_m[sights.end])[m]
+        alone = np.linalg.inv(by_step.T @ by_step + np.eye(len(self.root)))
+        both, of_steps = by_step.T @ by_end, by_step.T @ offset
+        carried = alone @ both
+        normal, right = by_end.T @ by_end - both.T @ carried, by_end.T @ offset - carried.T @ of_steps
+        rest = float(offset @ offset - of_steps @ alone @ of_steps)
+        # The mean of the variance, by how probable each is: the most probable one may by chance be far too small.
+        tried = np.array([_OfEnds.of(self.panels.covariance_m2(own_m), normal, right).evidence for own_m in _OWN_M])
+        own_m = float(np.sqrt(np.average(np.square(_OWN_M), weights=np.exp(tried - tried.max()))))
+        of_ends = _OfEnds.of(self.panels.covariance_m2(own_m), normal, right)
+        ends = of_ends.covariance @ right
+        with_ends = -carried @ of_ends.covariance
+        known = alone - with_ends @ carried.T
+        return _Solved(
+            alone @ (of_steps - both @ ends),
+            0.5 * (known + known.T),
+            ends,
+            of_ends.covariance,
+            with_ends,
+            self.panels.covariance_m2(own_m),
+            own_m,
+            normal,
+            right,
+            of_ends.evidence - 0.5 * rest,
+        )
+
+
+class _OfEnds(NamedTuple):
+    """Covariance of the ends' places with some prior, and the logarithm of how probable it makes the sights."""
+
+    covariance: FloatArray
+    evidence: float
+
+    @classmethod
+    def of(cls, prior: FloatArray, normal: FloatArray, right: FloatArray) -> "_OfEnds":
+        factor = np.linalg.cholesky(prior)
+        inner = np.eye(len(prior)) + factor.T @ normal @ factor
+        covariance = factor @ np.linalg.solve(inner, factor.T)
+        covariance = 0.5 * (covariance + covariance.T)
+        return cls(covariance, 0.5 * float(right @ covariance @ right - np.linalg.slogdet(inner)[1]))
+
+
+def _noise_ratio(miss: FloatArray, sights: EdgeSights, used: BoolArray, ends: EdgeEnds) -> FloatArray:
+    """Return by what the sigmas are too small, for gaps and rims apart, shape (m,); 1 at least.
+
+    miss (m,): Residuals over sigma.
+    """
+    ratio = np.ones(miss.size)
+    is_rim = ends.sides[sights.end] == 1
+    order = np.lexsort((sights.photo, sights.end))
+    for kind in (True, False):
+        own = order[(is_rim[order] == kind) & used[order]]
+        if own.size < 2 * _ALIKE_PHOTOS:
+            continue
+        square = max(1.0, robust_scale(miss[own])) ** 2
+        whole = own[: own.size // _ALIKE_PHOTOS * _ALIKE_PHOTOS].reshape(-1, _ALIKE_PHOTOS)
+        same = sights.end[whole[:, 0]] == sights.end[whole[:, -1]]
+        if same.any():
+            means = miss[whole[same]].mean(axis=1)
+            square = max(square, _ALIKE_PHOTOS * robust_scale(means) ** 2)
+        ratio[is_rim == kind] = np.sqrt(square)
+    return ratio
+
+
+class _Panels(NamedTuple):
+    """What makes the places of the ends: x of all, then height of all.
+
+    by_unknown (2 e, 3 p): Of the panels' height, lean along the trough, and place along the mirror.
+    variance (3 p,): Of these.
+    own_x_m2 (e,): Variance that each end has in x by itself [m^2].
+    sides (e,): Number of panels at each end.
+    lean_sigma: Standard deviation of the leans.
+    """
+
+    by_unknown: FloatArray
+    variance: FloatArray
+    own_x_m2: FloatArray
+    sides: IntArray
+    lean_sigma: float
+
+    @classmethod
+    def of(cls, ends: EdgeEnds, lattice: PanelLattice, lean_sigma: float) -> "_Panels":
+        collector, count = lattice.collector, len(ends.panel)
+        n, columns = collector.n_panels, len(lattice.edges_m[0]) - 1
+        middle_y = 0.5 * (lattice.edges_m[1][1:] + lattice.edges_m[1][:-1])
+        by_unknown = np.zeros((2 * count, 3 * n))
+        sides = ends.sides
+        slope = ends.points_m[:, 0] / (2 * collector.focal_length_m)
+        for side in (0, 1):
+            rows = np.flatnonzero(ends.panel[:, side] >= 0)
+            own, share = ends.panel[rows, side], 1 / sides[rows]
+            by_unknown[count + rows, own] = share
+            by_unknown[count + rows, n + own] = share * (ends.points_m[rows, 1] - middle_y[own // columns])
+            along = share / np.hypot(1, slope[rows])
+            by_unknown[rows, 2 * n + own] = along
+            by_unknown[count + rows, 2 * n + own] = slope[rows] * along
+        is_held = collector.panel_height_sigma_m == 0
+        sigmas = [collector.panel_height_sigma_m, 0.0 if is_held else lean_sigma, lattice.mounting_sigma_m]
+        variance = np.repeat(np.square(sigmas), n)
+        return cls(by_unknown, variance, lattice.corner_sigma_m**2 / sides, sides, lean_sigma)
+
+    def covariance_m2(self, own_m: float) -> FloatArray:
+        """Return the covariance of the ends' places."""
+        own = np.concatenate([self.own_x_m2, own_m**2 / self.sides])
+        return np.asarray((self.by_unknown * self.variance) @ self.by_unknown.T + np.diag(own))
+
+
+class _Solved(NamedTuple):
+    """Steps of poses, in units of their root, and places of the ends, with their joint covariance.
+
+    normal, right: What the sights say of the ends, the steps eliminated.
+    """
+
+    steps: FloatArray
+    covariance_steps: FloatArray
+    ends: FloatArray
+    covariance_ends: FloatArray
+    steps_with_ends: FloatArray
+    prior_ends: FloatArray
+    own_m: float
+    normal: FloatArray
+    right: FloatArray
+    evidence: float
+
+    def predicted(self, steady: _Steady) -> FloatArray:
+        """Return where the rows should be, shape (m,) [px]."""
+        sights, step, place = steady.sights, (steady.root @ self.steps).reshape(-1, 6), self.ends.reshape(2, -1).T
+        moved = np.einsum("mi,mi->m", sights.by_pose, step[steady.rank])
+        return np.asarray(moved + np.einsum("mi,mi->m", sights.by_place, place[sights.end]))
+
+
+def _moved(photos: Photos, steady: _Steady, solved: _Solved) -> Photos:
+    """Return all poses with what the edges say; those whose edges were not looked at follow the others."""
+    gain = _gain(photos, steady)
+    moves = (gain @ solved.steps).reshape(-1, 6)
+    taken = np.eye(len(steady.root)) - solved.covariance_steps
+    after = photos.covariance - gain @ taken @ gain.T
+    poses = tuple(pose.moved(move) for pose, move in zip(photos.poses, moves, strict=True))
+    return Photos(poses, 0.5 * (after + after.T))
+
+
+def _gain(photos: Photos, steady: _Steady) -> FloatArray:
+    """Return what one unit of each combination of the looked-at steps does to all steps, shape (6 n, k)."""
+    return np.asarray(np.linalg.solve(steady.root, photos.covariance[steady.steps]).T)
+
+
+def _places(photos: Photos, steady: _Steady, solved: _Solved) -> PanelPlaces | None:
+    """Return heights and leans of the panels; None where they are held."""
+    panels = steady.panels
+    n = panels.variance.size // 3
+    if panels.variance[0] == 0:
+        return None
+    by_unknown, variance = panels.by_unknown[:, : 2 * n], panels.variance[: 2 * n]
+    gain = np.linalg.solve(solved.prior_ends, by_unknown * variance).T
+    covariance = np.diag(variance) - gain @ (solved.prior_ends - solved.covariance_ends) @ gain.T
+    with_steps = gain @ solved.steps_with_ends.T
+    by_poses = np.zeros((2 * n, len(photos.covariance)))
+    carried = np.linalg.solve(solved.covariance_steps, with_steps.T)
+    by_poses[:, steady.steps] = np.linalg.solve(steady.root.T, carried).T
+    return PanelPlaces(
+        gain @ solved.ends,
+        0.5 * (covariance + covariance.T),
+        with_steps @ _gain(photos, steady).T,
+        by_poses,
+        panels.lean_sigma,
+    )

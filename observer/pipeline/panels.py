@@ -1,0 +1,184 @@
+"""Panels and cameras by the panels' own edges in the photos, where the collector's drawing says where these are.
+
+The targets have given the poses. A first solution for the slopes, from some rows and photos, says what shape the panels
+have; then their edges say how high each is, and where all cameras are over the mirror.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from heliogauge.doubts import Doubt, Severity
+from heliogauge.errors import EstimationError
+from heliogauge.running.progress import Progress
+from heliogauge.running.threads import side_by_side
+from heliogauge.validate import FloatArray, IntArray
+from observer.corners.lattice import PanelLattice
+from observer.corners.panel_lines import FoundLine, find_line, line_profiles, photo_noise
+from observer.corners.placed_panels import (
+    EdgeEnds,
+    PlacedByEdges,
+    edge_sights,
+    joined_sights,
+    place_by_edges,
+)
+from observer.keys import CornersSection
+from observer.photo_edges.moved_edges import bearings_in_poses, edges_in_poses
+from observer.photo_edges.views import AnyImage, View
+from observer.pipeline.cameras import Cameras
+from observer.pipeline.inputs import Inputs
+from observer.pipeline.mirror import place_absorber, solve_mirror
+from observer.pipeline.reading.photos import SeenInPhotos
+from observer.selection.solve_and_refuse import Reflector
+from observer.slopes.pose_modes import Photos
+
+#: Photos that are looked at for edges, evenly spread over the pass, and rows of the first solution: enough for what the
+#: edges are off by themselves, and for the shape of panels.
+_MOST_PHOTOS, _MOST_ROWS = 60, 60
+#: How far beside its prediction an edge is looked for: poses are good to a millimetre, panels to a few [px].
+_REACH_PX = 6.0
+#: With less than this share of the edges found where they should be the drawing is not believed.
+_LEAST_SHARE = 0.5
+#: An edge beside the drawing by so many standard deviations is named: by chance one in 10^4.
+_BESIDE = 4.0
+#: Fewest rows that tell how a panel's edge runs.
+_FEWEST_ROWS = 3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlacedPanels:
+    """Cameras and what was seen, with the poses that targets and panels' edges say together.
+
+    doubts: Of the drawing.
+    """
+
+    cameras: Cameras
+    seen: SeenInPhotos
+    doubts: tuple[Doubt, ...] = ()
+
+
+def place_panels(
+    inputs: Inputs, cameras: Cameras, seen: SeenInPhotos, jobs: int | None, progress: Progress
+) -> PlacedPanels:
+    """Refine poses, and find out how high the panels are, by the edges of the panels.
+
+    jobs: Photos side by side.
+    Returns: All as it was where edges were used as targets already, the drawing has no gaps, or too little is seen.
+    InputError: A photo cannot be read.
+    """
+    unchanged = PlacedPanels(cameras, seen)
+    collector = inputs.collector
+    if inputs.corners is not None or collector.panel_gap_m == 0 or collector.n_panels < 2:
+        return unchanged
+    usual = CornersSection()
+    lattice = PanelLattice(collector, 1e-3 * usual.mounting_sigma_mm, 1e-3 * usual.corner_sigma_mm)
+    count = len(cameras.files)
+    chosen = np.unique(np.linspace(0, count - 1, min(count, _MOST_PHOTOS)).round().astype(np.intp))
+    with progress.stage("shape of panels"):
+        ends = EdgeEnds.of(lattice)
+        try:
+            shape = _shape_of(_first_solution(inputs, cameras.photos, seen, chosen), ends, inputs)
+        except EstimationError:
+            # What is missing is said where all photos are used.
+            return unchanged
+    with progress.stage("edges of panels", chosen.size) as stage:
+
+        def one(number: int) -> tuple[FoundLine | None, ...]:
+            file = cameras.files[number]
+            reader = replace(inputs.finder, encodings=seen.encodings)
+            image = np.asarray(reader.read(file), dtype=np.float32)
+            found = find_along(image, cameras.views[number], lattice)
+            stage.advance()
+            return found
+
+        lines = side_by_side(one, chosen.tolist(), jobs)
+    share = float(np.mean([line is not None for found in lines for line in found]))
+    if share < _LEAST_SHARE:
+        text = (
+            f"collector: {100 * share:.0f} % of the panels' edges are where panel_edges_x_m and panel_edges_y_m have "
+            "them in the photos; they were not used for the heights of panels and the frame of the targets"
+        )
+        return replace(unchanged, doubts=(Doubt("panel_edges_not_seen", text, {"seen_ratio": share}, Severity.NOTE),))
+    sights = joined_sights(
+        [edge_sights(int(k), cameras.views[k], lattice, found) for k, found in zip(chosen, lines, strict=True)]
+    )
+    # A real mirror has the shape of its slopes unless somebody says otherwise; what does not fit makes sigma larger.
+    shaped = inputs.shape_from_slopes is not False
+    placed = place_by_edges(sights, ends, shape, cameras.photos, lattice, inputs.prior.along_rad, shaped=shaped)
+    views = tuple(View(view.camera, pose) for view, pose in zip(cameras.views, placed.photos.poses, strict=True))
+    expected = inputs.finder.expected
+    moved = replace(
+        seen,
+        edges=edges_in_poses(seen.edges, cameras.views, views, expected),
+        bearings=bearings_in_poses(seen.bearings, cameras.views, views, expected),
+    )
+    doubts = tuple(one for one in (_beside_doubt(placed, ends, lattice),) if one is not None)
+    return PlacedPanels(replace(cameras, photos=placed.photos, views=views), moved, doubts)
+
+
+def find_along(image: AnyImage, view: View, lattice: PanelLattice) -> tuple[FoundLine | None, ...]:
+    """Find the lines along the trough in one photo; None where it does not show them."""
+    noise, found = photo_noise(image), []
+    for line in lattice.along_trough:
+        profiles = line_profiles(image, view, lattice, line, _REACH_PX)
+        found.append(None if profiles is None else find_line(profiles, line, noise))
+    return tuple(found)
+
+
+def _first_solution(inputs: Inputs, photos: Photos, seen: SeenInPhotos, chosen: IntArray) -> Reflector:
+    """Solve for the slopes of some rows from some photos.
+
+    EstimationError: Too little of the reflection is seen.
+    """
+    expected = inputs.finder.expected
+    placed = place_absorber(inputs, seen, photos)
+    rows = np.unique(np.linspace(0, expected.y_m.size - 1, min(expected.y_m.size, _MOST_ROWS)).round().astype(np.intp))
+    some = np.isin(seen.edges.photo, chosen) & np.isin(seen.edges.row, rows)
+    edges = seen.edges.chosen(some)
+    fewer = replace(edges, photo=np.searchsorted(chosen, edges.photo), row=np.searchsorted(rows, edges.row))
+    steps = (6 * chosen[:, None] + np.arange(6)).ravel()
+    own = Photos(tuple(photos.poses[k] for k in chosen), photos.covariance[np.ix_(steps, steps)])
+    finder = replace(inputs.finder, expected=replace(expected, y_m=expected.y_m[rows]))
+    solution = placed.solution
+    if solution is not None and solution.with_poses is not None:
+        placed = replace(placed, solution=replace(solution, with_poses=solution.with_poses[:, steps]))
+    # The shape that the slopes say, whether the mirror has it or not.
+    shaped = replace(inputs, finder=finder, shape_from_slopes=True)
+    return solve_mirror(shaped, replace(seen, edges=fewer), own, placed).reflector
+
+
+def _shape_of(reflector: Reflector, ends: EdgeEnds, inputs: Inputs) -> FloatArray:
+    """Return how high the panels' edges are by the shape of the panels, the mean of both sides, shape (e,) [m]."""
+    collector, grid, found = inputs.collector, reflector.grid, np.zeros(ends.panel.shape)
+    pieces = np.cumsum(np.concatenate([[0], ~grid.joined]))
+    for k, side in zip(*np.nonzero(ends.panel >= 0), strict=True):
+        row, column = divmod(int(ends.panel[k, side]), len(collector.panel_edges_x_m) - 1)
+        first, last = collector.panel_edges_y_m[row : row + 2]
+        nodes = np.flatnonzero(pieces == column)
+        inside = (reflector.y_m > first) & (reflector.y_m < last)
+        rows = np.flatnonzero(inside & reflector.measured[:, nodes].any(axis=1))
+        if rows.size < _FEWEST_ROWS or nodes.size < 2:
+            continue
+        # A panel's edge lies half a step beyond its last node.
+        near, before = nodes[[-1, -2]] if side == 0 else nodes[[0, 1]]
+        edge = collector.panel_edges_x_m[column + 1 - side]
+        share = (edge - grid.x_m[before]) / (grid.x_m[near] - grid.x_m[before])
+        height = (1 - share) * reflector.height_m[rows, before] + share * reflector.height_m[rows, near]
+        found[k, side] = np.polynomial.polynomial.polyfit(reflector.y_m[rows] - ends.points_m[k, 1], height, 1)[0]
+    return np.asarray(found.sum(axis=1) / ends.sides)
+
+
+def _beside_doubt(placed: PlacedByEdges, ends: EdgeEnds, lattice: PanelLattice) -> Doubt | None:
+    """Name the edge that is farthest beside the drawing."""
+    worst = int(np.argmax(placed.over_sigma))
+    if placed.over_sigma[worst] < _BESIDE:
+        return None
+    line = lattice.along_trough[worst // 2]
+    off = float(placed.ends_m[worst, 0])
+    x, y = ends.points_m[worst, :2].tolist()
+    text = (
+        f"collector.panel_edges_x_m: the edge at x = {x:.3f} m, y = {y:.2f} m lies {1e3 * off:+.1f} mm beside it in "
+        f"the photos, {placed.over_sigma[worst]:.1f} times what panels are usually off; is entry {line.number + 1} "
+        "right?"
+    )
+    return Doubt("panel_edge_beside_drawing", text, {"beside_m": off, "over_sigma": float(placed.over_sigma[worst])})

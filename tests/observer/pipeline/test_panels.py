@@ -1,0 +1,78 @@
+"""Panels' edges in photos with marked targets: from drawn photos to heights of panels, and drawings that do not fit."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from data_synth.troughs import TroughChoice, TroughOptions, read_trough_truth, trough_scene, write_trough_dataset
+from heliogauge.measurement.load import load
+from observer import Options, Result, run
+
+HEIGHT_M = 2e-3
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    place = tmp_path_factory.mktemp("panels") / "flight"
+    scene = trough_scene("small", TroughChoice(5, n_photos=24, is_shaped=True, panel_height_m=HEIGHT_M))
+    write_trough_dataset(place, scene, TroughOptions(5))
+    return place
+
+
+def measured(folder: Path, **changes: str) -> Result:
+    """Measure with other lines of the collector."""
+    text = (folder / "measurement.toml").read_text()
+    for key, value in changes.items():
+        lines = [f"{key} = {value}" if line.startswith(f"{key} =") else line for line in text.splitlines()]
+        text = "\n".join(lines)
+    (folder / "measurement.toml").write_text(text)
+    return run(load(folder), Options(jobs=1))
+
+
+@pytest.fixture(scope="module")
+def result(folder: Path) -> Result:
+    return measured(folder)
+
+
+def heights(result: Result) -> tuple[np.ndarray, np.ndarray]:
+    errors = result.reflector.errors
+    return result.reflector.unknowns.panel_heights_m(errors.common, errors.covariance_common)
+
+
+@pytest.mark.slow
+def test_heights_of_panels_are_measured(folder: Path, result: Result) -> None:
+    found, sigma = heights(result)
+    scene = trough_scene("small", TroughChoice(5, n_photos=24, is_shaped=True, panel_height_m=HEIGHT_M))
+    collector = scene.world.mirror.collector
+    x, y = np.meshgrid(np.linspace(-2.5, 2.5, 400), collector.rows_m(0.01))
+    panel, height = collector.panel_index(x, y), scene.world.mirror.deviation(x, y)[0]
+    # With the waves of metres that run across the panels.
+    true = np.array([np.mean(height[panel == number]) for number in range(collector.n_panels)])
+    middles = [0.5 * (edges[1:] + edges[:-1]) for edges in (collector.panel_edges_x_m, collector.panel_edges_y_m)]
+    across, along = (one.ravel() for one in np.meshgrid(*middles))
+    # Height and tilt of the whole mirror are those of the frame, which the list of targets knows to a millimetre.
+    frame = np.stack([np.ones(true.size), across, along], axis=1)
+    error, drawn = (one - frame @ np.linalg.lstsq(frame, one, rcond=None)[0] for one in (found - true, true))
+    assert np.std(drawn) > 0.5 * HEIGHT_M
+    assert np.std(error) < 0.6 * np.std(drawn)
+    unknowns = result.reflector.unknowns
+    own = slice(unknowns.radius + unknowns.units.size, unknowns.radius + unknowns.units.size + true.size)
+    joint = unknowns.height_unit_m**2 * result.reflector.errors.covariance_common[own, own]
+    # Chi-square of eight: by chance above 26 once in a thousand times.
+    assert float((found - true) @ np.linalg.solve(joint, found - true)) < 26
+    assert np.allclose(sigma, np.sqrt(np.diag(joint)))
+
+
+@pytest.mark.slow
+def test_places_of_cameras_are_moved_with_the_edges(folder: Path, result: Result) -> None:
+    truth = read_trough_truth(folder).parameters["photos"]
+    names = result.network.solved.bundle.problem.observations.photos
+    true = np.array([truth[name]["position_m"] for name in names])
+    before, after = (
+        np.array([pose.inverse().translation_m for pose in poses]) - true
+        for poses in (result.network.solved.bundle.cam_from_world, result.photos.poses)
+    )
+    assert not np.allclose(before, after)
+    assert np.sqrt((after[:, [0, 2]] ** 2).mean()) < 1.1 * np.sqrt((before[:, [0, 2]] ** 2).mean())
+    assert not [one for one in result.doubts if one.code.startswith("panel_edge")]
