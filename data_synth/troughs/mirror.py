@@ -354,6 +354,20 @@ class MirrorTable:
         row += column
         return row
 
+    def met_at(self, rays: Rays, length: RayArray) -> tuple[RayArray, RayArray]:
+        """Return where rays meet the true surface of their panel, which goes on to the middle of the gaps beside it.
+
+        length (n,): As from `meet`.
+        Returns: x and y, shape (n,) each: edges of panels are at their true height, not the design's [m].
+        """
+        x, y = rays.x + length * rays.dx, rays.y + length * rays.dy
+        near = np.isfinite(length) & (np.abs(x) < 2 * self.half_width[0]) & (np.abs(y) < 2 * self.half_length[0])
+        on = np.flatnonzero(near)
+        if self._mirror.is_shaped and on.size:
+            met = self.surface(rays.take(on), length[on], self._cell(x[on], y[on]))
+            x[on], y[on] = met.x, met.y
+        return x, y
+
     def surface(self, rays: Rays, length: RayArray, panel: npt.NDArray[np.int16]) -> "MirrorHits":
         """Return where rays that meet panels meet them, and the slopes there.
 

@@ -144,9 +144,8 @@ class Tracer:
         """Follow rays past the whole receiver."""
         mirror = self.mirror
         length = mirror.meet(rays)
-        x, y = rays.x + length * rays.dx, rays.y + length * rays.dy
-        hit = mirror.within(x, y)
-        light, label = np.empty(x.size, dtype=np.float32), np.empty(x.size, dtype=np.int32)
+        hit = mirror.within(*mirror.met_at(rays, length))
+        light, label = np.empty(hit.size, dtype=np.float32), np.empty(hit.size, dtype=np.int32)
         out = np.flatnonzero(~hit)
         if out.size:
             light[out], label[out] = self.surroundings.light(rays.take(out))
@@ -161,8 +160,7 @@ class Tracer:
         if bounces >= _MOST_BOUNCES:
             tone = np.float32(self._finish.reflectance * 0.5)
             return Seen(np.full(n, tone, dtype=np.float32), np.full(n, _MIRROR, dtype=np.int32))
-        x, y = rays.x + length * rays.dx, rays.y + length * rays.dy
-        panel = mirror.panel(x, y)
+        panel = mirror.panel(*mirror.met_at(rays, length))
         light, label = np.full(n, self._finish.gap, dtype=np.float32), np.full(n, _GAP, dtype=np.int32)
         on = np.flatnonzero(panel >= 0)
         if on.size == 0:

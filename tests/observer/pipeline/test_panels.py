@@ -53,14 +53,16 @@ def test_heights_of_panels_are_measured(folder: Path, result: Result) -> None:
     across, along = (one.ravel() for one in np.meshgrid(*middles))
     # Height and tilt of the whole mirror are those of the frame, which the list of targets knows to a millimetre.
     frame = np.stack([np.ones(true.size), across, along], axis=1)
-    error, drawn = (one - frame @ np.linalg.lstsq(frame, one, rcond=None)[0] for one in (found - true, true))
-    assert np.std(drawn) > 0.5 * HEIGHT_M
-    assert np.std(error) < 0.6 * np.std(drawn)
+    beside = np.linalg.svd(np.eye(true.size) - frame @ np.linalg.pinv(frame))[0][:, : true.size - 3].T
     unknowns = result.reflector.unknowns
     own = slice(unknowns.radius + unknowns.units.size, unknowns.radius + unknowns.units.size + true.size)
     joint = unknowns.height_unit_m**2 * result.reflector.errors.covariance_common[own, own]
-    # Chi-square of eight: by chance above 26 once in a thousand times.
+    error, covariance = beside @ (found - true), beside @ joint @ beside.T
+    # Chi-square of five and of eight: by chance beyond once in a thousand times.
+    assert float(error @ np.linalg.solve(covariance, error)) < 20.5
     assert float((found - true) @ np.linalg.solve(joint, found - true)) < 26
+    # Mounting alone says them to HEIGHT_M each.
+    assert np.sqrt(np.trace(covariance) / len(beside)) < 0.5 * HEIGHT_M < np.sqrt(np.mean((beside @ true) ** 2))
     assert np.allclose(sigma, np.sqrt(np.diag(joint)))
 
 
