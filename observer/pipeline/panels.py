@@ -63,12 +63,13 @@ def place_panels(
     """Refine poses, and find out how high the panels are, by the edges of the panels.
 
     jobs: Photos side by side.
-    Returns: All as it was where edges were used as targets already, the drawing has no gaps, or too little is seen.
+    Returns: All as it was where edges were used as targets already, cameras move while they read a frame, the drawing
+        has no gaps, or too little is seen.
     InputError: A photo cannot be read.
     """
     unchanged = PlacedPanels(cameras, seen)
     collector = inputs.collector
-    if inputs.corners is not None or collector.panel_gap_m == 0 or collector.n_panels < 2:
+    if inputs.corners is not None or cameras.photos.moving or collector.panel_gap_m == 0 or collector.n_panels < 2:
         return unchanged
     usual = CornersSection()
     lattice = PanelLattice(collector, 1e-3 * usual.mounting_sigma_mm, 1e-3 * usual.corner_sigma_mm)
