@@ -182,4 +182,5 @@ def _beside_doubt(placed: PlacedByEdges, ends: EdgeEnds, lattice: PanelLattice) 
         f"the photos, {placed.over_sigma[worst]:.1f} times what panels are usually off; is entry {line.number + 1} "
         "right?"
     )
-    return Doubt("panel_edge_beside_drawing", text, {"beside_m": off, "over_sigma": float(placed.over_sigma[worst])})
+    numbers = {"beside_m": off, "over_sigma_ratio": float(placed.over_sigma[worst])}
+    return Doubt("panel_edge_beside_drawing", text, numbers)
