@@ -81,7 +81,7 @@ def _sizes_doubt(cameras: Cameras, first: FirstLook) -> Doubt | None:
     """Compare the sizes of round targets between photos, each over what its place lets expect."""
     found, names = cameras.network.points, [file.name for file in cameras.files]
     # A target that no two photos place has none.
-    placed = np.isfinite(found.xyz_m).all(axis=1)
+    placed = np.isfinite(found.xyz_m[:, 0])
     place = {name: xyz for name, xyz, known in zip(found.ids, found.xyz_m, placed, strict=True) if known}
     number = {name: k for k, name in enumerate(found.ids)}
     photo, target, sizes = [], [], []
