@@ -188,14 +188,20 @@ def photo_noise(image: AnyImage) -> float:
 
 
 def find_lines(
-    image: AnyImage, view: View, lattice: PanelLattice, reach_px: float, noise_dn: float
+    image: AnyImage,
+    view: View,
+    lattice: PanelLattice,
+    reach_px: float,
+    noise_dn: float,
+    wanted: tuple[PanelLine, ...] | None = None,
 ) -> tuple[tuple[FoundLine | None, ...], IntArray]:
-    """Find all lines of the lattice near where a pose predicts them.
+    """Find lines of the lattice near where a pose predicts them.
 
+    wanted: Which ones; None: all.
     lines, pieces: Each line as found; and in how many pieces the photo shows the place where it would be.
     """
     found, pieces = [], []
-    for line in lattice.lines:
+    for line in lattice.lines if wanted is None else wanted:
         profiles = line_profiles(image, view, lattice, line, reach_px)
         pieces.append(0 if profiles is None else profiles.share.size)
         found.append(None if profiles is None else find_line(profiles, line, noise_dn))

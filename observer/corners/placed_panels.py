@@ -21,7 +21,7 @@ from heliogauge.validate import BoolArray, FloatArray, IntArray
 from observer.corners.lattice import PanelLattice
 from observer.corners.panel_lines import FoundLine, normal_at
 from observer.photo_edges.views import View
-from observer.slopes.panel_places import EdgeShare, PanelPlaces
+from observer.slopes.panel_places import PanelPlaces
 from observer.slopes.pose_modes import Photos
 
 #: Places of a line whose offsets are independent of each other where its pieces count alike.
@@ -117,14 +117,12 @@ class PlacedByEdges:
     used (m,): Which rows agree with the others.
     ends_m (e, 2): How far each end is beside the drawing, across the trough and in height [m].
     over_sigma (e,): The first of these over what is expected of it before the photos are seen.
-    own_m: What each edge is off in height besides its panel [m].
     """
 
     photos: Photos
     used: BoolArray
     ends_m: FloatArray
     over_sigma: FloatArray
-    own_m: float
 
 
 def place_by_edges(
@@ -134,41 +132,21 @@ def place_by_edges(
     photos: Photos,
     lattice: PanelLattice,
     lean_sigma: float,
-    *,
-    shaped: bool | None,
 ) -> PlacedByEdges:
     """Adjust poses and panels to the panels' edges.
 
     shape_m (e,): How much higher each end is by the shape that the slopes of its panels say, mean zero over the row of
-        a panel [m].
+        a panel; zero where the mirror does not have that shape [m].
     photos: Poses by the targets.
     lean_sigma: Standard deviation of a panel's slope along the trough.
-    shaped: Whether the mirror has that shape; None: as its edges say, and how surely is put down with the panels.
     """
     steady = _Steady.of(sights, ends, photos, _Panels.of(ends, lattice, lean_sigma))
-    kinds = {kind: steady.solve(kind * shape_m) for kind in (True, False)}
-    better = kinds[True].evidence >= kinds[False].evidence
-    chosen = better if shaped is None else shaped
-    solved = kinds[chosen]
+    solved = steady.solve(shape_m)
     moved, places = _moved(photos, steady, solved), _places(photos, steady, solved)
-    if places is not None:
-        places = replace(places, shape=_edge_share(kinds[better], shape_m, better=better))
-    beside = np.stack(np.split(solved.ends, 2), axis=1) + np.stack([0 * shape_m, chosen * shape_m], axis=1)
-    over = np.abs(beside[:, 0]) / np.sqrt(np.diag(solved.prior_ends)[: len(beside)])
-    return PlacedByEdges(replace(moved, panels=places), steady.used, beside, over, solved.own_m)
-
-
-def _edge_share(solved: "_Solved", shape_m: FloatArray, *, better: bool) -> EdgeShare | None:
-    """Return by what factor of the shape the edges are high.
-
-    solved: With all of the shape, or none, whichever is more probable.
-    """
-    kept = solved.normal - solved.normal @ solved.covariance_ends @ solved.normal
-    precision = float(shape_m @ kept[len(shape_m) :, len(shape_m) :] @ shape_m)
-    if precision <= 0:
-        return None
-    beside = float(shape_m @ (solved.right - solved.normal @ solved.ends)[len(shape_m) :])
-    return EdgeShare(float(better) + beside / precision, precision**-0.5)
+    across, up = np.split(solved.ends, 2)
+    over = np.abs(across) / np.sqrt(np.diag(solved.prior_ends)[: across.size])
+    beside = np.stack([across, up + shape_m], axis=1)
+    return PlacedByEdges(replace(moved, panels=places), steady.used, beside, over)
 
 
 class _Steady(NamedTuple):
@@ -227,11 +205,11 @@ class _Steady(NamedTuple):
         both, of_steps = by_step.T @ by_end, by_step.T @ offset
         carried = alone @ both
         normal, right = by_end.T @ by_end - both.T @ carried, by_end.T @ offset - carried.T @ of_steps
-        rest = float(offset @ offset - of_steps @ alone @ of_steps)
         # The mean of the variance, by how probable each is: the most probable one may by chance be far too small.
         tried = np.array([_OfEnds.of(self.panels.covariance_m2(own_m), normal, right).evidence for own_m in _OWN_M])
         own_m = float(np.sqrt(np.average(np.square(_OWN_M), weights=np.exp(tried - tried.max()))))
-        of_ends = _OfEnds.of(self.panels.covariance_m2(own_m), normal, right)
+        prior_ends = self.panels.covariance_m2(own_m)
+        of_ends = _OfEnds.of(prior_ends, normal, right)
         ends = of_ends.covariance @ right
         with_ends = -carried @ of_ends.covariance
         known = alone - with_ends @ carried.T
@@ -241,11 +219,7 @@ class _Steady(NamedTuple):
             ends,
             of_ends.covariance,
             with_ends,
-            self.panels.covariance_m2(own_m),
-            own_m,
-            normal,
-            right,
-            of_ends.evidence - 0.5 * rest,
+            prior_ends,
         )
 
 
@@ -330,10 +304,7 @@ class _Panels(NamedTuple):
 
 
 class _Solved(NamedTuple):
-    """Steps of poses, in units of their root, and places of the ends, with their joint covariance.
-
-    normal, right: What the sights say of the ends, the steps eliminated.
-    """
+    """Steps of poses, in units of their root, and places of the ends, with their joint covariance."""
 
     steps: FloatArray
     covariance_steps: FloatArray
@@ -341,10 +312,6 @@ class _Solved(NamedTuple):
     covariance_ends: FloatArray
     steps_with_ends: FloatArray
     prior_ends: FloatArray
-    own_m: float
-    normal: FloatArray
-    right: FloatArray
-    evidence: float
 
     def predicted(self, steady: _Steady) -> FloatArray:
         """Return where the rows should be, shape (m,) [px]."""

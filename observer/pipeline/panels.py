@@ -14,7 +14,7 @@ from heliogauge.running.progress import Progress
 from heliogauge.running.threads import side_by_side
 from heliogauge.validate import FloatArray, IntArray
 from observer.corners.lattice import PanelLattice
-from observer.corners.panel_lines import FoundLine, find_line, line_profiles, photo_noise
+from observer.corners.panel_lines import FoundLine, find_lines, photo_noise
 from observer.corners.placed_panels import (
     EdgeEnds,
     PlacedByEdges,
@@ -24,7 +24,6 @@ from observer.corners.placed_panels import (
 )
 from observer.keys import CornersSection
 from observer.photo_edges.moved_edges import bearings_in_poses, edges_in_poses
-from observer.photo_edges.views import AnyImage, View
 from observer.pipeline.cameras import Cameras
 from observer.pipeline.inputs import Inputs
 from observer.pipeline.mirror import place_absorber, solve_mirror
@@ -37,7 +36,7 @@ from observer.slopes.pose_modes import Photos
 _MOST_PHOTOS, _MOST_ROWS = 60, 60
 #: How far beside its prediction an edge is looked for: poses are good to a millimetre, panels to a few [px].
 _REACH_PX = 6.0
-#: With less than this share of the edges found where they should be the drawing is not believed.
+#: With less than this share of the edges in the photos found where they should be the drawing is not believed.
 _LEAST_SHARE = 0.5
 #: An edge beside the drawing by so many standard deviations is named: by chance one in 10^4.
 _BESIDE = 4.0
@@ -75,38 +74,43 @@ def place_panels(
     lattice = PanelLattice(collector, 1e-3 * usual.mounting_sigma_mm, 1e-3 * usual.corner_sigma_mm)
     count = len(cameras.files)
     chosen = np.unique(np.linspace(0, count - 1, min(count, _MOST_PHOTOS)).round().astype(np.intp))
-    with progress.stage("shape of panels"):
-        ends = EdgeEnds.of(lattice)
-        try:
-            shape = _shape_of(_first_solution(inputs, cameras.photos, seen, chosen), ends, inputs)
-        except EstimationError:
-            # What is missing is said where all photos are used.
-            return unchanged
+    ends, shape = EdgeEnds.of(lattice), np.zeros(2 * len(lattice.along_trough))
+    # A real mirror has the shape of its slopes unless somebody says otherwise; what does not fit makes sigma larger.
+    if inputs.shape_from_slopes is not False:
+        with progress.stage("shape of panels"):
+            try:
+                shape = _shape_of(_first_solution(inputs, cameras.photos, seen, chosen), ends, inputs)
+            except EstimationError:
+                # What is missing is said where all photos are used.
+                return unchanged
+    reader = replace(inputs.finder, encodings=seen.encodings)
     with progress.stage("edges of panels", chosen.size) as stage:
 
-        def one(number: int) -> tuple[FoundLine | None, ...]:
-            file = cameras.files[number]
-            reader = replace(inputs.finder, encodings=seen.encodings)
-            image = np.asarray(reader.read(file), dtype=np.float32)
-            found = find_along(image, cameras.views[number], lattice)
+        def one(number: int) -> tuple[tuple[FoundLine | None, ...], IntArray]:
+            image = np.asarray(reader.read(cameras.files[number]), dtype=np.float32)
+            view, noise = cameras.views[number], photo_noise(image)
+            found = find_lines(image, view, lattice, _REACH_PX, noise, lattice.along_trough)
             stage.advance()
             return found
 
-        lines = side_by_side(one, chosen.tolist(), jobs)
-    share = float(np.mean([line is not None for found in lines for line in found]))
+        looked = side_by_side(one, chosen.tolist(), jobs)
+    lines = [found for found, _ in looked]
+    shown = sum(int(np.count_nonzero(pieces)) for _, pieces in looked)
+    if shown == 0:
+        return unchanged
+    share = sum(line is not None for found in lines for line in found) / shown
     if share < _LEAST_SHARE:
         text = (
-            f"collector: {100 * share:.0f} % of the panels' edges are where panel_edges_x_m and panel_edges_y_m have "
-            "them in the photos; they were not used for the heights of panels and the frame of the targets"
+            f"collector: only {100 * share:.0f} % of the panels' edges that the photos should show are where "
+            "panel_edges_x_m and panel_edges_y_m have them; they were not used for the heights of panels and the frame "
+            "of the targets"
         )
         return replace(unchanged, doubts=(Doubt("panel_edges_not_seen", text, {"seen_ratio": share}, Severity.NOTE),))
     sights = joined_sights(
         [edge_sights(int(k), cameras.views[k], lattice, found) for k, found in zip(chosen, lines, strict=True)]
     )
-    # A real mirror has the shape of its slopes unless somebody says otherwise; what does not fit makes sigma larger.
-    shaped = inputs.shape_from_slopes is not False
-    placed = place_by_edges(sights, ends, shape, cameras.photos, lattice, inputs.prior.along_rad, shaped=shaped)
-    views = tuple(View(view.camera, pose) for view, pose in zip(cameras.views, placed.photos.poses, strict=True))
+    placed = place_by_edges(sights, ends, shape, cameras.photos, lattice, inputs.prior.along_rad)
+    views = tuple(view.posed(pose) for view, pose in zip(cameras.views, placed.photos.poses, strict=True))
     expected = inputs.finder.expected
     moved = replace(
         seen,
@@ -115,15 +119,6 @@ def place_panels(
     )
     doubts = tuple(one for one in (_beside_doubt(placed, ends, lattice),) if one is not None)
     return PlacedPanels(replace(cameras, photos=placed.photos, views=views), moved, doubts)
-
-
-def find_along(image: AnyImage, view: View, lattice: PanelLattice) -> tuple[FoundLine | None, ...]:
-    """Find the lines along the trough in one photo; None where it does not show them."""
-    noise, found = photo_noise(image), []
-    for line in lattice.along_trough:
-        profiles = line_profiles(image, view, lattice, line, _REACH_PX)
-        found.append(None if profiles is None else find_line(profiles, line, noise))
-    return tuple(found)
 
 
 def _first_solution(inputs: Inputs, photos: Photos, seen: SeenInPhotos, chosen: IntArray) -> Reflector:

@@ -5,14 +5,6 @@ from dataclasses import dataclass
 from heliogauge.validate import FloatArray
 
 
-@dataclass(frozen=True, slots=True)
-class EdgeShare:
-    """By what factor of the shape that the slopes say the panels' edges are high, and its standard deviation."""
-
-    share: float
-    sigma: float
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class PanelPlaces:
     """What the panels' edges say of p panels, together with n poses that they have moved already.
@@ -26,7 +18,6 @@ class PanelPlaces:
     by_poses (2 p, 6 n): The same over the covariance of these steps: what errs with the poses, errs with the panels by
         its covariance with the steps times this.
     lean_sigma: Standard deviation that the slopes had before.
-    shape: Whether the edges have the shape of the panels; None where these have none.
     """
 
     value: FloatArray
@@ -34,4 +25,3 @@ class PanelPlaces:
     with_poses: FloatArray
     by_poses: FloatArray
     lean_sigma: float
-    shape: EdgeShare | None = None

@@ -46,10 +46,8 @@ class Drawn:
     shape_m: np.ndarray
     sights: EdgeSights
 
-    def solve(self, shape_m: np.ndarray | None = None, shaped: bool | None = True) -> PlacedByEdges:
-        shape = self.shape_m if shape_m is None else shape_m
-        ends = EdgeEnds.of(self.lattice)
-        return place_by_edges(self.sights, ends, shape, self.photos, self.lattice, LEAN, shaped=shaped)
+    def solve(self) -> PlacedByEdges:
+        return place_by_edges(self.sights, EdgeEnds.of(self.lattice), self.shape_m, self.photos, self.lattice, LEAN)
 
     def rest(self, found: PlacedByEdges) -> np.ndarray:
         """Return the steps from the poses found to the true ones, (6 n,)."""
@@ -65,7 +63,6 @@ def drawn(seed: int, photos: int = 14, shape_m: float = 0.7e-3, seen_share: floa
     """Draw poses, panels and edges; offsets are differences of whole projections, nothing of the estimator's model."""
     rng, own = np.random.default_rng([seed, 12]), lattice()
     believed = Pass(12.0, 2.9, photos).poses()
-    moves = []
     frame = FRAME * rng.standard_normal(6)
     in_frame = RigidTransform(rotation_from_vector(frame[:3]), frame[3:])
     by_frame = np.array([_step(pose, lambda p: p @ in_frame) for pose in believed])
@@ -123,7 +120,8 @@ def _step(pose, change):
 def test_errors_of_poses_and_panels_are_what_their_joint_covariance_says():
     squares, size = [], 0
     for seed in range(12):
-        scene = drawn(seed)
+        # Not all photos show all edges.
+        scene = drawn(seed, seen_share=1.0 if seed % 2 else 0.7)
         found = scene.solve()
         panels = found.photos.panels
         error = np.concatenate([scene.rest(found), scene.panels - panels.value])
@@ -196,20 +194,6 @@ def test_noise_that_is_larger_than_stated_makes_sigma_larger():
     loud = scene.sights._replace(sigma_px=scene.sights.sigma_px / 3)
     quiet, told = (np.diag(one.solve().photos.panels.covariance) for one in (scene, replace(scene, sights=loud)))
     assert np.median(np.sqrt(told / quiet)) == pytest.approx(1.0, abs=0.15)
-
-
-@pytest.mark.parametrize("is_shaped", [True, False])
-def test_edges_tell_whether_the_mirror_has_the_shape_of_its_slopes(is_shaped):
-    shares = []
-    for seed in range(6):
-        scene = drawn(seed, shape_m=0.7e-3 if is_shaped else 0.0)
-        said = scene.shape_m if is_shaped else 0.7e-3 * np.random.default_rng(seed).standard_normal(16 + 4)
-        found = scene.solve(said, shaped=None)
-        shares.append((found.photos.panels.shape.share - is_shaped) / found.photos.panels.shape.sigma)
-        assert found.photos.panels.shape.sigma < 0.4
-        assert (found.photos.panels.shape.share > 0.5) == is_shaped
-    # Chi-square of 6: beyond 2.0 by chance one in 10^3.
-    assert np.sqrt(np.mean(np.square(shares))) < 2.0
 
 
 def test_heights_that_are_held_stay_and_the_poses_are_refined():
