@@ -133,15 +133,12 @@ def _with_likeness(prior: Roughness, grid: RowGrid, evidence: Callable[[Roughnes
         return prior
     extent = float(np.ptp(grid.y_m))
     lengths = np.geomspace(extent / (grid.n_rows - 1) / 2, _LONGEST * extent, _LENGTHS)
-    known: dict[tuple[int, float], float] = {}
 
     def with_alike(number: int, across: float) -> Roughness:
         return replace(prior, alike=Likeness(across, prior.order, float(lengths[number])))
 
     def at(number: int, across: float) -> float:
-        if (number, across) not in known:
-            known[number, across] = evidence(with_alike(number, across))
-        return known[number, across]
+        return evidence(with_alike(number, across))
 
     place, across = _LENGTHS // 2, prior.across
     for _ in range(_TIMES):
@@ -311,9 +308,7 @@ def _sampled(lines: TouchingLines, grid: RowGrid, rows: IntArray) -> tuple[Touch
     number = np.full(grid.n_rows, -1)
     number[rows] = np.arange(rows.size)
     some = lines.chosen(number[lines.row] >= 0)
-    return replace(some, row=number[some.row]), replace(
-        grid, n_rows=rows.size, y_m=None if grid.y_m is None else grid.y_m[rows]
-    )
+    return replace(some, row=number[some.row]), grid.chosen(rows)
 
 
 def _shares(reduced: Reduced, apart: BoolArray, beside: FloatArray | None) -> tuple[FloatArray, list[FloatArray]]:

@@ -7,7 +7,7 @@ is known between samples.
 The slope along the trough has a prior instead of a measurement where one pass only has seen the mirror.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
@@ -39,6 +39,10 @@ class RowGrid:
     joined: BoolArray
     n_rows: int
     y_m: FloatArray | None = None
+
+    def chosen(self, rows: IntArray) -> "RowGrid":
+        """Return some of the rows."""
+        return replace(self, n_rows=rows.size, y_m=None if self.y_m is None else self.y_m[rows])
 
     @property
     def step_m(self) -> float:

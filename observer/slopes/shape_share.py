@@ -82,7 +82,7 @@ def find_shape_share(
     number[rows] = np.arange(rows.size)
     chosen = number[both[0].row] >= 0
     shaped, flat = (replace(some, row=number[some.row]) for some in (one.chosen(chosen) for one in both))
-    fewer = replace(grid, n_rows=rows.size, y_m=None if grid.y_m is None else grid.y_m[rows])
+    fewer = grid.chosen(rows)
     extra = np.stack([shaped.misfit_rad - flat.misfit_rad, _EDGE_PRIOR_M * by_edge[chosen]], axis=1)
     if not np.abs(extra[:, 0]).max(initial=0.0) > 0:
         return ShapeShare(1.0, np.inf, 0.0)
