@@ -144,29 +144,30 @@ class Tracer:
         """Follow rays past the whole receiver."""
         mirror = self.mirror
         length = mirror.meet(rays)
-        hit = mirror.within(*mirror.met_at(rays, length))
+        x, y = mirror.met_at(rays, length)
+        hit = mirror.within(x, y)
         light, label = np.empty(hit.size, dtype=np.float32), np.empty(hit.size, dtype=np.int32)
         out = np.flatnonzero(~hit)
         if out.size:
             light[out], label[out] = self.surroundings.light(rays.take(out))
         on = np.flatnonzero(hit)
         if on.size:
-            light[on], label[on] = self._in_mirror(rays.take(on), length[on], bounces)
+            panel = mirror.panel(x[on], y[on])
+            light[on], label[on] = self._in_mirror(rays.take(on), length[on], panel, bounces)
         return Seen(light, label)
 
-    def _in_mirror(self, rays: Rays, length: RayArray, bounces: int) -> Seen:
-        mirror = self.mirror
+    def _in_mirror(self, rays: Rays, length: RayArray, panel: npt.NDArray[np.int16], bounces: int) -> Seen:
+        """Follow rays that meet the mirror: panels, -1 in gaps (n,)."""
         n = length.size
         if bounces >= _MOST_BOUNCES:
             tone = np.float32(self._finish.reflectance * 0.5)
             return Seen(np.full(n, tone, dtype=np.float32), np.full(n, _MIRROR, dtype=np.int32))
-        panel = mirror.panel(*mirror.met_at(rays, length))
         light, label = np.full(n, self._finish.gap, dtype=np.float32), np.full(n, _GAP, dtype=np.int32)
         on = np.flatnonzero(panel >= 0)
         if on.size == 0:
             return Seen(light, label)
         panel = panel[on]
-        reflected = _reflected(mirror, rays.take(on), length[on], panel)
+        reflected = _reflected(self.mirror, rays.take(on), length[on], panel)
         seen = self._look(reflected, bounces + 1)
         light[on] = seen.light * np.float32(self._finish.reflectance)
         # 15 bits of what is seen in the mirror, then the panel: across the narrowest gap the label changes.
