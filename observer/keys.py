@@ -251,7 +251,8 @@ class ObserverEvaluationSection(Section):
 class RollingShutterSection(Section):
     """A camera that reads its rows one after the other while it flies; an empty table has the readout estimated.
 
-    The camera is taken to fly straight on and to hold its direction while it reads a frame.
+    The camera is taken to fly straight on and to hold its direction while it reads a frame. Edges of panels do not tell
+    their heights then.
     """
 
     readout_ms: Number | None = Field(
@@ -266,6 +267,8 @@ class RollingShutterSection(Section):
 
     @model_validator(mode="after")
     def _sigma_of_readout(self) -> Self:
+        if self.readout_ms == 0:
+            raise ValueError("readout_ms = 0 means that all rows are read at once; leave the table out then")
         if self.sigma_ms is not None and self.readout_ms is None:
             raise ValueError("sigma_ms is the error of readout_ms; give that, or leave both out")
         return self
@@ -331,11 +334,25 @@ class ObserverModel(MeasurementModel):
             raise ValueError("corners: scale_bar and distance are lengths between marked targets; leave them out")
         return self
 
+    @property
+    def is_coded(self) -> bool:
+        """Whether each photo by itself says which targets it shows."""
+        return self.targets is not None and self.targets.dictionary is not None and self.targets.tracked_from is None
+
+    @model_validator(mode="after")
+    def _rows_of_coded_targets(self) -> Self:
+        if self.rolling_shutter is not None and self.targets is not None and not self.is_coded:
+            raise ValueError(
+                "rolling_shutter: targets with codes are needed, which each photo names by itself: give [targets] a "
+                "dictionary and no tracked_from; or hover for each photo and leave the table out"
+            )
+        return self
+
     @model_validator(mode="after")
     def _several_modules(self) -> Self:
         if (twice := repeated(one.name.lower() for one in self.module)) is not None:
             raise ValueError(f"module: the name {twice} occurs twice; each module gets a folder of its name")
-        if self.module and self.targets and (self.targets.dictionary is None or self.targets.tracked_from is not None):
+        if self.module and self.targets and not self.is_coded:
             raise ValueError("module: several modules are distinguished by coded targets; give targets a dictionary")
         if self.module and (self.absorber.file is not None or self.absorber.photos is not None):
             raise ValueError("module: the absorbers of several modules are found in the common photos, or as designed")

@@ -18,7 +18,7 @@ from heliogauge.validate import FloatArray, IntArray
 from observer.keys import RollingShutterSection
 from observer.photo_edges.views import project_moving
 from observer.shutter.flight import Flight, flight_by_places, flight_by_times
-from observer.shutter.readout import Known, RowMotions, estimate_motions, reduce_to_motions
+from observer.shutter.readout import Known, RowMotions, estimate_motions, reduce_to_motions, steady_readout
 from photogrammetry import pipeline as photogrammetry_pipeline
 from photogrammetry.pipeline import MeasuredPhotos
 
@@ -41,7 +41,7 @@ _STATED_SHARE = 0.05
 class Shutter:
     """What is stated of a rolling shutter and of the flight.
 
-    known: Readout and its sigma [s], or the way flown in it [m] where no speed is known; None: unknown.
+    known: Readout and its sigma [s]; None: unknown.
     speed_m_s: Speed over ground; None: by the times of the photos, or unknown.
     times_s: When each photo was taken, by its name; empty where that is not known.
     """
@@ -261,24 +261,35 @@ def shutter_doubts(found: RolledNetwork, shutter: Shutter) -> tuple[Doubt, ...]:
     return (Doubt("rolling_shutter_contradicted", text, numbers, Severity.SERIOUS),)
 
 
-def unstated_doubt(network: photogrammetry_pipeline.Result) -> Doubt | None:
-    """Say whether the targets show a rolling shutter that nobody stated; None where they do not, or cannot."""
-    if len(network.solved.bundle.cam_from_world) < _FEWEST_PHOTOS:
+def unstated_doubt(network: photogrammetry_pipeline.Result, *, can_be_stated: bool = True) -> Doubt | None:
+    """Say whether the targets show a rolling shutter that nobody stated; None where they do not, or cannot.
+
+    can_be_stated: Whether the table is allowed: not with corners of panels or targets without codes.
+    """
+    bundle = network.solved.bundle
+    if len(bundle.cam_from_world) < _FEWEST_PHOTOS:
         return None
     try:
+        flight = Shutter().flight(bundle.problem.observations.photos, bundle.state.centers_m)
+        steady, sigma = steady_readout(bundle, flight)
+        # Where all rows are read at once nothing moves, and the path leaves nothing open either.
+        if abs(steady) < CONTRADICTED * sigma:
+            return None
         found = motions_of(network, Shutter(), None)[0]
     except EstimationError:
         return None
     if abs(found.readout) < CONTRADICTED * found.sigma_readout:
         return None
+    advice = "Hover for each photo, or use targets with codes"
+    if can_be_stated:
+        advice = "Write the table [rolling_shutter] into measurement.toml to have it estimated, or hover for each photo"
     return Doubt(
         "rolling_shutter_not_stated",
-        f"photos: targets lie as if the camera had moved by {1e3 * abs(found.readout):.1f} +- "
+        f"photos: image points lie as if the camera had moved by {1e3 * abs(found.readout):.1f} +- "
         f"{1e3 * found.sigma_readout:.1f} mm along its path while it read each photo"
         f"{' from the last row to the first' if found.readout < 0 else ''}, as with a rolling shutter; poses, slopes "
-        "and absorber are wrong with that. Write the table [rolling_shutter] into measurement.toml to have it "
-        "estimated, or hover for each photo; else look whether the camera's aspect and skew and the list of targets "
-        "are right",
+        f"and absorber are wrong with that. {advice}; else look whether the camera's aspect and skew and the list of "
+        "targets or the drawing are right",
         {"motion_m": found.readout, "sigma_motion_m": found.sigma_readout},
         Severity.SERIOUS,
     )

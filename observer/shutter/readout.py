@@ -105,11 +105,12 @@ def shares_of(bundle: BundleResult, motions_m: FloatArray) -> list[FloatArray]:
     return shares
 
 
-def reduce_to_motions(bundle: BundleResult, motions_m: FloatArray) -> ReducedMotions:
+def reduce_to_motions(bundle: BundleResult, motions_m: FloatArray, along: FloatArray | None = None) -> ReducedMotions:
     """Eliminate poses, targets and intrinsics from the normal equations.
 
     bundle: Adjusted to image points as a camera at rest in the middle row would have taken them.
     motions_m (n, 3): The motions for which that was done, in the frame [m].
+    along (3 n, k): Combinations of the motions that take their place; None: each by itself.
     EstimationError: What is eliminated is not determined.
     """
     from scipy.linalg import LinAlgError, cho_factor, cho_solve
@@ -141,6 +142,8 @@ def reduce_to_motions(bundle: BundleResult, motions_m: FloatArray) -> ReducedMot
     design = vstack([*designs, csr_matrix(known)]).tocsr()
     moves = vstack([*motions, csr_matrix((len(known), 3 * n_photos))]).tocsr()
     residual = np.concatenate([*residuals, known_residuals])
+    if along is not None:
+        moves = csr_matrix(moves @ along)
     normal = (design.T @ design).toarray()
     scale = np.sqrt(np.diag(normal))
     scale[scale == 0] = 1.0
@@ -155,6 +158,20 @@ def reduce_to_motions(bundle: BundleResult, motions_m: FloatArray) -> ReducedMot
     size = bundle.variance_factor if bundle.options.covariance_scale is CovarianceScale.POSTERIOR else 1.0
     steps = -back[: 6 * n_photos, :-1] / scale[: 6 * n_photos, None]
     return ReducedMotions(bundle.problem.observations.photos, 0.5 * (matrix + matrix.T) / size, gradient / size, steps)
+
+
+def steady_readout(bundle: BundleResult, flight: Flight) -> tuple[float, float]:
+    """Return the readout, and its sigma, if every camera moved just as its path says.
+
+    bundle: Adjusted to image points as they were taken.
+    EstimationError: Poses and targets are not determined.
+
+    One unknown in place of three for each photo: a fraction of the work.
+    """
+    along = flight.velocity.reshape(-1, 1)
+    reduced = reduce_to_motions(bundle, np.zeros_like(flight.velocity), along)
+    precision = max(float(reduced.matrix[0, 0]), 1e-300)
+    return float(-reduced.gradient[0]) / precision, precision**-0.5
 
 
 def _known_rows(extra: Any, place: IntArray, intrinsics: int, width: int) -> tuple[FloatArray, FloatArray]:

@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 
 from heliogauge.errors import InputError
-from observer.keys import RollingShutterSection
+from observer.keys import ObserverModel, RollingShutterSection
 from observer.pipeline.rolling_shutter import Shutter, read_shutter
 from observer.shutter.flight import flight_by_places, flight_by_times
 from observer.shutter.readout import Known
@@ -52,6 +53,42 @@ def test_a_readout_in_milliseconds_needs_a_speed_or_times(tmp_path):
     assert unknown is not None
     assert not unknown.in_seconds
     assert read_shutter(None, files) is None
+
+
+def test_a_readout_of_no_time_is_refused():
+    # Its sigma, 5 % of it, would be zero.
+    with pytest.raises(ValidationError, match="leave the table out"):
+        RollingShutterSection(readout_ms=0.0)
+
+
+@pytest.mark.parametrize(
+    "targets",
+    [
+        {"targets": {"file": "targets.csv", "diameter_mm": 90.0, "uncoded_file": "uncoded.csv"}},
+        {"targets": {"tracked_from": "marks.csv", "diameter_mm": 90.0}},
+        {"corners": {}},
+    ],
+)
+def test_targets_that_a_photo_alone_does_not_name_are_refused_with_a_shutter(targets):
+    """Their photos are measured inside the adjustment: the shutter would be left out without a word."""
+    content = {
+        "kind": "observer",
+        "name": "trough",
+        "collector": {
+            "aperture_width_m": 5.0,
+            "length_m": 7.8,
+            "focal_length_m": 1.49,
+            "absorber_diameter_mm": 70.0,
+        },
+        "images": {"photos": "*.jpg"},
+        "rolling_shutter": {},
+        **targets,
+    }
+    with pytest.raises(ValidationError, match=r"rolling_shutter.*targets"):
+        ObserverModel.model_validate(content)
+    content.pop("corners", None)
+    coded = {"targets": {"dictionary": "aicon-12", "diameter_mm": 90.0}}
+    assert ObserverModel.model_validate(content | coded).rolling_shutter is not None
 
 
 def test_times_of_the_photos_give_the_speed():

@@ -9,7 +9,7 @@ from scipy.stats import chi2
 
 from heliogauge.camera.model import Camera
 from heliogauge.geometry.rigid import RigidTransform
-from observer.pipeline.rolling_shutter import Shutter, adjust_rolling, shutter_doubts, unstated_doubt
+from observer.pipeline.rolling_shutter import Shutter, adjust_rolling, motions_of, shutter_doubts, unstated_doubt
 from observer.shutter import readout
 from observer.shutter.readout import Known
 from photogrammetry.bundle import BundleProblem, BundleState, CameraModel, adjust
@@ -198,6 +198,22 @@ def test_a_shutter_that_nobody_stated_is_named(along_rows):
     assert doubt is not None
     assert doubt.code == "rolling_shutter_not_stated"
     assert doubt.numbers["motion_m"] == pytest.approx(0.04, abs=0.01)
+    assert "[rolling_shutter]" in doubt.text
+    # The table is refused with corners of panels.
+    by_corners = unstated_doubt(rolling.network(rolling.measured()), can_be_stated=False)
+    assert by_corners is not None
+    assert "[rolling_shutter]" not in by_corners.text
+
+
+def test_a_steady_readout_is_that_of_motions_which_the_path_leaves_no_room(monkeypatch):
+    monkeypatch.setattr(readout, "_SPREADS_M", np.array([1e-7]))
+    flight = Flight(5, readout_s=0.02, photos=6)
+    network = flight.network(flight.measured())
+    bundle = network.solved.bundle
+    found, _ = motions_of(network, Shutter(), None)
+    value, sigma = readout.steady_readout(bundle, Shutter().flight(flight.names, bundle.state.centers_m))
+    assert value == pytest.approx(found.readout, rel=1e-4)
+    assert sigma == pytest.approx(found.sigma_readout, rel=1e-4)
 
 
 def test_photos_taken_at_once_raise_no_doubt():
