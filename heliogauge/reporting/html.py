@@ -79,6 +79,10 @@ def table_under_name(view: "TableView") -> Html:
     return join(Html(f'<p class="caption">{html.escape(view.name)}</p>'), view)
 
 
+#: Characters from which a cell is read as a sentence: it gets the width of one where the page is narrow.
+_SENTENCE = 30
+
+
 def table(head: Sequence[str], rows: Iterable[Sequence[str]], *, numbers: Iterable[int] = ()) -> Html:
     """Return a table.
 
@@ -89,10 +93,16 @@ def table(head: Sequence[str], rows: Iterable[Sequence[str]], *, numbers: Iterab
     right = set(numbers)
 
     def line(cells: Sequence[str], tag: str) -> str:
-        kinds = [' class="number"' if index in right else "" for index in range(len(cells))]
+        kinds = [_cell_kind(cell, is_number=index in right) for index, cell in enumerate(cells)]
         body = "".join(f"<{tag}{kind}>{html.escape(cell)}</{tag}>" for cell, kind in zip(cells, kinds, strict=True))
         return f"<tr>{body}</tr>"
 
     top = f"<thead>{line(head, 'th')}</thead>" if any(head) else ""
     body = "".join(line(row, "td") for row in rows)
     return Html(f'<div class="table"><table>{top}<tbody>{body}</tbody></table></div>')
+
+
+def _cell_kind(cell: str, *, is_number: bool) -> str:
+    if is_number:
+        return ' class="number"'
+    return ' class="sentence"' if len(cell) > _SENTENCE else ""

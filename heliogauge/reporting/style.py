@@ -102,6 +102,7 @@ summary {{ cursor: pointer; color: var(--accent); }}
   nav div {{ justify-content: flex-start; }}
   .numbers {{ font-size: .84em; }}
   .table td:first-child, .table th:first-child {{ min-width: 9em; }}
+  .table td.sentence {{ min-width: 13em; }}
 }}
 @page {{ size: A4; margin: 12mm 12mm 14mm; }}
 @media print {{

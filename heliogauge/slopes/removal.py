@@ -272,7 +272,7 @@ def removal_words(fit: RemovalFit, patterns: Patterns) -> str:
     removal, amounts = fit.removal, fit.amounts
     if removal is Removal.NOTHING:
         return Removal.NOTHING.value
-    words = f"tilt of {1e3 * amounts[0]:.4g} mrad in x and {1e3 * amounts[1]:.4g} mrad in y"
+    words = f"tilt of {1e3 * amounts[0]:z.4f} mrad in x and {1e3 * amounts[1]:z.4f} mrad in y"
     if removal is Removal.FOCUS:
         if patterns.is_flat:
             return words + f"; focus: 1/f = {amounts[2]:.6g} 1/m"
@@ -282,7 +282,7 @@ def removal_words(fit: RemovalFit, patterns: Patterns) -> str:
         return words + f"; focus: 1/f is {factor:.6g} times the design's{flipped}"
     if removal is Removal.QUADRATIC:
         return words + (
-            f"; curvature errors {amounts[2]:.4g} 1/m in x, {amounts[3]:.4g} 1/m in y and twist {amounts[4]:.4g} 1/m"
+            f"; curvature errors {amounts[2]:.3g} 1/m in x, {amounts[3]:.3g} 1/m in y and twist {amounts[4]:.3g} 1/m"
         )
     return words
 

@@ -87,7 +87,7 @@
     }
 
     paintLegend() {
-      const share = (one) => one.share >= 0.001 ? `${(100 * one.share).toFixed(1)} %` : `${one.count}`;
+      const share = (one) => one.share >= 0.001 ? `${(100 * one.share).toFixed(1)} %` : `${one.count} ${one.count === 1 ? "node" : "nodes"}`;
       const painted = this.painted;
       const entries = this.data.flags.map((one) => ({ name: `${one.word}: ${share(one)}`, color: one.color, on: painted.has(one.word),
         note: `${one.count} nodes of the mirror` }));

@@ -140,7 +140,7 @@ def test_removed_heights_are_those_of_the_removed_slopes():
     tilted = remove(make_map(paraboloid(10.0), error=(1e-3, -2e-3)), Removal.TILT)
     expected = paraboloid(10.0).height(GRID_X, GRID_Y) - 1e-3 * GRID_X + 2e-3 * GRID_Y
     np.testing.assert_allclose(np.ptp(tilted.height_m - expected), 0, atol=1e-15)
-    assert "tilt of 1 mrad in x and -2 mrad in y" in tilted.removed
+    assert "tilt of 1.0000 mrad in x and -2.0000 mrad in y" in tilted.removed
 
 
 @pytest.mark.slow
