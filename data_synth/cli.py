@@ -26,6 +26,7 @@ FringePreset = Literal[
     "ensemble",
     "tower",
     "laser-scan",
+    "line-sweep",
     "gazing",
     "gazing-close",
     "stars",
@@ -110,11 +111,10 @@ def deflectometry(
     from deflectometry.setup import make_pattern
     from heliogauge.running.terminal import terminal_progress
 
-    if preset in ("laser-scan", "surface-scan"):
-        from data_synth.lasers import write_laser_scan, write_surface_scan
+    if preset in ("laser-scan", "line-sweep", "surface-scan"):
+        from data_synth.preset_folders import deflectometry as write_preset
 
-        write = write_laser_scan if preset == "laser-scan" else write_surface_scan
-        write(folder, seed=seed, force=force)
+        write_preset(folder, preset=preset, seed=seed, force=force)
         if not quiet:
             print(folder)
         return

@@ -13,7 +13,7 @@ from data_synth.heliostats import (
     write_beam_dataset,
     write_heliostat_dataset,
 )
-from data_synth.lasers import write_laser_scan, write_surface_scan
+from data_synth.lasers import write_laser_scan, write_line_sweep, write_surface_scan
 from data_synth.reflections import write_overlay
 from data_synth.screens import ScreenChoice, write_screen_dataset
 from data_synth.sky import gazing_preset, write_gazing
@@ -37,6 +37,9 @@ def deflectometry(
     """Draw fringe images of a screen seen in a mirror, or scan one or its surface with a laser."""
     if preset == "laser-scan":
         write_laser_scan(folder, seed=seed, force=force)
+        return
+    if preset == "line-sweep":
+        write_line_sweep(folder, seed=seed, force=force)
         return
     if preset == "stars":
         write_stars(folder, seed=seed, force=force)

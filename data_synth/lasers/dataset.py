@@ -4,15 +4,18 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from data_synth.fringes.dataset import SYNTHETIC, TRUTH_FILE
 from data_synth.lasers.points import PointScene, scan_points
-from data_synth.lasers.scan import LaserScene, trace_scan
+from data_synth.lasers.scan import LaserScene, trace_lines, trace_scan
 from heliogauge.measurement.writer import write_measurement
 from heliogauge.results.json_file import write_json
 from heliogauge.results.tables import write_table_csv
 from heliogauge.results.whole_folder import WholeFolder
 
 TRUTH_TABLE = "truth.csv"
+_LINE_COLUMNS = ("sweep", "line", "normal_x", "normal_y", "normal_z", "spot_x_m", "spot_y_m")
 
 
 def write_laser_scan(
@@ -31,28 +34,7 @@ def write_laser_scan(
     """
     scene = scene or LaserScene()
     traced = trace_scan(scene, seed)
-    scanned = {
-        "file": "scan.csv",
-        "sigma_spot_mm": 1e3 * scene.sigma_spot_m,
-        "sigma_direction_mrad": 1e3 * scene.sigma_direction_rad,
-        "sigma_laser_place_mm": 1e3 * scene.sigma_laser_place_m,
-        "sigma_target_scale_permille": 1e3 * scene.sigma_target_scale,
-        "sigma_angle_scale_permille": 1e3 * scene.sigma_angle_scale,
-        "sigma_roll_mrad": 1e3 * scene.sigma_roll_rad,
-    } | dict(stated or {})
-    content = {
-        "kind": "laser-scan",
-        "name": "trough panel",
-        "notes": "Synthetic: drawn by heliogauge deflectometry synth --preset laser-scan.",
-        "scan": scanned,
-        "mirror": {
-            "design": "trough",
-            "focal_length_m": scene.focal_length_m,
-            "distance_m": 2 * scene.focal_length_m,
-            "sigma_distance_mm": 1e3 * scene.sigma_distance_m,
-            "sigma_offset_mm": 1e3 * scene.sigma_offset_m,
-        },
-    }
+    content = _content(scene, "laser-scan", {"file": "scan.csv"}, stated)
     with WholeFolder(folder, SYNTHETIC, force=force) as working:
         columns = dict(zip(("direction_x", "direction_y", "direction_z"), traced.beams.T, strict=True))
         write_table_csv(
@@ -65,6 +47,60 @@ def write_laser_scan(
         write_json(
             working / TRUTH_FILE, {"seed": seed, "place_m": traced.place_m.tolist(), "turn_rad": list(scene.turn_rad)}
         )
+
+
+def line_scene() -> LaserScene:
+    """Return a panel swept by lines from 0.8 of its radius of curvature: at all of it lines would lie on each other."""
+    return LaserScene(distance_of_curvature=0.8)
+
+
+def write_line_sweep(folder: Path, scene: LaserScene | None = None, seed: int = 0, *, force: bool = False) -> None:
+    """Sweep a line over a panel both ways and write the measurement folder, with truth.json.
+
+    force: Replace an earlier synthetic measurement.
+    InputError: The folder holds something or cannot be written to.
+    """
+    scene = scene or line_scene()
+    table: dict[str, list[Any]] = {name: [] for name in _LINE_COLUMNS}
+    for name, sweep in zip(("across", "along"), trace_lines(scene, seed), strict=True):
+        for number, (normal, spots) in enumerate(zip(sweep.normals.tolist(), sweep.spots_m, strict=True), start=1):
+            seen = spots[np.isfinite(spots[:, 0])].tolist()
+            for column, values in zip(
+                _LINE_COLUMNS, zip(*((name, number, *normal, *spot) for spot in seen), strict=True), strict=False
+            ):
+                table[column].extend(values)
+    content = _content(scene, "line-sweep", {"lines_file": "lines.csv"})
+    with WholeFolder(folder, SYNTHETIC, force=force) as working:
+        write_table_csv(working / "lines.csv", table)
+        write_measurement(working, content, comment=f"Synthetic measurement, seed {seed}; see truth.json.")
+        write_json(working / TRUTH_FILE, {"seed": seed, "turn_rad": list(scene.turn_rad)})
+
+
+def _content(
+    scene: LaserScene, preset: str, files: Mapping[str, str], stated: Mapping[str, Any] | None = None
+) -> dict[str, Any]:
+    scanned = {
+        **files,
+        "sigma_spot_mm": 1e3 * scene.sigma_spot_m,
+        "sigma_direction_mrad": 1e3 * scene.sigma_direction_rad,
+        "sigma_laser_place_mm": 1e3 * scene.sigma_laser_place_m,
+        "sigma_target_scale_permille": 1e3 * scene.sigma_target_scale,
+        "sigma_angle_scale_permille": 1e3 * scene.sigma_angle_scale,
+        "sigma_roll_mrad": 1e3 * scene.sigma_roll_rad,
+    } | dict(stated or {})
+    return {
+        "kind": "laser-scan",
+        "name": "trough panel",
+        "notes": f"Synthetic: drawn by heliogauge deflectometry synth --preset {preset}.",
+        "scan": scanned,
+        "mirror": {
+            "design": "trough",
+            "focal_length_m": scene.focal_length_m,
+            "distance_m": scene.distance_m,
+            "sigma_distance_mm": 1e3 * scene.sigma_distance_m,
+            "sigma_offset_mm": 1e3 * scene.sigma_offset_m,
+        },
+    }
 
 
 def write_surface_scan(folder: Path, scene: PointScene | None = None, seed: int = 0, *, force: bool = False) -> None:

@@ -2,9 +2,9 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Literal, Self
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from deflectometry.exchange.measure_slopes import SlopesEvaluationSection, SlopesMirrorSection
 from heliogauge.measurement.load import MEASUREMENT_FILE, read_measurement, refuse_missing
@@ -12,14 +12,21 @@ from heliogauge.measurement.models import MeasurementModel, Positive, Section, S
 
 
 class ScanSection(Section):
-    """The beams and their spots, and how well the instrument is known."""
+    """The beams and their spots, or the lines of two sweeps, and how well the instrument is known."""
 
-    file: Text = Field(
-        description="Table (CSV): direction_x, direction_y, direction_z, spot_x_m, spot_y_m[, spot_z_m]."
+    file: Text | None = Field(
+        None, description="Table (CSV): direction_x, direction_y, direction_z, spot_x_m, spot_y_m[, spot_z_m]."
     )
-    sigma_spot_mm: Positive = Field(description="Standard deviation of a spot in x and in y, each by itself [mm].")
+    lines_file: Text | None = Field(
+        None,
+        description="Of a line laser instead: sweep, line, normal_x, normal_y, normal_z, spot_x_m, spot_y_m (CSV).",
+    )
+    sigma_spot_mm: Positive = Field(
+        description="Standard deviation of each spot in x and in y, or of each point of a line across it [mm]."
+    )
     sigma_direction_mrad: Sigma = Field(
-        0.0, description="Standard deviation of a beam's direction, each by itself [mrad]."
+        0.0,
+        description="Standard deviation of each beam's direction, or of each sheet of light across it [mrad].",
     )
     sigma_laser_place_mm: Positive | None = Field(
         None, description="Standard deviation of the laser's place on the target, each axis [mm]."
@@ -33,6 +40,12 @@ class ScanSection(Section):
     sigma_roll_mrad: Positive | None = Field(
         None, description="Standard deviation of the turn between the beams' axes and the target's [mrad]."
     )
+
+    @model_validator(mode="after")
+    def _one_table(self) -> Self:
+        if (self.file is None) == (self.lines_file is None):
+            raise ValueError("give file (beams one by one) or lines_file (two sweeps of a line laser), one of both")
+        return self
 
 
 class LaserMirrorSection(SlopesMirrorSection):
@@ -72,8 +85,8 @@ class LaserMeasurement:
 
     @property
     def scan_file(self) -> Path:
-        """Table of the beams."""
-        return self.folder / self.model.scan.file
+        """Table of the beams or of the lines."""
+        return self.folder / str(self.model.scan.file or self.model.scan.lines_file)
 
     @property
     def input_files(self) -> tuple[Path, ...]:

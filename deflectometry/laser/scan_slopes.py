@@ -64,6 +64,8 @@ class ScanSlopes:
     points_m (2, n): Where each beam met the surface, mirror frame [m]; NaN where it missed.
     slopes (2, n): dz/dx and dz/dy; NaN where no spot was seen.
     sigmas (2, n): Their random standard deviations [rad].
+    noise_correlation: Variance of the sum of all slopes over the sum of their variances: more than 1 where beams share
+        an error of direction.
     odd (n,): Spots that cannot belong to their neighbours' surface.
     common: What distance, place, scale and roll do to all slopes together.
     """
@@ -73,6 +75,7 @@ class ScanSlopes:
     points_m: FloatArray
     slopes: FloatArray
     sigmas: FloatArray
+    noise_correlation: float
     odd: BoolArray
     common: CommonModes
 
@@ -97,18 +100,18 @@ def solve_scan(
     good = scan.seen
     solution = _solve(scan.chosen(good), facet, laser_from_mirror, align=align)
     odd = np.zeros(good.size, dtype=bool)
-    points, slopes, random = _slopes_of(scan, facet, solution, sigmas)
+    points, slopes, random, correlation = _slopes_of(scan, facet, solution, sigmas)
     smooth = np.stack(solution.surfaces[0].gradient(points[0], points[1]))
     usable = np.flatnonzero(good & np.isfinite(slopes).all(axis=0))
     found = _odd_ones(points[:, usable], (slopes - smooth)[:, usable], random[:, usable])
     if found.any():
         odd[usable[found]] = True
         solution = _solve(scan.chosen(good & ~odd), facet, laser_from_mirror, align=align)
-        points, slopes, random = _slopes_of(scan, facet, solution, sigmas)
+        points, slopes, random, correlation = _slopes_of(scan, facet, solution, sigmas)
     few = np.flatnonzero(good & ~odd)
     few = few[spread_indices(few.size, _MODE_BEAMS)]
     common = _common_modes(scan, few, facet, solution, sigmas, align=align)
-    return ScanSlopes(solution, facet, points, slopes, random, odd, common)
+    return ScanSlopes(solution, facet, points, slopes, random, correlation, odd, common)
 
 
 def _samples(scan: LaserScan, facet: Facet) -> list[FacetSamples]:
@@ -140,29 +143,26 @@ def _facet_of(scan: LaserScan, design: Quadric, laser_from_mirror: RigidTransfor
 
 def _slopes_of(
     scan: LaserScan, facet: Facet, solution: ShapeSolution, sigmas: LaserSigmas
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return points (2, n), slopes (2, n) and their random sigmas (2, n)."""
+) -> tuple[FloatArray, FloatArray, FloatArray, float]:
+    """Return points (2, n), slopes (2, n), their random sigmas (2, n) and their noise correlation."""
     surface, mirror_from_laser = solution.surfaces[0], solution.cam_from_mirror.inverse()
     laser = mirror_from_laser.translation_m
     points = surface.intersect(laser, mirror_from_laser.rotation @ scan.directions)
     spots = mirror_from_laser.rotation @ scan.spots_m + laser[:, None]
     slopes = np.stack(slopes_at(points, laser, spots))
-    along = mirror_from_laser.rotation.T
-    variance = sum(slope_sensitivity(points, laser, spots, sigmas.spot_m * axis) ** 2 for axis in along[:2])
-    if sigmas.direction_rad > 0:
-        (base,) = departures(_samples(scan, facet), solution, solution)
-        for axis in range(2):
-            (moved,) = departures(_samples(_turned(scan, axis, sigmas.direction_rad), facet), solution, solution)
-            variance = variance + (moved[1] - base[1]) ** 2
-    return points[:2], slopes, np.sqrt(np.asarray(variance))
-
-
-def _turned(scan: LaserScan, axis: int, angle_rad: float) -> LaserScan:
-    """Return beams turned towards x or y by an angle."""
-    directions = scan.directions.copy()
-    across = np.eye(3)[axis][:, None] - directions[axis] * directions
-    across /= np.linalg.norm(across, axis=0)
-    return LaserScan(np.cos(angle_rad) * directions + np.sin(angle_rad) * across, scan.spots_m)
+    steps = mirror_from_laser.rotation @ (sigmas.spot_m * scan.spot_steps)
+    variance = np.sum([slope_sensitivity(points, laser, spots, step) ** 2 for step in steps], axis=0)
+    if not sigmas.direction_rad > 0:
+        return points[:2], slopes, np.sqrt(variance), 1.0
+    (base,) = departures(_samples(scan, facet), solution, solution)
+    by_direction = np.zeros_like(variance)
+    for step in scan.direction_steps:
+        turned = scan.with_directions(scan.directions + sigmas.direction_rad * step)
+        (moved,) = departures(_samples(turned, facet), solution, solution)
+        by_direction += (moved[1] - base[1]) ** 2
+    variance = variance + by_direction
+    share = float(np.nansum(by_direction) / np.nansum(variance))
+    return points[:2], slopes, np.sqrt(variance), 1.0 + share * (scan.beams_of_one_error - 1.0)
 
 
 def _odd_ones(points_m: FloatArray, error: FloatArray, sigma: FloatArray) -> BoolArray:
@@ -208,7 +208,7 @@ def _moved(
         if axis < 2 and sigmas.angle_scale > 0:
             angles = np.arctan2(scan.directions[:2], -scan.directions[2]) * (1 + sigmas.angle_scale * unit[:2])
             stretched = np.vstack([np.tan(angles), -np.ones(angles.shape[1])])
-            yield one("angle scale", LaserScan(stretched / np.linalg.norm(stretched, axis=0), scan.spots_m))
+            yield one("angle scale", scan.with_directions(stretched))
     if sigmas.roll_rad > 0:
         x, y, z = scan.spots_m
         yield one("roll", scan.with_spots(np.stack([x - sigmas.roll_rad * y, y + sigmas.roll_rad * x, z])))

@@ -160,14 +160,15 @@ def slope_sensitivity(
 ) -> FloatArray:
     """Return how slopes follow a shift of the screen point along one direction.
 
-    Shapes: d_screen (3,).
+    Shapes: d_screen (3,), or (3, n) for a shift of each point's own.
     Returns (2, n): Change of slope_x and slope_y for this shift.
     """
     to_screen, to_camera = screen_m - points_m, camera_m[:, None] - points_m
     length_camera = np.sqrt(np.einsum("ij,ij->j", to_camera, to_camera))
     length_screen = np.sqrt(np.einsum("ij,ij->j", to_screen, to_screen))
     normal = to_screen * length_camera + to_camera * length_screen
-    d_normal = d_screen[:, None] * length_camera + to_camera * ((d_screen @ to_screen) / length_screen)
+    shift = d_screen.reshape(3, -1)
+    d_normal = shift * length_camera + to_camera * ((shift * to_screen).sum(axis=0) / length_screen)
     slope = -normal[:2] / normal[2]
     return np.asarray(-(d_normal[:2] + slope * d_normal[2]) / normal[2])
 

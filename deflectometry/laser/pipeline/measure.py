@@ -11,7 +11,8 @@ from deflectometry.exchange.measure_slopes import grid_points
 from deflectometry.exchange.slope_points import SlopePoints
 from deflectometry.laser.instrument_by_curl import InstrumentByCurl, hear_curl
 from deflectometry.laser.keys import LaserMeasurement, LaserModel
-from deflectometry.laser.pipeline.scan_file import read_scan
+from deflectometry.laser.line_sweep import CrossedLines
+from deflectometry.laser.pipeline.scan_file import read_lines, read_scan
 from deflectometry.laser.scan import LaserScan
 from deflectometry.laser.scan_slopes import LaserSigmas, ScanSlopes, solve_scan
 from deflectometry.pipeline.choices import Options
@@ -21,6 +22,7 @@ from heliogauge.doubts import Doubt, Severity
 from heliogauge.errors import EstimationError
 from heliogauge.flags import SampleFlag
 from heliogauge.geometry.rigid import RigidTransform
+from heliogauge.geometry.surfaces import Quadric
 from heliogauge.measurement.designs import build_design
 from heliogauge.results.folder import Summary, hash_files, write_slope_map
 from heliogauge.results.frame import InstrumentResult
@@ -112,7 +114,8 @@ def run(measurement: LaserMeasurement, options: Options | None = None, progress:
     """
     options, progress, model = options or Options(), progress or SilentProgress(), measurement.model
     with progress.stage("read scan"):
-        scan = read_scan(measurement.scan_file)
+        lines = None if model.scan.lines_file is None else read_lines(measurement.scan_file)
+        scan = read_scan(measurement.scan_file) if lines is None else lines.scan
     section = model.evaluation
     align = options.align or Align(section.align)
     with progress.stage("slopes"):
@@ -125,11 +128,10 @@ def run(measurement: LaserMeasurement, options: Options | None = None, progress:
         step_mm = section.grid_step_mm if options.grid_step_mm is None else options.grid_step_mm
         step_m = None if step_mm is None else 1e-3 * step_mm
         sources = found.common.sources
-        heard = hear_curl(found, replace(grid_points(_points(found), design, step_m), common=found.common))
+        heard = hear_curl(found, _gridded(found, design, step_m))
         found = found if heard is None else heard.found
-        gridded = grid_points(_points(found), design, step_m)
         frame = "x to the right, y up seen from the laser, z from the mirror to it"
-        as_measured = replace(gridded, common=found.common, frame=frame, removed=alignment_words(align, 1))
+        as_measured = replace(_gridded(found, design, step_m), frame=frame, removed=alignment_words(align, 1))
     with progress.stage("statistics"):
         slope_map = remove(as_measured, options.remove or Removal(section.remove))
         numbers = facet_numbers(slope_map, as_measured)
@@ -140,7 +142,7 @@ def run(measurement: LaserMeasurement, options: Options | None = None, progress:
         scan=scan,
         found=found,
         instrument="" if heard is None else heard.words(sources),
-        doubts=tuple(_doubts(model, scan, found, heard)),
+        doubts=(*_doubts(model, scan, found, heard), *_doubts_of_lines(lines)),
         durations_s=dict(progress.durations_s),
         input_sha256=hash_files(measurement.input_files, measurement.folder),
     )
@@ -158,6 +160,11 @@ def _sigmas(model: LaserModel) -> LaserSigmas:
         angle_scale=1e-3 * (scan.sigma_angle_scale_permille or 0.0),
         roll_rad=1e-3 * (scan.sigma_roll_mrad or 0.0),
     )
+
+
+def _gridded(found: ScanSlopes, design: Quadric, step_m: float | None) -> SlopeMap:
+    one = grid_points(_points(found), design, step_m)
+    return replace(one, common=found.common, noise_correlation=found.noise_correlation)
 
 
 def _points(found: ScanSlopes) -> SlopePoints:
@@ -209,4 +216,16 @@ def _doubts(model: LaserModel, scan: LaserScan, found: ScanSlopes, heard: Instru
             f"{odd} of {scan.seen.size} spots would make slopes 20 sigma and more from those around them: left out "
             f"(reasons in {BEAMS_FILE})",
             {"odd_count": odd, "beams_count": scan.seen.size},
+        )
+
+
+def _doubts_of_lines(lines: CrossedLines | None) -> Iterator[Doubt]:
+    twice = 0 if lines is None else int(np.count_nonzero(lines.twice))
+    if lines is not None and twice:
+        yield Doubt(
+            "lines_cross_twice",
+            f"{twice} of {lines.twice.size} pairs of lines cross more than once on the target: the mirror sends "
+            "several beams to one point there, as near twice the focal length. They are left out; others may have a "
+            "wrong crossing where their own was not seen: measure from nearer to the mirror",
+            {"twice_count": twice, "pairs_count": int(lines.twice.size)},
         )

@@ -1,21 +1,28 @@
-"""The table of a laser scan."""
+"""The tables of a laser scan: of beams, or of lines that were swept over the mirror."""
 
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 
-from deflectometry.laser.scan import LaserScan
+from deflectometry.laser.line_sweep import CrossedLines, Sweep, cross_lines
+from deflectometry.laser.scan import LaserScan, single_beams
 from heliogauge.errors import InputError
 from heliogauge.results.tables import read_columns_csv, read_table_csv
+from heliogauge.validate import FloatArray
 
 DIRECTIONS = ("direction_x", "direction_y", "direction_z")
 SPOTS = ("spot_x_m", "spot_y_m")
 #: Where the target is no plane through the laser.
 SPOT_HEIGHT = "spot_z_m"
+#: Normal of the sheet of light of a line.
+NORMALS = ("normal_x", "normal_y", "normal_z")
 #: Fewer beams determine no shape of degree 4.
 FEWEST_BEAMS = 60
 # Beyond every target: 1 km.
 _FARTHEST_M = 1e3
+# Normals are one when they agree to the digits of a table.
+_SAME_SHEET = 1e-6
 
 
 def read_scan(file: Path) -> LaserScan:
@@ -40,18 +47,67 @@ def read_scan(file: Path) -> LaserScan:
             f"{file}: direction_z of {away} of {directions.shape[1]} beams is not negative: they run away from the "
             "mirror; z points from the mirror to the laser"
         )
+    _refuse_far(file, spots_m)
+    scan = single_beams(directions, np.where(np.isfinite(spots_m).all(0), spots_m, np.nan))
+    _refuse_few(file, scan, "beams have a spot")
+    return scan
+
+
+def read_lines(file: Path) -> CrossedLines:
+    """Read the table of two sweeps of a line laser.
+
+    file: CSV with columns sweep (two names), line (a number of each sweep's own), normal_x, normal_y, normal_z (of any
+        length, of the sheet of light, which contains the laser), spot_x_m, spot_y_m; a row for each point of a line, in
+        their order on the line; an empty spot is a gap.
+    Returns: The beams in which the sheets cut each other, with the spots where their lines cross.
+    InputError: A column is missing, not two sweeps, a line with several sheets, spots nowhere, or too few crossings.
+    EstimationError: Sheets of both sweeps are nearly parallel.
+    """
+    texts, table = read_columns_csv(file, ("sweep", "line"), (*NORMALS, *SPOTS))
+    names = list(dict.fromkeys(texts["sweep"]))
+    if len(names) != 2:
+        raise InputError(
+            f"{file}: the column sweep has {len(names)} names ({', '.join(names[:4])}); two sweeps are needed, one "
+            "across and one along the mirror"
+        )
+    normals, spots_m = np.stack([table[name] for name in NORMALS]), np.stack([table[name] for name in SPOTS])
+    _refuse_far(file, spots_m)
+    sweep, line = np.array(texts["sweep"]), np.array(texts["line"])
+    found = cross_lines(
+        *(
+            _sweep(file, name, line[own], normals[:, own], spots_m[:, own])
+            for name, own in ((name, sweep == name) for name in names)
+        )
+    )
+    _refuse_few(file, found.scan, "pairs of lines cross once on the target")
+    return found
+
+
+def _sweep(file: Path, name: str, line: npt.NDArray[np.str_], normals: FloatArray, spots_m: FloatArray) -> Sweep:
+    length = np.linalg.norm(normals, axis=0)
+    unclear = np.flatnonzero(~(length > 0))
+    if unclear.size:
+        raise InputError(f"{file}: line {line[unclear[0]]} of sweep {name} has no normal of its sheet of light")
+    unit = normals / length
+    _, first, number = np.unique(line, return_index=True, return_inverse=True)
+    turned = np.flatnonzero(np.abs(unit - unit[:, first[number]]).max(axis=0) > _SAME_SHEET)
+    if turned.size:
+        raise InputError(
+            f"{file}: line {line[turned[0]]} of sweep {name} has several normals; a line is one sheet of light"
+        )
+    return Sweep(unit[:, first].T, number, spots_m.T)
+
+
+def _refuse_far(file: Path, spots_m: FloatArray) -> None:
     far = np.abs(spots_m) > _FARTHEST_M
     if far.any():
         raise InputError(
             f"{file}: {int(far.any(axis=0).sum())} spots farther than {_FARTHEST_M:g} m from the laser, the first at "
             f"{spots_m[far][0]:.6g}; spots are in metres"
         )
-    scan = LaserScan(
-        directions / np.linalg.norm(directions, axis=0), np.where(np.isfinite(spots_m).all(0), spots_m, np.nan)
-    )
+
+
+def _refuse_few(file: Path, scan: LaserScan, what: str) -> None:
     count = int(np.count_nonzero(scan.seen))
     if count < FEWEST_BEAMS:
-        raise InputError(
-            f"{file}: {count} of {scan.seen.size} beams have a spot; {FEWEST_BEAMS} are needed for a mirror's shape"
-        )
-    return scan
+        raise InputError(f"{file}: {count} of {scan.seen.size} {what}; {FEWEST_BEAMS} are needed for a mirror's shape")

@@ -1,15 +1,19 @@
 """Laser scans: slopes, their sigmas and what all beams share, against panels traced by data_synth."""
 
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from data_synth.lasers import LaserScene, write_laser_scan
+from data_synth.lasers import LaserScene, line_scene, write_laser_scan, write_line_sweep
 from deflectometry.laser.keys import load_laser
+from deflectometry.laser.line_sweep import Sweep, cross_lines
 from deflectometry.laser.pipeline.measure import LaserResult, run
 from heliogauge.errors import EstimationError, InputError
-from heliogauge.results.tables import read_columns_csv, write_table_csv
+from heliogauge.results.tables import read_columns_csv, read_table_csv, write_table_csv
+from tests.deflectometry.command import refusal
 
 COLUMNS = ("direction_x", "direction_y", "direction_z", "spot_x_m", "spot_y_m")
 SMALL = LaserScene(columns=25, rows=17)
@@ -66,10 +70,13 @@ def test_exact_beams_give_exact_slopes(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_sigmas_are_the_scatter(tmp_path: Path) -> None:
-    scene, totals, modes = LaserScene(columns=31, rows=21), [], []
+@pytest.mark.parametrize(("write", "scene"), [(write_laser_scan, LaserScene()), (write_line_sweep, line_scene())])
+def test_sigmas_are_the_scatter(
+    tmp_path: Path, write: Callable[[Path, LaserScene, int], None], scene: LaserScene
+) -> None:
+    scene, totals, modes = replace(scene, columns=31, rows=21), [], []
     for seed in range(14):
-        write_laser_scan(tmp_path / f"{seed}", scene, seed)
+        write(tmp_path / f"{seed}", scene, seed)
         error, sigma, common = errors_of(measured(tmp_path / f"{seed}"), scene)
         # The frame's tilt is free.
         tilt = np.zeros((2, *error.shape))
@@ -161,11 +168,94 @@ def test_what_was_exchanged_is_named(drawn: Path, name: str, made: object, messa
         measured(drawn)
 
 
-def test_rows_out_of_order_are_refused(drawn: Path) -> None:
+def test_rows_out_of_order_are_refused(drawn: Path, capsys: pytest.CaptureFixture[str]) -> None:
     order = np.random.default_rng(0).permutation(column(drawn, "spot_x_m").size)
     change(drawn, spot_x_m=column(drawn, "spot_x_m")[order], spot_y_m=column(drawn, "spot_y_m")[order])
-    with pytest.raises(EstimationError, match="in the order of the scan"):
-        measured(drawn)
+    assert "are the rows of the table in the order of the scan?" in refusal(drawn, capsys)
+
+
+def test_lines_cross_where_both_sheets_met() -> None:
+    """A plane mirror square to z at distance d sends the beam (x, y, -d) back to (2 x, 2 y)."""
+    places = np.linspace(-1, 1, 5)
+    along = np.linspace(-1.3, 1.3, 14)
+    across_normals, along_normals = ([[3, 0, x] for x in places], [[0, 3, y] for y in places])
+    sweeps = [
+        Sweep(
+            np.array(normals) / np.linalg.norm(normals, axis=1)[:, None],
+            np.repeat(np.arange(5), 14),
+            np.array([(2 * x, 2 * y) if turn else (2 * y, 2 * x) for x in places for y in along]),
+        )
+        for normals, turn in ((across_normals, True), (along_normals, False))
+    ]
+    scan = cross_lines(*sweeps).scan
+    met = -3 * scan.directions[:2] / scan.directions[2]
+    assert scan.spots_m[:2] == pytest.approx(2 * met, abs=1e-12)
+    # Turned by 1 mrad, each sheet moves its beams by 1 mrad across itself.
+    for step, normals in zip(scan.direction_steps, (sweeps[0].normals, sweeps[1].normals), strict=True):
+        own = np.repeat(normals, 5, axis=0) if normals is sweeps[0].normals else np.tile(normals, (5, 1))
+        assert np.einsum("ni,in->n", own, step) == pytest.approx(1.0)
+    # Halfway between two points their noise is down by a root of two.
+    assert np.abs(scan.spot_steps).max(axis=(0, 1)).min() == pytest.approx(np.sqrt(0.5), abs=0.03)
+
+
+def test_an_error_of_a_sheet_is_shared_by_its_line(tmp_path: Path) -> None:
+    scene = replace(line_scene(), columns=25, rows=17, sigma_spot_m=1e-6, sigma_direction_rad=1e-4)
+    write_line_sweep(tmp_path / "s", scene)
+    result = measured(tmp_path / "s")
+    # A tenth beyond the panel nothing comes back: 23 lines of 25 and 15 of 17 do, or nearly.
+    assert result.slope_map.noise_correlation == pytest.approx(0.5 * (23 + 15), rel=0.1)
+
+
+def test_lines_that_fold_are_named(tmp_path: Path) -> None:
+    """From twice the focal length a trough sends all beams across back to the laser: lines lie on each other."""
+    write_line_sweep(tmp_path / "s", replace(line_scene(), columns=25, rows=17, distance_of_curvature=1.0))
+    doubt = {one.code: one for one in measured(tmp_path / "s").doubts}["lines_cross_twice"]
+    assert doubt.numbers["twice_count"] > 0.1 * doubt.numbers["pairs_count"]
+
+
+def no_sweep(table: dict[str, list[str]]) -> dict[str, list[str]]:
+    return table | {"sweep": ["across"] * len(table["sweep"])}
+
+
+def shuffled_lines(table: dict[str, list[str]]) -> dict[str, list[str]]:
+    """Deal the sheets to the lines of each sweep anew."""
+    sheets = [tuple(table[name][n] for name in ("normal_x", "normal_y", "normal_z")) for n in range(len(table["line"]))]
+    of_line = dict(zip(zip(table["sweep"], table["line"], strict=True), sheets, strict=True))
+    dealt = {}
+    for sweep in ("across", "along"):
+        keys = [key for key in of_line if key[0] == sweep]
+        order = np.random.default_rng(2).permutation(len(keys))
+        dealt |= {key: of_line[keys[n]] for key, n in zip(keys, order, strict=True)}
+    new = [dealt[key] for key in zip(table["sweep"], table["line"], strict=True)]
+    return table | dict(zip(("normal_x", "normal_y", "normal_z"), map(list, zip(*new, strict=True)), strict=True))
+
+
+def one_line(table: dict[str, list[str]]) -> dict[str, list[str]]:
+    return table | {"line": ["1"] * len(table["line"])}
+
+
+def other_sign(table: dict[str, list[str]]) -> dict[str, list[str]]:
+    return table | {"spot_y_m": [str(-float(one)) for one in table["spot_y_m"]]}
+
+
+@pytest.mark.parametrize(
+    ("spoil", "message"),
+    [
+        (no_sweep, "two sweeps are needed"),
+        (shuffled_lines, "in the order of the scan"),
+        (one_line, "several normals"),
+        (other_sign, "spot_y_m has the other sign"),
+    ],
+)
+def test_lines_that_are_not_those_of_the_sheets_are_refused(
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    spoil: Callable[[dict[str, list[str]]], dict[str, list[str]]],
+    message: str,
+) -> None:
+    write_line_sweep(tmp_path / "s", replace(line_scene(), columns=25, rows=17))
+    write_table_csv(tmp_path / "s" / "lines.csv", spoil(read_table_csv(tmp_path / "s" / "lines.csv")))
+    assert message in refusal(tmp_path / "s", capsys)
 
 
 def test_sigmas_that_are_missing_are_asked_for(drawn: Path) -> None:

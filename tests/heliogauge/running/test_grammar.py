@@ -199,6 +199,7 @@ def test_presets_that_are_choices_are_all_that_there_are() -> None:
         *FRINGE_PRESETS,
         "tower",
         "laser-scan",
+        "line-sweep",
         "gazing",
         "gazing-close",
         "stars",
