@@ -16,8 +16,8 @@ from heliogauge.validate import Float32Array, FloatArray
 
 #: Side of a tile [px]: its finest cells (16 per pixel) then need 17 MB an array.
 _TILE_PX = 128
-#: Directions of the lines of sight are interpolated between this many exact ones a side: over a tile that spans 0.2
-#: rad of a lens with k1 = -0.2 the polynomial of degree 9 is wrong by less than 1e-9 rad.
+#: Directions of the lines of sight, and where they meet a sheet, are interpolated between this many exact ones a side:
+#: over a tile that spans 0.2 rad of a lens with k1 = -0.2 the polynomial of degree 9 is wrong by less than 1e-9 rad.
 _NODES = 10
 #: Edges are straight within a cell; the sagitta of the sharpest one may be so much of a pixel.
 _LARGEST_SAGITTA_PX = 5e-4
@@ -136,7 +136,7 @@ def _cells_per_pixel(view: View, sheet: Sheet, blur_sigma_px: float) -> int:
 def _render(view: View, sheet: Sheet, tile: _Tile, blur_sigma_px: float) -> tuple[Float32Array, Float32Array]:
     """Return, for the tile's pixels, the share that the sheet hides and the light that comes from it."""
     sheet_from_cam = (view.cam_from_world @ sheet.world_from_sheet).inverse()
-    x, y = (part.astype(np.float32) for part in sheet.hit(sheet_from_cam, *_directions(view.camera, tile)))
+    x, y = _met(view.camera, sheet, sheet_from_cam, tile)
     cell = _footprint(x, y)
     ink = sheet.figure.ink(x, y, cell)
     paper = ink if sheet.transparent else paper_share(sheet.figure, x, y, cell)
@@ -147,18 +147,26 @@ def _render(view: View, sheet: Sheet, tile: _Tile, blur_sigma_px: float) -> tupl
     return share, light
 
 
-def _directions(camera: PinholeCamera, tile: _Tile) -> tuple[FloatArray, FloatArray]:
-    """Return x/z and y/z of the line of sight of each cell: exact at nodes, a polynomial in between."""
+def _met(
+    camera: PinholeCamera, sheet: Sheet, sheet_from_cam: RigidTransform, tile: _Tile
+) -> tuple[Float32Array, Float32Array]:
+    """Return which point of the drawing the line of sight of each cell meets.
+
+    Exact at nodes and a polynomial in between; where lines pass far beside the sheet or leave its front, which no
+    polynomial follows, the directions alone are interpolated.
+    """
     x_px, y_px = tile.positions_px()
-    if not any((camera.k1, camera.k2, camera.k3, camera.p1, camera.p2)):
-        x, y = (x_px - camera.center_x_px) / camera.focal_x_px, (y_px - camera.center_y_px) / camera.focal_y_px
-        return np.broadcast_to(x, (y.size, x.size)), np.broadcast_to(y[:, None], (y.size, x.size))
     node = np.cos(np.pi * (np.arange(_NODES) + 0.5) / _NODES)
     along_x, node_x = _interpolation(x_px, node)
     along_y, node_y = _interpolation(y_px, node)
     rays = camera.rays(*np.meshgrid(node_x, node_y))
-    exact_x, exact_y = rays[..., 0] / rays[..., 2], rays[..., 1] / rays[..., 2]
-    return along_y @ exact_x @ along_x.T, along_y @ exact_y @ along_x.T
+    directions = rays[..., 0] / rays[..., 2], rays[..., 1] / rays[..., 2]
+    at_nodes = sheet.hit(sheet_from_cam, *directions)
+    if sheet.is_near(*at_nodes):
+        x, y = (along_y @ one @ along_x.T for one in at_nodes)
+    else:
+        x, y = sheet.hit(sheet_from_cam, *(along_y @ one @ along_x.T for one in directions))
+    return x.astype(np.float32), y.astype(np.float32)
 
 
 def _interpolation(positions: FloatArray, node: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -10,6 +10,8 @@ from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.short_repr import ShortRepr
 from heliogauge.validate import FloatArray, float_array
 
+#: What lies farther from the sheet's middle than this times its half sides has nothing to do with it.
+_REACH = 2.0
 #: Steps to the bent sheet; each gains two digits at a slope of 0.01 seen under 45 deg.
 _MOST_STEPS = 12
 #: A nanometre is 3e-6 px at the shortest distance here.
@@ -119,7 +121,12 @@ class Sheet(ShortRepr):
         a, b, c, d = np.linalg.inv(self.shape.sheet_from_print).ravel()
         return a * sheet_x + b * sheet_y, c * sheet_x + d * sheet_y
 
+    def is_near(self, x_m: FloatArray, y_m: FloatArray) -> bool:
+        """Whether all of these points of the drawing, as `hit` returns them, lie on the sheet or close to it."""
+        on_sheet_m = np.stack([x_m, y_m], axis=-1) @ self.shape.sheet_from_print.T
+        return bool((np.abs(on_sheet_m) < _REACH * np.array(self.figure.half_size_m)).all())
+
     def _bent_height_m(self, x_m: FloatArray, y_m: FloatArray) -> FloatArray:
         # Beyond the paper the bending would run away; what is there is not drawn.
-        wide, high = (2 * half for half in self.figure.half_size_m)
+        wide, high = (_REACH * half for half in self.figure.half_size_m)
         return self.shape.height_m(np.clip(x_m, -wide, wide), np.clip(y_m, -high, high))

@@ -160,6 +160,18 @@ def test_bent_and_sheared_sheet_is_met_where_it_is() -> None:
     np.testing.assert_allclose(np.stack([x, y], axis=1), print_m, atol=1e-9)
 
 
+def test_interpolated_meeting_points_draw_what_exact_ones_draw(monkeypatch: pytest.MonkeyPatch) -> None:
+    shape = SheetShape([[1.0, 0.02], [0.0, 1.01]], [0.8, 0.3, -0.5], [2.0, -1.5])
+    place = RigidTransform.from_rotation_vector([0.6, -0.4, 0.2], [0.005, 0.004, 0.0])
+    board = chessboard_print(6, 5, 0.006)
+    near = drawn(board, place, shape=shape)
+    with monkeypatch.context() as patched:
+        patched.setattr(Sheet, "is_near", lambda *_: False)
+        exact = drawn(board, place, shape=shape)
+    assert near.max() > 0.99
+    assert np.abs(near - exact).max() < 1e-5
+
+
 def test_the_back_of_a_sheet_shows_nothing() -> None:
     assert not drawn(DotPrint(0.02), RigidTransform.from_rotation_vector([np.pi, 0, 0], [0, 0, 0])).any()
 
