@@ -46,8 +46,8 @@ def write_stars(folder: Path, scene: NightScene | None = None, seed: int = 0, *,
                 seen = (places.mirror_axes @ real - places.eye_m) @ places.camera_axes
                 pixel = np.array([scene.width_px - 1, scene.height_px - 1]) / 2 + scene.focal_px * seen[:2] / seen[2]
                 pixel = pixel + scene.sigma_point_px * rng.standard_normal(2)
-                # Leans and the turn of the mirror move real corners by a few millimetres: a third of a pixel each.
-                points.append({"point_m": stated.tolist(), "image_px": pixel.tolist(), "sigma_px": 2.0})
+                # The leans of the facets themselves move their corners by a few tenths of a millimetre.
+                points.append({"point_m": stated.tolist(), "image_px": pixel.tolist(), "sigma_px": 0.4})
         content = {
             "kind": "stars",
             "name": "heliostat at night",

@@ -30,7 +30,8 @@ class NightScene:
     normal_up_deg: Elevation of the heliostat's normal. normal_error_rad: By what it departs from the stated one.
     width_px, height_px, focal_px: Of the camera. blur_px: Of the lens.
     zero_magnitude_dn: Light of a star of magnitude 0 in a second. sky_dn, noise_dn: Of each pixel.
-    faintest: Faintest star that is drawn. sigma_place_m, sigma_point_px: How well camera and corners are stated.
+    faintest: Faintest star that is drawn. seeing_rad: By what the air moves each star in each photo, each way.
+    sigma_place_m, sigma_point_px: How well camera and corners are stated.
     """
 
     heliostat: DrawnHeliostat
@@ -51,6 +52,7 @@ class NightScene:
     sky_dn: float = 60.0
     noise_dn: float = 4.0
     faintest: float = 10.0
+    seeing_rad: float = 1e-5
     sigma_place_m: float = 3e-3
     sigma_point_px: float = 0.3
 
@@ -111,12 +113,15 @@ def draw_photo(
     """Return one photo: the stars in the facets and those that are seen directly, shape (h, w) [DN]."""
     light = np.zeros((scene.height_px, scene.width_px))
     begin = np.datetime64(time, "ms")
+    seeing = scene.seeing_rad * rng.standard_normal((2, catalogue.shape[1]))
+    seen = catalogue.copy()
+    seen[:2] += seeing / np.stack([np.cos(catalogue[1]), np.ones(catalogue.shape[1])])
     eye_mirror = places.eye_m @ places.mirror_axes
     steps = 6
     for step in range(steps):
         instant = begin + np.timedelta64(int(1000 * scene.exposure_s * (step + 0.5) / steps), "ms")
         julian = 2440587.5 + float(instant.astype(np.int64)) / 86_400_000
-        stars, magnitude = stars_over(scene, catalogue, julian)
+        stars, magnitude = stars_over(scene, seen, julian)
         flux = scene.zero_magnitude_dn * scene.exposure_s / steps * 10 ** (-0.4 * magnitude)
         for facet in range(scene.heliostat.count):
             sight, shown = _sights_of(scene, stars @ places.mirror_axes, eye_mirror, facet)

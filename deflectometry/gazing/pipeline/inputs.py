@@ -57,10 +57,16 @@ def mirror_frame(section: HeliostatSection, sun: FloatArray) -> RigidTransform:
 
 
 def oriented(
-    section: FieldCameraSection, folder: Path, mirror_from_field: RigidTransform, *, is_trial: bool = False
+    section: FieldCameraSection,
+    folder: Path,
+    mirror_from_field: RigidTransform,
+    *,
+    moved_px: FloatArray | float = 0.0,
+    is_trial: bool = False,
 ) -> OrientedCamera:
     """Return a camera turned to its points of the mirror.
 
+    moved_px: By how much more than its sigma each point may be elsewhere, one standard deviation.
     is_trial: The camera is put where it does not stand: its points need not fit.
     """
     return orient_camera(
@@ -69,7 +75,7 @@ def oriented(
         mirror_from_field.apply(np.asarray(section.place_m)),
         np.array([one.point_m for one in section.point]),
         np.array([one.image_px for one in section.point]),
-        np.array([one.sigma_px for one in section.point]),
+        np.hypot([one.sigma_px for one in section.point], moved_px),
         **({"most_sigmas": float("inf")} if is_trial else {}),
     )
 

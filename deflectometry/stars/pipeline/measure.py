@@ -173,7 +173,13 @@ def run(measurement: StarsMeasurement, options: Options | None = None, progress:
     with progress.stage("catalogue"):
         catalogue = read_catalogue().brighter(float(section.faintest_magnitude))
     with progress.stage("stars in photos"):
-        night, camera = _night(measurement, catalogue)
+        facets = build_facets(model.mirror, model.name)
+        if not facets:
+            raise InputError(f"{measurement.folder}: mirror.outline_m or [[mirror.facet]] is needed")
+        stated = _stated_frame(measurement)
+        camera = _first_orientation(measurement, stated)
+        spots = _spots(measurement, facets, camera)
+        night = _night(measurement, catalogue, facets, spots, stated, camera)
     with progress.stage("name stars"):
         leans = _named(night, section_priors(measurement), 0.0)
         known = [one for one in leans if one is not None]
@@ -181,13 +187,22 @@ def run(measurement: StarsMeasurement, options: Options | None = None, progress:
             _refuse(night, section_priors(measurement), leans)
         if options.strict and len(known) < len(night.facets):
             raise EstimationError(f"{len(night.facets) - len(known)} facets without known stars, with --strict")
+        # The points that turn the camera lean with the mirror.
+        turn = _mirror_turn(facets, leans)
+        camera = oriented(model.camera, measurement.folder, (stated @ turn).inverse())
+        night = _night(measurement, catalogue, facets, spots, stated @ turn, camera)
+        own = _named(night, section_priors(measurement), 0.0)
+        leans = [
+            None if one is None else _against_stated(one, facet, turn) for one, facet in zip(own, facets, strict=True)
+        ]
+        known = [one for one in leans if one is not None]
     with progress.stage("maps"):
         align = options.align or Align(section.align)
         frame = "facet frame: x across, y up, seen from the front, z out of the mirror [m]"
         step_mm = options.grid_step_mm or section.grid_step_mm
         size = float(np.mean([np.ptp(one.outline_m, axis=0).max() for one in night.facets]))
         step_m = size / _NODES if step_mm is None else 1e-3 * step_mm
-        moved = _moved_leans(measurement, night, camera, leans)
+        moved = _moved_leans(measurement, night, camera, own)
         as_nominal = {
             facet.name: lean_map(
                 facet,
@@ -246,22 +261,74 @@ def section_priors(measurement: StarsMeasurement) -> tuple[FloatArray, FloatArra
     return np.array([wide, wide, bow, bow, bow]), np.array([single, single, bow, bow, bow])
 
 
-def _night(measurement: StarsMeasurement, catalogue: Catalogue) -> tuple[_Night, OrientedCamera]:
-    model = measurement.model
-    facets = build_facets(model.mirror, model.name)
-    if not facets:
-        raise InputError(f"{measurement.folder}: mirror.outline_m or [[mirror.facet]] is needed")
-    normal = np.asarray(model.mirror.normal, dtype=np.float64)
-    frame = field_from_mirror(np.asarray(model.mirror.place_m), normal / np.linalg.norm(normal))
-    camera = oriented(model.camera, measurement.folder, frame.inverse())
-    frames = read_frames([measurement.folder / one.file for one in model.photo])
+def _stated_frame(measurement: StarsMeasurement) -> RigidTransform:
+    """Return where the mirror's frame stands by its stated normal."""
+    normal = np.asarray(measurement.model.mirror.normal, dtype=np.float64)
+    return field_from_mirror(np.asarray(measurement.model.mirror.place_m), normal / np.linalg.norm(normal))
+
+
+def _mirror_turn(facets: Sequence[Facet], leans: Sequence[Lean | None]) -> RigidTransform:
+    """Return how the whole mirror is turned, without a roll, by the mean of its facets' leans."""
+    turns = []
+    for facet, lean in zip(facets, leans, strict=True):
+        if lean is not None:
+            axes = facet.ensemble_from_facet.rotation
+            turns.append(np.cross(axes[:, 2], axes @ _normal_of(lean)))
+    return RigidTransform.from_rotation_vector(np.mean(turns, axis=0), np.zeros(3))
+
+
+def _normal_of(lean: Lean) -> FloatArray:
+    normal = np.array([-lean.values[0], -lean.values[1], 1.0])
+    return np.asarray(normal / np.linalg.norm(normal))
+
+
+def _against_stated(lean: Lean, facet: Facet, turn: RigidTransform) -> Lean:
+    """Return the lean of a facet of a turned mirror against where it stands in the mirror as stated."""
+    axes = facet.ensemble_from_facet.rotation
+    x, y, z = axes.T @ turn.rotation @ axes @ _normal_of(lean)
+    return replace(lean, values=np.array([-x / z, -y / z, *lean.values[2:]]))
+
+
+def _first_orientation(measurement: StarsMeasurement, stated: RigidTransform) -> OrientedCamera:
+    """Return the camera by points of a mirror that may lean as far as its normal is uncertain."""
+    section = measurement.model.camera
+    points = np.array([one.point_m for one in section.point])
+    trial = oriented(section, measurement.folder, stated.inverse(), is_trial=True)
+    seen = trial.camera.project(trial.cam_from_mirror.apply(points))
+    squares = np.zeros(len(points))
+    for turn in 1e-3 * measurement.model.evaluation.sigma_normal_mrad * np.eye(3)[:2]:
+        leaning = RigidTransform.from_rotation_vector(turn, np.zeros(3)).apply(points)
+        off = trial.camera.project(trial.cam_from_mirror.apply(leaning)) - seen
+        squares += 0.5 * (off**2).sum(axis=1)
+    return oriented(section, measurement.folder, stated.inverse(), moved_px=np.sqrt(squares))
+
+
+def _spots(measurement: StarsMeasurement, facets: Sequence[Facet], camera: OrientedCamera) -> list[list[Spots]]:
+    """Return the points of light of each facet in each photo."""
+    frames = read_frames([measurement.folder / one.file for one in measurement.model.photo])
     check_size(frames.images_dn.shape[:0:-1], camera.camera, "photo.file")
-    spots: list[list[Spots]] = []
+    spots = []
     for facet in facets:
         region = _region(camera, facet, frames.images_dn.shape[1:])
         spots.append(
             [find_spots(np.asarray(one, np.float64), region, frames.full_scale_dn) for one in frames.images_dn]
         )
+    return spots
+
+
+def _night(
+    measurement: StarsMeasurement,
+    catalogue: Catalogue,
+    facets: Sequence[Facet],
+    spots: Sequence[Sequence[Spots]],
+    frame: RigidTransform,
+    camera: OrientedCamera,
+) -> _Night:
+    """Return what is known before stars are named.
+
+    frame, camera: Where the mirror's frame stands in the field, and the camera before it.
+    """
+    model = measurement.model
     lights = [_light(camera, facet, found) for facet, found in zip(facets, spots, strict=True)]
     found_count = sum(one.photo.size for one in lights)
     lights = [_brightest(one, len(model.photo), catalogue) for one in lights]
@@ -280,7 +347,7 @@ def _night(measurement: StarsMeasurement, catalogue: Catalogue) -> tuple[_Night,
         model.site.temperature_c,
     )
     night = _Night(
-        facets,
+        tuple(facets),
         tuple(lights),
         frame,
         tuple(begin + half),
@@ -288,7 +355,7 @@ def _night(measurement: StarsMeasurement, catalogue: Catalogue) -> tuple[_Night,
         catalogue,
         found_count - sum(one.photo.size for one in lights),
     )
-    return _with_zero_point(night), camera
+    return _with_zero_point(night)
 
 
 def _brightest(light: FacetLight, photos: int, catalogue: Catalogue) -> FacetLight:

@@ -110,18 +110,18 @@ def leans_with_covariance(folder: Path, monkeypatch: pytest.MonkeyPatch) -> tupl
 
 @pytest.mark.slow
 def test_sigmas_are_the_scatter(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Lean and bows of all facets, whitened with the whole covariance, along common modes and beside them, 12 nights.
+    """Lean and bows of all facets, whitened with the whole covariance, and along common modes, of 8 leaning mirrors.
 
-    Stated as drawn: corners to 0.4 px (0.3 by chance, leans move them by 0.2), camera to 3 mm, clock exact.
+    Each leans by 5 mrad each way against its stated normal, and its corners with it by pixels: they are known to 0.4 px
+    where they are. The clock is exact.
     """
-    along, beside = [], []
-    for seed in range(12):
+    joint, along = [], []
+    for seed in range(8):
         folder = tmp_path / "night"
-        scene = NightScene(heliostat_at_night(seed), normal_error_rad=0.0)
+        scene = NightScene(heliostat_at_night(seed))
         write_stars(folder, scene, seed, force=True)
         file = folder / "measurement.toml"
-        text = file.read_text().replace("sigma_px = 2.0", "sigma_px = 0.4")
-        file.write_text(text.replace("[evaluation]", "[evaluation]\nsigma_time_s = 0.0"))
+        file.write_text(file.read_text().replace("[evaluation]", "[evaluation]\nsigma_time_s = 0.0"))
         result, modes = leans_with_covariance(folder, monkeypatch)
         truth = np.column_stack([true_leans(scene, seed), scene.heliostat.bows_per_m])
         known = [n for n, one in enumerate(result.leans) if one is not None]
@@ -135,20 +135,20 @@ def test_sigmas_are_the_scatter(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
         errors, matrix = np.concatenate(white), np.concatenate(basis)
         left, size, _ = np.linalg.svd(matrix, full_matrices=False)
         parts = left.T @ errors
-        along.append((parts**2 / (1 + size**2))[size > 1])
-        beside.append((errors @ errors - parts @ parts) / (errors.size - len(parts)))
+        chi = parts**2 / (1 + size**2)
+        along.append(chi[size > 1])
+        joint.append((errors @ errors - parts @ parts + chi.sum()) / errors.size)
     together = np.concatenate(along)
-    assert together.size >= 24
+    assert together.size >= 16
     assert together.mean() == pytest.approx(1.0, abs=3 * np.sqrt(2 / together.size))
-    # The drawn sky is still: 2 arc seconds of refraction stay unused, and priors of bows are wider than the bows.
-    assert 0.02 < np.mean(beside) < 1.0
+    assert 0.8 < np.mean(joint) < 1.25
 
 
 @pytest.mark.slow
 def test_a_camera_whose_place_is_hardly_known_is_measured_with_a_larger_sigma(drawn: Path, tmp_path: Path) -> None:
     """Known to half a metre, corners to 0.4 px: moved by that they miss by 10 sigma and more."""
     file = shutil.copytree(drawn, tmp_path / "night") / "measurement.toml"
-    text = file.read_text().replace("sigma_px = 2.0", "sigma_px = 0.4")
+    text = file.read_text()
     sigmas = []
     for place_mm in (3.0, 500.0):
         file.write_text(text.replace("sigma_place_mm = 3.0", f"sigma_place_mm = {place_mm}", 1))
@@ -156,6 +156,10 @@ def test_a_camera_whose_place_is_hardly_known_is_measured_with_a_larger_sigma(dr
     # Half the angle of half a metre at 30.6 m, seen aslant.
     assert sigmas[0] < 1e-4
     assert sigmas[1] == pytest.approx(0.5 * 0.5 / 30.6, rel=0.15)
+
+
+#: Lean counts as it is, bows over the half width of a facet of 1.2 m.
+FOLLOWING = np.array([1.0, 1.0, 1 / 0.6, 1 / 0.6, 1 / 0.6])
 
 
 @pytest.mark.slow
@@ -179,6 +183,7 @@ def test_a_camera_elsewhere_moves_leans_as_predicted(
         if one is not None:
             assert other is not None
             predicted = sum(own[axis] / (1e-3 * model.camera.sigma_place_mm) * modes[axis][n] for axis in range(3))
-            # The adjustment ends at steps of 1e-8 rad: a hundredth of its own sigma.
-            sigma = np.sqrt(np.diag(one.covariance))
-            assert (np.abs(other.values - one.values - predicted) < 0.01 * sigma).all()
+            # The adjustment ends at steps of 1e-8 rad: a hundredth of its own sigma. The points that turn the camera
+            # lean with what was found: a hundredth of what moved it.
+            allowed = 0.01 * np.sqrt(np.diag(one.covariance)) + 0.02 * np.linalg.norm(predicted[:2]) * FOLLOWING
+            assert (np.abs(other.values - one.values - predicted) < allowed).all()
