@@ -13,7 +13,7 @@ from deflectometry.pose.mirrors_in_image import find_mirrors
 from deflectometry.setup.camera_and_screen import Setup
 from deflectometry.shape.common_modes import common_modes, moved_inputs
 from deflectometry.shape.facet_pixels import solve_shape_of_pixels, thinned, usable_facets
-from deflectometry.shape.fine_structure import fine_share
+from deflectometry.shape.fine_structure import fine_responses, fine_share
 from deflectometry.shape.gridding import grid_slopes, plan_grid
 from deflectometry.shape.pixel_slopes import SlopeImage, measure_slopes
 from deflectometry.shape.smooth_shape import Align, ShapeSolution
@@ -25,6 +25,7 @@ from heliogauge.flags import SampleFlag
 from heliogauge.running.progress import Progress
 from heliogauge.short_repr import ShortRepr
 from heliogauge.slopes.map import SlopeMap
+from heliogauge.validate import FloatArray
 
 #: Pixels for the common modes: with 400 the coefficients of degree 3 are known 30 times better than one pixel.
 MODE_PIXELS = 400
@@ -53,6 +54,8 @@ class Evaluation(ShortRepr):
     maps: Slope map of each measured facet, with nothing taken out but by the alignment.
     fine_maps: The same as fine as the pixels, whatever grid was asked for. Their curl is judged: means over the cells
         of a coarse grid fold waviness back, so that their differences are no longer those of one surface.
+    fine_responses: What one sigma of each input adds to the waviness of each, from
+        `deflectometry.shape.fine_structure.fine_responses`.
     choices: How the slopes are reported.
     doubts: What makes pose, facets or maps doubtful.
     sigma_turn_rad: Standard deviation of the mirror's orientation from the reflection, where all display points share
@@ -66,6 +69,7 @@ class Evaluation(ShortRepr):
     images: dict[str, SlopeImage]
     maps: dict[str, SlopeMap]
     fine_maps: dict[str, SlopeMap]
+    fine_responses: dict[str, FloatArray]
     choices: Choices
     doubts: tuple[Doubt, ...] = ()
     sigma_turn_rad: float = 0.0
@@ -112,18 +116,10 @@ def evaluate_source(
         modes = common_modes(setup, few, solution, located.pose, align=align, places=located.places)
         # Pose and set-up are those of all facets: what follows them is found once.
         inputs = tuple(moved_inputs(setup, solution.cam_from_mirror, located.pose))
-        fine = {
-            one.facet.name: fine_share(
-                setup,
-                one,
-                solution,
-                inputs,
-                images[one.facet.name],
-                surfaces[one.facet.name],
-                located.edge_width_px,
-            )
-            for one in few
+        responses = {
+            one.facet.name: fine_responses(setup, one, solution, inputs, surfaces[one.facet.name]) for one in few
         }
+        fine = {name: fine_share(one, images[name], located.edge_width_px) for name, one in responses.items()}
     plan = plan_grid(images, located.facets, choices.grid_step_m, choices.align)
     finest = plan_grid(images, located.facets, 0.0, choices.align)
     plans = (plan, finest) if plan.step_m > finest.step_m else (plan,)
@@ -151,4 +147,16 @@ def evaluate_source(
     off_m = np.sqrt(square) * setup.size_m
     mirror_m = (setup.cam_from_screen.inverse() @ solution.cam_from_mirror).translation_m
     sigma_turn = 0.5 * float(np.linalg.norm(off_m) / np.linalg.norm(mirror_m))
-    return Evaluation(located, screen_map, facet_index, solution, images, maps, fine_maps, choices, doubts, sigma_turn)
+    return Evaluation(
+        located,
+        screen_map,
+        facet_index,
+        solution,
+        images,
+        maps,
+        fine_maps,
+        responses,
+        choices,
+        doubts,
+        sigma_turn,
+    )

@@ -136,9 +136,16 @@ def contradiction_of_setup(evaluation: Evaluation, inputs: Sequence[StatedInput]
     tested = {name: one for name, one in found.items() if one is not None}
     if not tested:
         return None
-    name, moments = max(tested.items(), key=lambda pair: pair[1].chi_square)
+    least = CURL_PROBABILITY / len(tested)
+    # What errors do to waviness only widens the covariance: asked where the smooth part alone does not explain it.
+    suspect = {
+        name: one.with_waviness(evaluation.fine_responses[name]) for name, one in tested.items() if _chance(one) < least
+    }
+    if not suspect:
+        return None
+    name, moments = max(suspect.items(), key=lambda pair: pair[1].chi_square)
     chi_square = moments.chi_square
-    if 1.0 - chi_square_cdf(chi_square, len(moments.values_per_m)) >= CURL_PROBABILITY / len(tested):
+    if _chance(moments) >= least:
         return None
     explained = sorted((_explain(moments, one, name) for one in inputs), key=lambda one: one.chi_square)
     best = explained[0]
@@ -178,6 +185,11 @@ def contradiction_of_setup(evaluation: Evaluation, inputs: Sequence[StatedInput]
         "sigma_width_mm, sigma_height_mm; [camera] sigma_focal_px, sigma_center_px; [mirror.distance] sigma_mm)"
     )
     return SetupContradiction(Doubt("setup_contradicts_slopes", text, numbers), tuple(concerned), amounts)
+
+
+def _chance(moments: CurlMoments) -> float:
+    """Return how often errors within the sigmas make so large means."""
+    return 1.0 - chi_square_cdf(moments.chi_square, len(moments.values_per_m))
 
 
 def _explain(moments: CurlMoments, one: StatedInput, facet: str) -> _Explanation:

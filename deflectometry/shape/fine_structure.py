@@ -25,46 +25,41 @@ _FEWEST_PIXELS = 200
 _LEAST_WAVINESS = 0.1
 
 
-def fine_share(
-    setup: Setup,
-    sample: PixelSamples,
-    solution: ShapeSolution,
-    inputs: Sequence[MovedInput],
-    image: SlopeImage,
-    surface: FittedSurface,
-    edge_width_px: float,
-) -> FloatArray:
+def fine_share(responses: FloatArray, image: SlopeImage, edge_width_px: float) -> FloatArray:
     """Return the relative standard deviation of the waviness in x and in y, shape (2,).
 
-    sample, image, surface: Pixels, slopes and smooth shape of one facet.
-    inputs: Camera, screen and pose with one of them moved after the other, from `moved_inputs`.
+    responses (k, 2, 2): Of one facet, from `fine_responses`.
+    image: Its slopes.
     edge_width_px: Width of the mirror's edges in the image; NaN where it was not measured [px].
 
     Common modes are smooth: they hold what one sigma of the set-up does to the mirror's shape, but not that waviness is
     measured on the scale of the screen's size and distance. The image is blurred as its edges are wide, and waviness
     with it; the share that this takes away is about the share that the same blur takes away once more.
     """
-    scale = _scale_share(setup, sample, solution, inputs, surface)
+    scale = np.linalg.norm(np.diagonal(responses, axis1=1, axis2=2), axis=0)
     return np.asarray(np.hypot(scale, _blur_share(image, edge_width_px)))
 
 
-def _scale_share(
+def fine_responses(
     setup: Setup,
     sample: PixelSamples,
     solution: ShapeSolution,
     inputs: Sequence[MovedInput],
     surface: FittedSurface,
 ) -> FloatArray:
-    """Return what one sigma of each input does to the change of slope with the display point, as a share (2,)."""
+    """Return what one sigma of each input adds to waviness, in both slopes for that of either, shape (k, 2, 2).
+
+    sample, surface: Pixels and smooth shape of one facet.
+    inputs: Camera, screen and pose with one of them moved after the other, from `moved_inputs`.
+
+    A scale of the screen stretches waviness; one turned about its own normal makes slopes in y of those in x.
+    """
     chosen = spread_indices(len(sample.pixels_px), _PIXELS)
     few = replace(sample, pixels_px=sample.pixels_px[chosen], u=sample.u[chosen], v=sample.v[chosen])
     cam_from_mirror = solution.cam_from_mirror
     start = np.linalg.inv(_slopes_by_display(setup, few, cam_from_mirror, surface))
-    total = np.zeros(2)
-    for one in inputs:
-        ratio = _slopes_by_display(one.setup, few, one.cam_from_mirror, surface) @ start
-        total += np.square(np.nanmedian(np.diagonal(ratio, axis1=1, axis2=2), axis=0) - 1.0)
-    return np.asarray(np.sqrt(total))
+    ratios = [_slopes_by_display(one.setup, few, one.cam_from_mirror, surface) @ start for one in inputs]
+    return np.array([np.nanmedian(one, axis=0) - np.eye(2) for one in ratios]).reshape(-1, 2, 2)
 
 
 def _slopes_by_display(

@@ -1,6 +1,6 @@
 """Smooth curl of a slope map: means over the mirror that are zero for every surface, with their covariance."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 
 import cv2
@@ -46,6 +46,40 @@ class CurlMoments:
     def of_modes(self, modes: CommonModes) -> FloatArray:
         """Return the same means of smooth slope errors, shape (k, number of modes) [1/m]."""
         return self._weights.of_modes(modes)
+
+    def with_waviness(self, responses: FloatArray) -> "CurlMoments":
+        """Return the same moments with what errors of measurement do to waviness in their covariance.
+
+        responses (k, 2, 2): What one sigma of each error adds to both slopes, for waviness in either.
+
+        Modes are polynomials: where slopes step, as at a kink, what an error makes of the step is no polynomial, and
+        slopes along y that a turned screen makes of a step in slopes along x have a curl.
+        """
+        one, valid = self.slope_map, self.slope_map.valid
+        waves = _beside_modes(one, valid)
+        known = np.where(valid, 0.0, np.nan)
+        fields = np.zeros((2, 2, len(_POWERS)))
+        for seen, wave in enumerate(waves):
+            for into in range(2):
+                slopes = [known, known]
+                slopes[into] = wave
+                bare = replace(one, slope_x=slopes[0] + one.design_slope_x, slope_y=slopes[1] + one.design_slope_y)
+                fields[into, seen] = self._weights.of_slopes(bare, valid)[0]
+        effects = np.einsum("kis,ism->mk", responses, fields)
+        return replace(self, covariance=self.covariance + effects @ effects.T)
+
+
+def _beside_modes(slope_map: SlopeMap, valid: BoolArray) -> FloatArray:
+    """Return what polynomials of the degree of the common modes leave of the slope errors, shape (2, ny, nx)."""
+    errors = np.stack([slope_map.slope_error_x, slope_map.slope_error_y])
+    if not slope_map.common.sources:
+        return errors
+    columns, rows = slope_map.common.powers_on(slope_map.x_m, slope_map.y_m)
+    degree = slope_map.common.degree
+    terms = np.stack([np.outer(rows[j], columns[i])[valid] for j in range(degree + 1) for i in range(degree + 1 - j)])
+    left = np.full_like(errors, np.nan)
+    left[:, valid] = errors[:, valid] - np.linalg.solve(terms @ terms.T, terms @ errors[:, valid].T).T @ terms
+    return left
 
 
 def curl_moments(slope_map: SlopeMap) -> CurlMoments | None:

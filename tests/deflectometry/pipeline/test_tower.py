@@ -119,8 +119,9 @@ def test_unams_bent_facet_and_its_two_spots(tmp_path: Path) -> None:
     assert [np.sqrt(np.mean(one**2)) for one in whole] == pytest.approx(UNAM_SIGMA_RAD, rel=2e-3)
     true = [float(np.std(one[found.valid])) for one in truth.slopes(x_m, y_m)]
     assert [result.numbers["sdx_rad"], result.numbers["sdy_rad"]] == pytest.approx(true, abs=1e-5)
-    # The light is steady: that two places of the display are seen says nothing of it.
-    assert "light_changes" not in {one.code for one in result.doubts}
+    # The light is steady: that two places of the display are seen says nothing of it. Slopes in y that a screen turned
+    # within its sigma makes of the bend step where it does, as no polynomial does.
+    assert not {one.code for one in result.doubts} & {"light_changes", "setup_contradicts_slopes"}
     target = facing_target(201.0, 8.0, 7.0)
     light = Illumination(PillboxSun(SOLAR_DISC_RAD), direction_to_sun_for(target, [0.0, 0.0, 1.0]))
     spot = trace(found, np.zeros(x_m.shape), light, target=target, rays=400_000, rng=np.random.default_rng(1))
