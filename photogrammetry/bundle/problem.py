@@ -119,6 +119,12 @@ class BundleProblem(ShortRepr):
         place = {name: i for i, name in enumerate(self.observations.targets)}
         return np.array([place[name] for name in names], dtype=np.intp)
 
+    @property
+    def constraint_targets(self) -> tuple[IntArray, ...]:
+        """Places of the targets of each constraint."""
+        every = self.target_indices([name for one in self.constraints for name in one.targets])
+        return tuple(np.split(every, np.cumsum([len(one.targets) for one in self.constraints], dtype=np.intp))[:-1])
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Layout:
@@ -159,8 +165,7 @@ def layout_of(problem: BundleProblem, state: BundleState) -> Layout:
     n_targets = len(problem.observations.targets)
     fixed = problem.target_indices(problem.fixed)
     linked: set[int] = set()
-    for constraint in problem.constraints:
-        index = problem.target_indices(constraint.targets)
+    for constraint, index in zip(problem.constraints, problem.constraint_targets, strict=True):
         _, jacobian = constraint.rows(state.points_m[index])
         touches = (jacobian != 0).any(axis=2)
         linked.update(index[touches[touches.sum(axis=1) > 1].any(axis=0)].tolist())

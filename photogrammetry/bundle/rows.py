@@ -115,7 +115,7 @@ class BundleModel:
         self.camera_slices = [slice(int(a), int(b)) for a, b in pairwise(bounds.tolist())]
         self.starts = [run_starts(self.photo[part]) for part in self.camera_slices]
         self._fixed = problem.target_indices(problem.fixed)
-        self.constraint_targets = tuple(problem.target_indices(one.targets) for one in problem.constraints)
+        self.constraint_targets = problem.constraint_targets
         self.prior_jacobian, self._prior_values = self._priors(start)
 
     def _priors(self, start: BundleState) -> tuple[FloatArray, FloatArray]:

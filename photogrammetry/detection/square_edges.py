@@ -2,13 +2,13 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
+from heliogauge.adjust.small_fits import Descent, SmallFits, descend
 from heliogauge.errors import EstimationError
-from heliogauge.validate import FloatArray, freeze
+from heliogauge.validate import FloatArray, IntArray, freeze
 from photogrammetry.centers.disc_model import normal_distribution
 
 #: Part of a side that is used; near the corners the other side's blur disturbs, and corners are rounded in print.
@@ -17,8 +17,13 @@ _FROM, _TO = 0.1, 0.9
 _MOST_BAND_PX, _BAND_CELLS = 4.0, 0.85
 #: Passes: the detector's corners are off by a pixel or two, so the band is laid anew.
 _PASSES = 3
-_STEPS = 8
 _N_PARAMETERS = 7
+#: Undamped steps alone swing for ever on edges narrower than a pixel, by 0.3 px on photos of a wall.
+_DESCENT = Descent(most_steps=20, first=1e-3, down=0.1, up=10.0, rise=1e-9, ridge=1e-9)
+#: Step of a line that is the last (a corner is known to hundredths), and how far a line may be from its start [px].
+_CLOSE_PX, _MOST_OFF_PX = 5e-4, 4.0
+#: A pixel's own width, less a little for its square shape [px].
+_LEAST_WIDTH_PX = 0.25
 #: Width of an edge before it is measured: small markers do not separate it from a shift of the side.
 _USUAL_WIDTH_PX, _WIDTH_SIGMA_PX = 0.6, 0.3
 #: Below this many pixels for a cell, the border's inner edge is seen together with its outer one.
@@ -54,9 +59,13 @@ class SquareCorners:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Side:
-    """Offsets of a line from the start's, at its first and second corner, outwards positive."""
+    """Offsets of a line from the start's, at its first and second corner, outwards positive.
+
+    edge (5,): Width [px], ink and step with their slopes along the side [DN].
+    """
 
     offsets_px: FloatArray
+    edge: FloatArray
     covariance_px2: FloatArray
     section_offsets_px: FloatArray
     contrast_dn: float
@@ -81,10 +90,11 @@ def square_corners(
     pixel, where a corner operator sees a dozen pixels that the print rounds.
     """
     corners = np.array(corners_px, dtype=np.float64)
+    sides: list[_Side] = []
     for _ in range(_PASSES):
         start = corners
         # Turned so that the side runs along the first row, from its first cell to its last.
-        sides = [_fit_side(window_dn, start, k, np.rot90(white, k)[1]) for k in range(4)]
+        sides = _fit_sides([_band_of_side(window_dn, start, k, np.rot90(white, k)[1]) for k in range(4)], sides)
         corners, derivatives = _intersections(start, sides)
         if np.abs(corners - start).max() < 1e-3:
             break
@@ -130,7 +140,28 @@ def with_correlated_errors(squares: Sequence[SquareCorners]) -> tuple[SquareCorn
     )
 
 
-def _fit_side(window_dn: FloatArray, corners: FloatArray, k: int, behind: npt.NDArray[np.bool_]) -> _Side:
+@dataclass(frozen=True, slots=True, eq=False)
+class _Band:
+    """Pixels near one side.
+
+    along: Position along it (0 to 1).
+    outwards_px: Distance outwards [px].
+    values_dn: Grey values [DN].
+    border_px, white: What follows on the black border: the border's width there [px], and how white it is.
+    inside_dn, outside_dn: Levels of ink and paper [DN].
+    """
+
+    along: FloatArray
+    outwards_px: FloatArray
+    values_dn: FloatArray
+    border_px: FloatArray
+    white: FloatArray
+    inside_dn: float
+    outside_dn: float
+
+
+def _band_of_side(window_dn: FloatArray, corners: FloatArray, k: int, behind: npt.NDArray[np.bool_]) -> _Band:
+    """Return the pixels near the side from corner k to the next."""
     cells = len(behind)
     first, second = corners[k], corners[(k + 1) % 4]
     along = second - first
@@ -152,66 +183,92 @@ def _fit_side(window_dn: FloatArray, corners: FloatArray, k: int, behind: npt.ND
     if len(values) < 3 * _N_PARAMETERS or min(len(within), len(beyond)) < _N_PARAMETERS:
         raise EstimationError(f"{len(values)} pixels show a side; {3 * _N_PARAMETERS} are needed")
     inside, outside = float(np.median(within)), float(np.median(beyond))
-    back = _Back(ends[0] + t * (ends[1] - ends[0]), _white_behind(t * length, behind, length))
     if outside - inside <= 0:
         raise EstimationError("a side of the square is not darker inside than outside")
-    # Offsets at both corners, width, ink (level, slope along), step (level, slope along).
-    p = np.array([0.0, 0.0, _USUAL_WIDTH_PX, inside, 0.0, outside - inside, 0.0])
-    most = np.array([1.0, 1.0, 0.3, *[np.inf] * 4])
-    for _ in range(_STEPS):
-        residuals, jacobian = _step_model(p, t, d, values, back)
-        weight = float(np.sqrt(np.mean(residuals**2))) / _WIDTH_SIGMA_PX
-        step = np.linalg.lstsq(
-            np.vstack([jacobian, weight * np.eye(_N_PARAMETERS)[2]]),
-            np.append(residuals, weight * (_USUAL_WIDTH_PX - p[2])),
-            rcond=None,
-        )[0]
-        p = p + np.clip(step, -most, most)
-        p[2] = np.clip(p[2], 0.25, _MOST_BAND_PX)
-        if np.abs(step[:2]).max() < 1e-4:
-            break
-    residuals, jacobian = _step_model(p, t, d, values, back)
-    if np.abs(p[:2]).max() > 4.0 or p[5] <= 0 or not np.isfinite(p).all():
+    white = _white_behind(t * length, behind, length)
+    return _Band(t, d, values, ends[0] + t * (ends[1] - ends[0]), white, inside, outside)
+
+
+def _fit_sides(bands: list[_Band], before: list[_Side]) -> list[_Side]:
+    """Fit the lines of all sides.
+
+    before: The same sides in the pass before: the corners have moved to their lines, and the edges are as wide and
+        high as they were. Empty in the first pass.
+    """
+    counts = [one.along.size for one in bands]
+
+    def together(name: str) -> FloatArray:
+        padded = np.zeros((len(bands), max(counts)))
+        for row, one in enumerate(bands):
+            padded[row, : counts[row]] = getattr(one, name)
+        return padded
+
+    t, d, values, border, white = map(together, ("along", "outwards_px", "values_dn", "border_px", "white"))
+    used = np.arange(max(counts)) < np.array(counts)[:, None]
+    start = np.zeros((len(bands), _N_PARAMETERS))
+    for row, one in enumerate(bands):
+        edge = [_USUAL_WIDTH_PX, one.inside_dn, 0.0, one.outside_dn - one.inside_dn, 0.0]
+        start[row, 2:] = before[row].edge if before else edge
+    mean = np.zeros_like(start)
+    mean[:, 2] = _USUAL_WIDTH_PX
+    fits = SmallFits(
+        start, *_step_model(start, t, d, values, border, white), used.astype(np.float64), mean, np.zeros_like(start),
+        np.zeros(len(bands), dtype=np.bool_),
+    )  # fmt: skip
+
+    def variances() -> FloatArray:
+        squares = (fits.roots * fits.residuals**2).sum(axis=1)
+        return np.asarray(squares / (np.array(counts) - _N_PARAMETERS))
+
+    # The width's own knowledge weighs by the noise, which the residuals show once the line is near.
+    for _ in range(1 if before else 2):
+        fits.prior_weights[:, 2] = variances() / _WIDTH_SIGMA_PX**2
+        descend(
+            fits,
+            np.arange(len(bands)),
+            lambda rows, p: _step_model(p, t[rows], d[rows], values[rows], border[rows], white[rows]),
+            lambda step: np.abs(step[:, :2]).max(axis=1) < _CLOSE_PX,
+            _DESCENT,
+            _limit_width,
+        )
+    return [
+        _side(fits.parameters[row], fits.jacobian[row, :, : counts[row]], fits.residuals[row, : counts[row]], one)
+        for row, one in enumerate(bands)
+    ]
+
+
+def _limit_width(rows: IntArray, trial: FloatArray) -> npt.NDArray[np.bool_]:
+    trial[:, 2] = np.clip(trial[:, 2], _LEAST_WIDTH_PX, _MOST_BAND_PX)
+    return np.asarray(np.abs(trial[:, :2]).max(axis=1) < _MOST_OFF_PX)
+
+
+def _side(p: FloatArray, jacobian: FloatArray, residuals: FloatArray, band: _Band) -> _Side:
+    """Return a fitted side with its covariance, and how straight it is."""
+    if np.abs(p[:2]).max() > _MOST_OFF_PX or p[5] <= 0 or not np.isfinite(p).all():
         raise EstimationError("a side of the square lies elsewhere: no clear edge")
-    normal = jacobian.T @ jacobian
-    variance = float(residuals @ residuals) / (len(values) - _N_PARAMETERS)
+    normal = jacobian @ jacobian.T
+    variance = float(residuals @ residuals) / (residuals.size - _N_PARAMETERS)
     normal[2, 2] += variance / _WIDTH_SIGMA_PX**2
     covariance = np.asarray(variance * np.linalg.pinv(normal), dtype=np.float64)
-    slope = jacobian[:, 0] + jacobian[:, 1]
-    section = np.minimum(((t - _FROM) / (_TO - _FROM) * _SECTIONS).astype(np.intp), _SECTIONS - 1)
+    slope = jacobian[0] + jacobian[1]
+    section = np.minimum(((band.along - _FROM) / (_TO - _FROM) * _SECTIONS).astype(np.intp), _SECTIONS - 1)
     weights = np.bincount(section, slope * slope, _SECTIONS)
     offsets = np.bincount(section, slope * residuals, _SECTIONS) / np.maximum(weights, 1e-9)
     # Two of the sections' degrees of freedom went into the line.
     excess = float(np.sum(offsets**2 * weights)) / (variance * (_SECTIONS - 2))
-    return _Side(p[:2], covariance[:2, :2], offsets, float(p[5] + 0.5 * p[6]), float(p[2]), excess)
-
-
-class _Band(NamedTuple):
-    """Pixels along a side: position along it (0 to 1), distance outwards [px], grey value [DN]."""
-
-    along: FloatArray
-    outwards_px: FloatArray
-    values_dn: FloatArray
+    return _Side(p[:2], p[2:], covariance[:2, :2], offsets, float(p[5] + 0.5 * p[6]), float(p[2]), excess)
 
 
 def _near_side(
     window_dn: FloatArray, first: FloatArray, along_per_px: FloatArray, outward: FloatArray, band: tuple[float, float]
-) -> _Band:
-    """Return the pixels within a band."""
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return position along the side (0 to 1), distance outwards [px] and grey value [DN] of the pixels in a band."""
     x = np.arange(window_dn.shape[1]) - first[0]
     y = (np.arange(window_dn.shape[0]) - first[1])[:, None]
     t = along_per_px[0] * x + along_per_px[1] * y
     d = outward[0] * x + outward[1] * y
     near = (t > _FROM) & (t < _TO) & (d > -band[0]) & (d < band[1])
-    return _Band(t[near], d[near], np.asarray(window_dn[near], dtype=np.float64))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Back:
-    """What follows on the black border at each pixel: the border's width, and how white it is."""
-
-    width_px: FloatArray
-    white: FloatArray
+    return t[near], d[near], np.asarray(window_dn[near], dtype=np.float64)
 
 
 def _white_behind(along_px: FloatArray, behind: npt.NDArray[np.bool_], length: float) -> FloatArray:
@@ -225,18 +282,20 @@ def _white_behind(along_px: FloatArray, behind: npt.NDArray[np.bool_], length: f
 
 
 def _step_model(
-    p: FloatArray, t: FloatArray, d: FloatArray, values: FloatArray, back: _Back
+    p: FloatArray, t: FloatArray, d: FloatArray, values: FloatArray, border: FloatArray, white: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    z = (d - (1 - t) * p[0] - t * p[1]) / p[2]
+    """Return residuals (m, k) and derivatives of the model (m, 7, k) of m sides; the arguments are those of `_Band`."""
+    first, second, width, ink, ink_slope, step, step_slope = p.T[..., None]
+    z = (d - (1 - t) * first - t * second) / width
     front, bell = normal_distribution(z)
     # The inner edge moves with the outer one, by one border's width inwards.
-    inner = z + back.width_px / p[2]
+    inner = z + border / width
     rear, rear_bell = normal_distribution(-inner)
-    share = front + back.white * rear
-    height = p[5] + p[6] * t
-    residuals = values - (p[3] + p[4] * t + height * share)
-    by_z = height * (bell - back.white * rear_bell) / p[2]
-    by_width = height * (bell * z - back.white * rear_bell * inner) / p[2]
+    share = front + white * rear
+    height = step + step_slope * t
+    residuals = values - (ink + ink_slope * t + height * share)
+    by_z = height * (bell - white * rear_bell) / width
+    by_width = height * (bell * z - white * rear_bell * inner) / width
     jacobian = np.stack([-by_z * (1 - t), -by_z * t, -by_width, np.ones_like(t), t, share, share * t], axis=1)
     return residuals, jacobian
 

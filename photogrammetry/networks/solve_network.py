@@ -227,8 +227,8 @@ def solve_from(
             suspects=suspects,
         )
         if waiting:
-            back = {alone.problem.observations.label(row) for row in range(alone.problem.observations.n)}
-            rejected = (*(one for one in waiting if one.label not in back), *rejected)
+            back = np.isin(table.pair_keys[[one.row for one in waiting]], alone.problem.observations.pair_keys)
+            rejected = (*(one for one, is_back in zip(waiting, back, strict=True) if not is_back), *rejected)
         table, state = alone.problem.observations, alone.state
         network = _without_innocent(network, table)
         table, state = _without_empty(table, state)
