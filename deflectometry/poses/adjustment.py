@@ -16,7 +16,8 @@ class PoseSlopes:
 
     slopes (n,): Coefficients of polynomials that hold its slope errors.
     covariance (n, n): Of their noise.
-    common (n, k): Change of the coefficients for +1 sigma of each error that all poses have in common.
+    common (n, k): Change of the coefficients for +1 sigma of each error that all poses have in common: those of camera
+        and screen first, then those of the places of facets.
     own (n, m): The same for errors of this pose alone.
     measured_at (k,): Amounts of the common errors, in sigmas, with which the slopes were measured.
     free_turns: The last so many own errors are turns of the mirror that no measurement knows: they add up to zero

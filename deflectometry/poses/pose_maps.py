@@ -15,8 +15,9 @@ from heliogauge.slopes.integration import integrate_slopes
 from heliogauge.slopes.map import CommonModes, SlopeMap, monomials
 from heliogauge.validate import BoolArray, FlagArray, Float32Array, FloatArray
 
-#: Sources whose errors each pose has for itself; all others are those of camera and screen.
-_OWN_SOURCES = (MIRROR_POSE, FACET_PLACE, PLACE_IN_PATTERN, "fringe periods")
+#: Sources whose errors each pose has for itself; all others, of camera and screen and of the places of facets in the
+#: mirror, are the same in all poses.
+_OWN_SOURCES = (MIRROR_POSE, PLACE_IN_PATTERN, "fringe periods")
 #: Turns of the aligned mirror between poses: the tilt of a rough surface is sure to far less.
 _TURN_RAD = 1e-3
 #: Nodes worked on at a time.
@@ -68,7 +69,7 @@ class PoseMaps:
     """The maps of one pose, and the amounts of the common errors with which they were measured.
 
     maps: Of each measured facet by its name.
-    measured_at (k,): Amounts in stated sigmas.
+    measured_at (k,): Amounts of those of camera and screen, in stated sigmas.
     """
 
     maps: dict[str, KeptMap]
@@ -137,11 +138,16 @@ def _fit_facet(kept: KeptMap, template: SlopeMap, facet: Facet, measured: BoolAr
     for axis in (0, 1):
         part = slice(axis * terms, (axis + 1) * terms)
         covariance[part, part] = kept.noise_correlation * solver @ noise[axis] @ solver
-    is_own = np.array([source in _OWN_SOURCES for source in modes.sources], dtype=bool)
+    is_own, is_place = (
+        np.array([source in group for source in modes.sources], dtype=bool) for group in (_OWN_SOURCES, (FACET_PLACE,))
+    )
     changes = modes.coefficients.reshape(len(modes.sources), -1).T
-    turns = fitted[1:].reshape(n_turns, -1).T
+    turns = fitted[1:].reshape(n_turns, 2 * terms).T
     return _FacetFit(
-        fitted[0].ravel(), covariance, changes[:, ~is_own], np.concatenate([changes[:, is_own], turns], axis=1)
+        fitted[0].ravel(),
+        covariance,
+        np.concatenate([changes[:, ~is_own & ~is_place], changes[:, is_place]], axis=1),
+        np.concatenate([changes[:, is_own], turns], axis=1),
     )
 
 
@@ -162,12 +168,14 @@ def _joined(fits: Sequence[_FacetFit], measured_at: FloatArray, *, aligned: bool
     covariance = np.zeros((sizes[-1], sizes[-1]))
     for low, high, one in zip(sizes[:-1], sizes[1:], fits, strict=True):
         covariance[low:high, low:high] = one.covariance
+    common = np.concatenate([one.common for one in fits])
     return PoseSlopes(
         np.concatenate([one.slopes for one in fits]),
         covariance,
-        np.concatenate([one.common for one in fits]),
+        common,
         np.concatenate([one.own for one in fits]),
-        measured_at,
+        # Facets are measured where they are stated to be.
+        np.pad(measured_at, (0, common.shape[1] - measured_at.size)),
         free_turns=2 if aligned else 0,
     )
 

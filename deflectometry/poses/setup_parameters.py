@@ -56,8 +56,9 @@ def _parameters(setup: Setup, steps: Sequence[SetupStep], solution: JointSolutio
     def one(name: str, unit: str, stated: float, by_steps: FloatArray) -> Iterator[SetupParameter]:
         sigma = float(np.linalg.norm(by_steps))
         if sigma > 0:
-            found = stated + float(by_steps @ solution.common)
-            sigma_found = float(np.sqrt(by_steps @ solution.covariance_common @ by_steps))
+            count = by_steps.size
+            found = stated + float(by_steps @ solution.common[:count])
+            sigma_found = float(np.sqrt(by_steps @ solution.covariance_common[:count, :count] @ by_steps))
             yield SetupParameter(name, unit, stated, sigma, found, sigma_found)
 
     sizes = _sizes_m(setup)

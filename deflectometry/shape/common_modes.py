@@ -23,8 +23,8 @@ MODE_DEGREE = 3
 MIRROR_POSE = "mirror pose"
 #: Source of the modes of single facets that are not where the ensemble has them.
 FACET_PLACE = "place of a facet"
-#: Facets are moved by so much at most [m].
-_STEP_M = 2e-3
+#: Facets are moved by so much at most; a sigma below that of rounding is none [m].
+_STEP_M, _NO_STEP_M = 2e-3, 1e-12
 
 
 def common_modes(
@@ -89,7 +89,7 @@ def modes_of_inputs(
 class MovedSamples:
     """Lines of sight and the points seen along them with one input moved, and the name of its source.
 
-    times: How many of these moves are one sigma.
+    times: How many of these moves are one sigma; 0 for an input that is exact.
     """
 
     source: str
@@ -119,6 +119,10 @@ def modes_of_samples(
     changes: list[list[FloatArray]] = []
     rounds = RoundLimits(2, 1, must_settle=False)
     for one in moved(start.cam_from_mirror):
+        if one.times == 0.0:
+            sources.append(one.source)
+            changes.append([np.zeros_like(before[1]) for before in base])
+            continue
         shape = solve_shape(one.samples, one.cam_from_mirror, align=align, start=start, rounds=rounds)
         sources.append(one.source)
         moved_on = departures(one.samples, shape, start)
@@ -180,17 +184,22 @@ def moved_inputs(setup: Setup, cam_from_mirror: RigidTransform, located: Uncerta
 def moved_facets(
     setup: Setup, cam_from_mirror: RigidTransform, located: UncertainPose, places: Sequence[FacetPlace]
 ) -> Iterator[MovedInput]:
-    """Yield the facets moved one by one, by one sigma along each principal direction of what is known of their place.
+    """Yield the facets moved one by one by the three columns of the symmetric root of what is known of their place.
 
-    A pose that was found from the outlines follows.
+    A pose that was found from the outlines follows. Other than principal directions the columns of that root belong
+    together one by one when several poses of a mirror know its places alike: facets are where they are in all of them.
     """
     aligned = located.cam_from_mirror.inverse() @ cam_from_mirror
     for place in places:
-        for step in principal_steps(place.covariance_m2):
+        values, vectors = np.linalg.eigh(place.covariance_m2)
+        root = (vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T
+        for step in root.T:
             # Steps of a place that is hardly known are no small ones; what they do is proportional to them.
-            times = max(float(np.linalg.norm(step)) / _STEP_M, 1.0)
-            pose = located.cam_from_mirror.moved(place.pose_by_place @ step / times) @ aligned
-            yield MovedInput(FACET_PLACE, setup, pose, frozenset({place.name}), step / times, times)
+            length = float(np.linalg.norm(step))
+            times = max(length / _STEP_M, 1.0) if length > _NO_STEP_M else 0.0
+            step_m = step / max(times, 1.0)
+            pose = located.cam_from_mirror.moved(place.pose_by_place @ step_m) @ aligned
+            yield MovedInput(FACET_PLACE, setup, pose, frozenset({place.name}), step_m, times)
 
 
 def moved_input(setup: Setup, cam_from_mirror: RigidTransform, located: UncertainPose, step: SetupStep) -> MovedInput:

@@ -74,7 +74,7 @@ def run(measurement: PosesMeasurement, options: Options | None = None, progress:
         if joint.maps.correction_rad <= _LAST_STEP_SIGMAS * joint.maps.sigma_common_rad:
             break
         usable = {name: measurement.poses[name] for name in one_round.names}
-        one_round = _measure_all(usable, chosen, steps, joint.solution.common, progress)
+        one_round = _measure_all(usable, chosen, steps, joint.solution.common[: len(steps)], progress)
         joint = _adjust(one_round, facets, align)
     as_measured = joint.maps.maps
     with progress.stage("statistics"):
@@ -95,7 +95,7 @@ def run(measurement: PosesMeasurement, options: Options | None = None, progress:
     with progress.stage("hash inputs"):
         hashes = hash_files(measurement.input_files, measurement.folder)
     return PosesResult(
-        setup=moved_setup(stated, steps, joint.solution.common),
+        setup=moved_setup(stated, steps, joint.solution.common[: len(steps)]),
         steps=tuple(steps),
         parameters=parameters,
         solution=joint.solution,
@@ -251,11 +251,12 @@ def _rows(stated: _Round, adjusted: _Round, solution: JointSolution) -> Iterator
     for (name, one), own in zip(adjusted.runs.items(), solution.own, strict=True):
         # The errors of the mirror's own pose come first among those that a pose has for itself.
         steps = principal_steps(one.row.covariance)
-        chosen = [*range(solution.common.size), *range(first, first + len(steps))]
+        of_setup = len(one.follows)
+        chosen = [*range(of_setup), *range(first, first + len(steps))]
         follows = np.concatenate([one.follows, steps])
         before = stated.runs[name]
         before_follows = np.concatenate([before.follows, principal_steps(before.row.covariance)])
-        moved = np.concatenate([solution.common - one.maps.measured_at, own[: len(steps)]]) @ follows
+        moved = np.concatenate([solution.common[:of_setup] - one.maps.measured_at, own[: len(steps)]]) @ follows
         yield replace(
             one.row,
             cam_from_mirror=one.row.cam_from_mirror.moved(moved),

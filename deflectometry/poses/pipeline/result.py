@@ -160,7 +160,8 @@ class PosesResult(InstrumentResult):
     def _camera(self) -> Camera:
         """Return the camera as found, with the covariance that the poses leave it."""
         steps = np.array([one.camera for one in self.steps]).reshape(-1, 10)
-        return self.setup.camera.with_covariance(steps.T @ self.solution.covariance_common @ steps)
+        covariance = self.solution.covariance_common[: len(steps), : len(steps)]
+        return self.setup.camera.with_covariance(steps.T @ covariance @ steps)
 
 
 def doubts_of_setup(parameters: Sequence[SetupParameter]) -> Iterator[Doubt]:

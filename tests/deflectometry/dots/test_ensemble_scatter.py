@@ -111,7 +111,7 @@ def test_facets_displaced_along_the_line_of_sight_are_as_far_off_as_their_covari
     for result, error, covariance, _ in _results(tmp_path, knowledge):
         with_places.append(_chi_square(error, covariance))
         modes = result.evaluation.maps[_scene().scene.facets[0].name].common
-        assert modes.sources.count(FACET_PLACE) == len(_scene().scene.facets)
+        assert modes.sources.count(FACET_PLACE) == 3 * len(_scene().scene.facets)
         without.append(_chi_square(*_errors(result, _scene(), FACET_PLACE)[:2]))
     assert 0.8 < np.sqrt(np.mean(with_places)) < 1.25
     assert np.sqrt(np.mean(without)) > 2.0
