@@ -12,8 +12,11 @@ from photogrammetry.centers import Ellipse, TargetCenter
 
 #: Samples along each side of a pixel: the area of what is seen of a dot of 4 px is then right to a per cent.
 _FINE = 4
-#: Most steps of the fit, and the step that is its last [px]: the next would be a tenth, far below any sigma.
-_STEPS, _ENOUGH_PX = 6, 5e-3
+#: Most steps of the fit, and the step that is its last [px]: the next would be a tenth, far below any sigma. Of a dot
+#: whose steps do not end the place is not known.
+_STEPS, _ENOUGH_PX = 12, 5e-3
+#: Share of the dots' distance from where a dot is expected beyond which what is seen there is another one.
+_FARTHEST = 0.35
 #: Sigmas of the contrast that make a dot, as of any target, and shares of the usual contrast that it may have.
 _STANDS_OUT, _LEAST_CONTRAST, _MOST_CONTRAST = 8.0, 0.5, 1.5
 #: Step for derivatives [px].
@@ -33,16 +36,20 @@ def fit_cut_dot(rim: Rim, start: Ellipse, contrast_dn: float, dots: FoundDots) -
     window = _Window.around(rim, start, dots.blur_px)
     if window is None:
         return None
-    place, contrast = start.center_px, -window.sign * contrast_dn
+    place, contrast, farthest_px = start.center_px, -window.sign * contrast_dn, _FARTHEST * dots.spacing_px
     for _ in range(_STEPS):
         model, jacobian = window.model(place, start.shape_px2, 0.0)
         normal = np.column_stack([contrast * jacobian, model])
         residual = window.values_dn - contrast * model
         step = np.linalg.lstsq(normal, residual, rcond=None)[0]
         place, contrast = place + np.clip(step[:2], -1.0, 1.0), contrast + step[2]
+        if np.linalg.norm(place - start.center_px) > farthest_px:
+            return None
         if np.abs(step[:2]).max() < _ENOUGH_PX:
             break
-    if np.linalg.norm(place - start.center_px) > 0.35 * dots.spacing_px or not rim.holds(place):
+    else:
+        return None
+    if not rim.holds(place):
         return None
     model, jacobian = window.model(place, start.shape_px2, 0.0)
     normal = np.column_stack([contrast * jacobian, model])
@@ -90,11 +97,8 @@ class _Window:
         # Without the dots around, whose own light is in many pixels of the window where they stand close.
         self.values_dn = (rim.photo_dn[part] - rim.ground_dn[part])[self.used]
         self.sign = 1.0 if np.median(self.values_dn[(near < 0.5)[self.used]]) < 0.0 else -1.0
-        fine = (
-            (np.arange(width * _FINE) + 0.5) / _FINE - 0.5 + left,
-            (np.arange(height * _FINE) + 0.5) / _FINE - 0.5 + top,
-        )
-        self.fine = np.stack(np.meshgrid(*fine), axis=-1)
+        self.fine_x = (np.arange(width * _FINE) + 0.5) / _FINE - 0.5 + left
+        self.fine_y = ((np.arange(height * _FINE) + 0.5) / _FINE - 0.5 + top)[:, None]
         resized = cv2.resize(self.inside_px, (width * _FINE, height * _FINE), interpolation=cv2.INTER_LINEAR)
         self.fine_inside_px = np.asarray(resized, dtype=np.float64)
 
@@ -122,8 +126,9 @@ class _Window:
         return shares[0], np.stack([by_x, by_y], axis=1)
 
     def _share(self, place_px: FloatArray, shape_px2: FloatArray, moved_px: float) -> FloatArray:
-        off = self.fine - place_px
-        square = np.einsum("...i,ij,...j->...", off, np.linalg.inv(shape_px2), off)
+        (a, b), (_, c) = np.linalg.inv(shape_px2)
+        x, y = self.fine_x - place_px[0], self.fine_y - place_px[1]
+        square = a * x * x + (2 * b * y) * x + c * y * y
         radius = float(np.linalg.det(shape_px2)) ** 0.25
         # Each sample stands for its own area: edges as soft as that.
         dot = np.clip((1.0 - np.sqrt(square)) * radius * _FINE + 0.5, 0.0, 1.0)

@@ -1,11 +1,12 @@
 """Where a mirror ends in a photo of dots."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from heliogauge.short_repr import ShortRepr
-from heliogauge.validate import Float32Array, FloatArray
+from heliogauge.validate import BoolArray, Float32Array, FloatArray
 from photogrammetry.centers import REACH, Ellipse
 
 #: Standard deviations of a blur beyond which there is nothing left of it (a thousandth).
@@ -40,9 +41,16 @@ class Rim(ShortRepr):
         """Return whether a place is within the outline."""
         return self._at(place_px)[0] > 0.0
 
-    def is_near(self, ellipse: Ellipse, blur_px: float) -> bool:
-        """Return whether the pixels that a dot is measured with show the edge."""
-        return bool(self._at(ellipse.center_px)[0] < REACH * ellipse.semi_axes_px[0] + BLURS * blur_px)
+    def are_near(self, ellipses: Sequence[Ellipse], blur_px: float) -> BoolArray:
+        """Return whether the pixels that each dot is measured with show the edge, shape (n,)."""
+        if not ellipses:
+            return np.zeros(0, dtype=np.bool_)
+        reach = REACH * np.array([one.semi_axes_px[0] for one in ellipses]) + BLURS * blur_px
+        # The next pixel is less than one pixel away.
+        near = self.inside_at(np.array([one.center_px for one in ellipses])) < reach + 1.0
+        for k in np.flatnonzero(near).tolist():
+            near[k] = self._at(ellipses[k].center_px)[0] < reach[k]
+        return np.asarray(near)
 
     def inside_at(self, places_px: FloatArray) -> FloatArray:
         """Return how far places (n, 2) are within the outline, to the next pixel [px]."""

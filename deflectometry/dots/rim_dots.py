@@ -53,7 +53,8 @@ def find_rim(
     """
     blur = max(edge_blur_px(float(np.nan_to_num(edge_width_px, nan=2.0))), 0.3)
     spacing = max(one.spacing_px for one in found)
-    reach = BLURS * blur + 2.0 * spacing
+    # As far as the edges' blur, and the light of dots near them, go.
+    reach = max(BLURS * blur + 2.0 * spacing, *(_farthest_px(one) + 1.0 for one in found))
     inside = outline_distance_px(camera, cam_from_mirror, facets, reach)
     clear = np.ones(photo_dn.shape, dtype=np.uint8)
     for dots in found:
@@ -77,6 +78,11 @@ def _reach_px(dots: FoundDots) -> float:
     return _radius_px(dots) + BLURS * dots.blur_px + 1.0
 
 
+def _farthest_px(dots: FoundDots) -> float:
+    """Return how far from an edge a dot is at most whose light reaches a pixel near it [px]."""
+    return 2.0 * _reach_px(dots) + dots.spacing_px
+
+
 def _put_discs(image: npt.NDArray[np.uint8], places_px: FloatArray, radius_px: float, value: int) -> None:
     for x, y in np.rint(places_px).astype(int).tolist():
         cv2.circle(image, (x, y), int(np.ceil(radius_px)), value, cv2.FILLED)
@@ -98,7 +104,7 @@ def with_rim_dots(dots: FoundDots, rim: Rim) -> FoundDots:
         the rest, with a larger sigma; those that it cuts more off are marked.
     """
     ellipses = [Ellipse(*one) for one in zip(dots.centers_px, dots.outlines_px2, strict=True)]
-    near = np.array([rim.is_near(one, dots.blur_px) for one in ellipses], dtype=np.bool_)
+    near = rim.are_near(ellipses, dots.blur_px)
     if not near.any():
         return dots
     expected, their_number = expected_dots(dots.centers_px, dots.number)
@@ -106,7 +112,8 @@ def with_rim_dots(dots: FoundDots, rim: Rim) -> FoundDots:
     clear = ~near if np.count_nonzero(~near) >= LIKE_SO_MANY else np.ones_like(near)
     usual = like_neighbours(dots.centers_px[near], dots.centers_px[clear], dots.outlines_px2[clear])
     new = like_neighbours(expected, dots.centers_px[clear], dots.outlines_px2[clear])
-    may_be = np.array([rim.is_near(one, dots.blur_px) and rim.holds(one.center_px) for one in new], dtype=np.bool_)
+    may_be = rim.are_near(new, dots.blur_px)
+    may_be[may_be] = [rim.holds(one.center_px) for one, there in zip(new, may_be, strict=True) if there]
     starts = [one for one, there in zip(ellipses, near, strict=True) if there]
     starts += [one for one, there in zip(new, may_be, strict=True) if there]
     alike = [*usual, *(one for one, there in zip(new, may_be, strict=True) if there)]
@@ -164,7 +171,7 @@ def edges_without_dots(
     for dots in found:
         expected, _ = expected_dots(dots.centers_px, dots.number)
         reach = _reach_px(dots)
-        near = np.abs(rim.inside_at(dots.centers_px)) < 2.0 * (reach + dots.spacing_px)
+        near = np.abs(rim.inside_at(dots.centers_px)) < _farthest_px(dots)
         unknown = dots.is_cut | ~np.isfinite(dots.contrast_dn)
         # Of a dot that is cut the disc would be taken off beyond the edge as well.
         for k in np.flatnonzero(near & ~unknown).tolist():

@@ -4,9 +4,9 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
 from deflectometry.pipeline.choices import Choices
-from deflectometry.pipeline.evaluate import Evaluation, evaluate_source
+from deflectometry.pipeline.evaluate import Evaluation, map_slopes, solve_reflection
 from deflectometry.pipeline.headline import curl_numbers, facet_numbers
-from deflectometry.pipeline.plausibility import implausible, refuse_impossible, turn_in_sigmas
+from deflectometry.pipeline.plausibility import contradicts_outline, implausible, refuse_impossible, turn_in_sigmas
 from deflectometry.pose.find_pose import MirrorInput
 from deflectometry.setup.camera_and_screen import RectangularScreen, Setup
 from deflectometry.shape.assemble import assemble_maps
@@ -76,8 +76,12 @@ def refuse_contradictions(
 def _agrees(one: _Exchange, mirror: MirrorInput, choices: Choices) -> bool:
     """Return whether nothing contradicts with an exchange put back."""
     try:
-        evaluation = evaluate_source(one.source, one.setup, mirror, choices, SilentProgress())
-        refuse_impossible(one.setup, evaluation.solution.cam_from_mirror)
+        reflection = solve_reflection(one.source, one.setup, mirror, choices, SilentProgress())
+        refuse_impossible(one.setup, reflection.solution.cam_from_mirror)
+        # Before the maps, which take most of the time.
+        if contradicts_outline(reflection):
+            return False
+        evaluation = map_slopes(reflection, one.setup, SilentProgress())
         assembled = assemble_maps(evaluation.located.facets, evaluation.maps, choices.align, Removal.NOTHING)
         curls = {name: curl_numbers(one) for name, one in evaluation.fine_maps.items()}
         found = implausible(facet_numbers(assembled, assembled), curls, evaluation)

@@ -12,7 +12,7 @@ from deflectometry.pose.mirror_outline import mirror_masks
 from deflectometry.pose.mirrors_in_image import find_mirrors
 from deflectometry.setup.camera_and_screen import Setup
 from deflectometry.shape.common_modes import common_modes, moved_inputs
-from deflectometry.shape.facet_pixels import solve_shape_of_pixels, thinned, usable_facets
+from deflectometry.shape.facet_pixels import UsableFacets, solve_shape_of_pixels, thinned, usable_facets
 from deflectometry.shape.fine_structure import fine_responses, fine_share
 from deflectometry.shape.gridding import grid_slopes, plan_grid
 from deflectometry.shape.pixel_slopes import SlopeImage, measure_slopes
@@ -75,6 +75,24 @@ class Evaluation(ShortRepr):
     sigma_turn_rad: float = 0.0
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Reflection(ShortRepr):
+    """What a measurement gives before its slopes are laid on a grid; the fields of `Evaluation` are as there.
+
+    usable: The facets that show the pattern, and their pixels.
+    past_display: What is doubtful of the display's edge.
+    """
+
+    located: LocatedMirror
+    screen_map: ScreenMap
+    facet_index: npt.NDArray[np.int16]
+    solution: ShapeSolution
+    usable: UsableFacets
+    choices: Choices
+    past_display: Doubt | None
+    sigma_turn_rad: float
+
+
 def evaluate_source(
     source: Source, setup: Setup, mirror: MirrorInput, choices: Choices, progress: Progress
 ) -> Evaluation:
@@ -84,6 +102,16 @@ def evaluate_source(
     Returns: Slopes of pixels and maps.
     InputError: Images that do not fit camera or pattern.
     EstimationError: No mirror found, or none of its facets shows the pattern.
+    """
+    return map_slopes(solve_reflection(source, setup, mirror, choices, progress), setup, progress)
+
+
+def solve_reflection(
+    source: Source, setup: Setup, mirror: MirrorInput, choices: Choices, progress: Progress
+) -> Reflection:
+    """Find the mirror's pose and smooth shape: all that says whether reflection and outline agree.
+
+    Parameters and errors are those of `evaluate_source`.
     """
     check_size(source.size_px, setup.camera, "images")
     with progress.stage("find mirror"):
@@ -105,6 +133,24 @@ def evaluate_source(
         usable = usable_facets(located.facets, screen_map, facet_index)
         samples, align = usable.samples, choices.align is Align.NORMAL
         solution = solve_shape_of_pixels(setup, samples, located.pose.cam_from_mirror, align=align)
+    past = edge.doubt if mirror.known_pose is None else None
+    # A screen point that is off by s turns the normal by half of s over the distance.
+    square = setup.sigma_shift**2
+    for one in setup.facet_shifts:
+        # The mean of all facets turns by the share of those that do.
+        square = square + (one.sigma * len(one.facets) / len(samples)) ** 2
+    off_m = np.sqrt(square) * setup.size_m
+    mirror_m = (setup.cam_from_screen.inverse() @ solution.cam_from_mirror).translation_m
+    sigma_turn = 0.5 * float(np.linalg.norm(off_m) / np.linalg.norm(mirror_m))
+    return Reflection(located, screen_map, facet_index, solution, usable, choices, past, sigma_turn)
+
+
+def map_slopes(reflection: Reflection, setup: Setup, progress: Progress) -> Evaluation:
+    """Measure the slopes of all pixels with their uncertainty, and lay them on a grid."""
+    located, screen_map, facet_index = reflection.located, reflection.screen_map, reflection.facet_index
+    solution, usable, choices = reflection.solution, reflection.usable, reflection.choices
+    samples, align = usable.samples, choices.align is Align.NORMAL
+    with progress.stage("slopes"):
         surfaces = {sample.facet.name: surface for sample, surface in zip(samples, solution.surfaces, strict=True)}
         poses = {sample.facet.name: solution.cam_from_mirror @ sample.facet.ensemble_from_facet for sample in samples}
         images = {
@@ -135,18 +181,11 @@ def evaluate_source(
             ]
             gridded[name], as_pixels[name] = found[0], found[-1].slope_map
             stage.advance()
-    past = edge.doubt if mirror.known_pose is None else None
-    doubts = gather_doubts(past, located.doubts, usable.doubts, *(one.doubts for one in gridded.values()))
+    doubts = gather_doubts(
+        reflection.past_display, located.doubts, usable.doubts, *(one.doubts for one in gridded.values())
+    )
     maps = {name: replace(one.slope_map, fine_share=fine[name]) for name, one in gridded.items()}
     fine_maps = {name: replace(one, fine_share=fine[name]) for name, one in as_pixels.items()}
-    # A screen point that is off by s turns the normal by half of s over the distance.
-    square = setup.sigma_shift**2
-    for one in setup.facet_shifts:
-        # The mean of all facets turns by the share of those that do.
-        square = square + (one.sigma * len(one.facets) / len(samples)) ** 2
-    off_m = np.sqrt(square) * setup.size_m
-    mirror_m = (setup.cam_from_screen.inverse() @ solution.cam_from_mirror).translation_m
-    sigma_turn = 0.5 * float(np.linalg.norm(off_m) / np.linalg.norm(mirror_m))
     return Evaluation(
         located,
         screen_map,
@@ -158,5 +197,5 @@ def evaluate_source(
         responses,
         choices,
         doubts,
-        sigma_turn,
+        reflection.sigma_turn_rad,
     )

@@ -10,7 +10,7 @@ from math import isfinite
 import numpy as np
 
 from deflectometry.pipeline.curl_test import curl_doubt
-from deflectometry.pipeline.evaluate import Evaluation
+from deflectometry.pipeline.evaluate import Evaluation, Reflection
 from deflectometry.pipeline.headline import flag_words
 from deflectometry.pipeline.stated_inputs import StatedInput
 from deflectometry.setup.camera_and_screen import Setup
@@ -128,7 +128,12 @@ def _rejection_doubt(evaluation: Evaluation) -> Iterator[Doubt]:
         )
 
 
-def turn_in_sigmas(evaluation: Evaluation) -> float:
+def contradicts_outline(reflection: Evaluation | Reflection) -> bool:
+    """Return whether the reflection gives another orientation than the outline."""
+    return turn_in_sigmas(reflection) > _TURN_SIGMAS
+
+
+def turn_in_sigmas(evaluation: Evaluation | Reflection) -> float:
     """Return how far the orientation from the reflection is off the one from the outline; 0 without an outline.
 
     Where two tilts fit the outline alike, so do those between them if the mirror faces the camera: foreshortening goes
@@ -147,7 +152,7 @@ def turn_in_sigmas(evaluation: Evaluation) -> float:
 
 def _turn_doubt(evaluation: Evaluation) -> Iterator[Doubt]:
     """Compare the orientation from the reflection with the one from the outline."""
-    if not turn_in_sigmas(evaluation) > _TURN_SIGMAS:
+    if not contradicts_outline(evaluation):
         return
     located = evaluation.located
     before, after = located.pose.cam_from_mirror, evaluation.solution.cam_from_mirror

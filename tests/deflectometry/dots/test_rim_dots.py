@@ -7,6 +7,7 @@ import pytest
 from scipy.ndimage import gaussian_filter
 from scipy.special import ndtr
 
+from deflectometry.dots import cut_dots
 from deflectometry.dots.cut_dots import fit_cut_dot
 from deflectometry.dots.found_dots import FoundDots
 from deflectometry.dots.rim import Rim
@@ -101,6 +102,17 @@ def test_a_cut_dot_is_where_it_is_said_to_be_however_close_its_neighbours_stand(
     assert np.abs(errors.mean(axis=0)).max() < 0.03
     # The mean of 48 squares is right to 0.2; light of neighbours that reaches into its pixels counts as noise.
     assert 0.6 < chi_square < 1.6
+
+
+def test_a_cut_dot_whose_steps_do_not_end_has_no_place(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Starts are 0.3 px off: one step leaves some hundredths, which counted as no error at all."""
+    dots, rim = strip_of_dots(5, 5)
+    start = Ellipse(dots.centers_px[2] + 0.3, RADIUS_PX**2 * np.eye(2))
+    found = fit_cut_dot(rim, start, 100.0, dots)
+    assert found is not None
+    assert np.linalg.norm(found.center_px - (dots.centers_px[2] - 0.1)) < 0.05
+    monkeypatch.setattr(cut_dots, "_STEPS", 1)
+    assert fit_cut_dot(rim, start, 100.0, dots) is None
 
 
 @pytest.mark.parametrize(("pitch_px", "blur_px"), [(18.0, 1.0), (15.0, 2.0), (12.0, 1.5)])
