@@ -23,10 +23,9 @@ from data_synth.screens import ScreenChoice, write_screen_dataset
 from deflectometry.fringes import Observation, ScreenMapLimits
 from deflectometry.pipeline import Choices, evaluate_source
 from deflectometry.screen_geometry import MeasuredScreen, load_screen, read_screen, run
-from deflectometry.screen_geometry.pipeline.geometry import Result
-from deflectometry.setup.dot_screen import DotScreen
 from heliogauge.geometry.alignment import align_points
 from heliogauge.running.progress import SilentProgress
+from photogrammetry import ImagePoints
 from tests.deflectometry.screen_geometry.published_wall import write_published_wall
 
 SEEDS = range(3)
@@ -43,9 +42,10 @@ def command(folder: Path, out: Path) -> float:
     return (after.ru_utime - before.ru_utime) + (after.ru_stime - before.ru_stime)
 
 
-def places_by_the_publishers_way(folder: Path, result: Result, published_m: np.ndarray) -> np.ndarray:
+def places_by_the_publishers_way(folder: Path, table: ImagePoints, published_m: np.ndarray) -> np.ndarray:
     """Return the dots as rays intersect whose photos are placed by OpenCV's corners of the markers alone (n, 3) [m].
 
+    table: Dots of the photos.
     published_m (n, 3): Which dots are sought.
 
     So OpenCSP does it (`CalibrateSofastFixedDots`): corners to a pixel, markers' coordinates and camera taken as exact.
@@ -56,7 +56,6 @@ def places_by_the_publishers_way(folder: Path, result: Result, published_m: np.n
     lens = np.array([camera.k1, camera.k2, camera.p1, camera.p2])
     known = {one.target: one.xyz_m for one in load_screen(folder).model.control_point}
     finder = cv2.aruco.ArucoDetector(cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_1000))
-    table = result.network.result.measured.points
     normal, right = np.zeros((len(published_m), 3, 3)), np.zeros((len(published_m), 3))
     for number, photo in enumerate(table.photos):
         corners, numbers, _ = finder.detectMarkers(cv2.imread(str(folder / photo), cv2.IMREAD_GRAYSCALE))
@@ -99,7 +98,7 @@ def published_wall(scratch: Path) -> None:
     theirs = published[-(31 - rows) - first[1], -(columns - 31) - first[0]]
     away = measured.screen.xyz_m - theirs
     there = np.isfinite(away[..., 0])
-    again = places_by_the_publishers_way(folder, result, theirs[there])
+    again = places_by_the_publishers_way(folder, result.network.result.measured.points, theirs[there])
     sigma = measured.sigma_points_m(columns / 63, rows / 63)
     own = measured.screen.sigma_at(columns / 63, rows / 63)
 
@@ -123,14 +122,18 @@ def published_wall(scratch: Path) -> None:
         row(f"  {name} [s]", f"{seconds:.2f}", "", "")
 
 
-def joint_chi_square(measured: MeasuredScreen, u: np.ndarray, v: np.ndarray, error_m: np.ndarray) -> float:
+def joint_chi_square(
+    measured: MeasuredScreen, u: np.ndarray, v: np.ndarray, error_m: np.ndarray, *, has_own: bool
+) -> float:
     """Return the chi-square of errors of points by their joint covariance, over its degrees of freedom.
+
+    has_own: Each point has errors of its own.
 
     What a scale bar does to all points is one error: squared ratios of single points count it hundreds of times.
     """
     shared = np.array([one.warp.shifts_m(u, v).ravel() for one in measured.shared])
     covariance = shared.T @ shared
-    if isinstance(measured.screen, DotScreen):
+    if has_own:
         covariance += np.diag(measured.screen.sigma_at(u, v).ravel() ** 2)
     values, vectors = np.linalg.eigh(covariance)
     keep = values > 1e-9 * values[-1]
@@ -163,7 +166,7 @@ def drawn_screens(scratch: Path, show: str, noise_rad: float) -> None:
         poses.append(off @ np.linalg.solve(measured.covariance_pose, off) / 6)
         errors.append(error)
         ratios.append(error / measured.sigma_points_m(u, v))
-        joint.append(joint_chi_square(measured, u, v, error))
+        joint.append(joint_chi_square(measured, u, v, error, has_own=show == "dots"))
         # A source point that is off by e across turns a normal by half the angle under which the mirror sees it.
         slopes.append(error[:, :2] / (2 * DISTANCE_M))
     title(f"Drawn photos of a bent screen, {show}, {len(SEEDS)} sets", ("measured", "asked", "fringe noise"))
