@@ -66,7 +66,8 @@ def test_offsets_of_displaced_facets_are_no_farther_off_than_their_covariance_sa
         left = whitened - pose @ np.linalg.lstsq(pose, whitened, rcond=None)[0]
         squares.append(float(left @ left) / (left.size - 6))
         np.testing.assert_allclose(found.places[0].covariance_m2, 0.004**2 * np.eye(3), rtol=1e-9)
-    assert np.sqrt(np.mean(squares)) < 1.25
+    # 0.21; half and double of it would be other covariances.
+    assert 0.1 < np.sqrt(np.mean(squares)) < 0.42
 
 
 def test_a_facet_off_its_place_is_named_and_its_distance_counts() -> None:
@@ -90,8 +91,8 @@ def test_places_that_nobody_states_are_known_as_outlines_know_them() -> None:
         np.testing.assert_array_equal(one.covariance_m2, one.covariance_offset_m2)
         across, along = np.sqrt(np.diag(one.covariance_m2))[[0, 2]]
         # Sides of 0.04 px, as rims leave them: 0.03 px of 13 mm across, with the turn 4 mm; more along the sight.
-        assert across < 6e-3
-        assert across < along < 4e-2
+        assert 1e-3 < across < 5e-3
+        assert 8e-3 < along < 2e-2
     unseen = stated_places(_ensemble(), [None] * 23 + [np.full(3, 0.001)])
     np.testing.assert_allclose(unseen.places[0].covariance_m2, 0.3**2 * np.eye(3))
     np.testing.assert_allclose(unseen.places[23].covariance_m2, 0.001**2 * np.eye(3))
