@@ -9,7 +9,14 @@ import numpy.typing as npt
 from heliogauge.adjust.robust_scale import robust_scale
 from heliogauge.errors import EstimationError
 from heliogauge.validate import BoolArray, FloatArray, IntArray
-from photogrammetry.centers import Ellipse, TargetCenter, has_free_ground, light_centers, measure_centers
+from photogrammetry.centers import (
+    Ellipse,
+    TargetCenter,
+    counted_share,
+    has_free_ground,
+    light_centers,
+    measure_centers,
+)
 from photogrammetry.detection import SearchLimits, find_outlines
 from photogrammetry.targets import Polarity
 
@@ -209,11 +216,13 @@ def _measured(image_dn: npt.NDArray[Any], spots: _Spots, number: IntArray, on_la
     size = np.where(by_outline, share, 1.0)
     shapes = np.concatenate([centres.shapes_px2[good], more.shapes_px2[there], chosen.shapes_px2[~good]])
     contrast = np.concatenate([centres.contrast_dn[good], more.contrast_dn[there], np.full(n_coarse, np.nan)])
+    outline_px = float(np.median(np.linalg.det(chosen.shapes_px2) ** 0.25))
+    counted = counted_share(np.sqrt(share) * outline_px, blur_px, outline_px) if by_outline.any() else 1.0
     return FoundDots(
         np.concatenate([centres.centers_px[good], more.centers_px[there], places[~good]]),
         np.concatenate([centres.covariance_px2[good], more.covariance_px2[there], np.tile(coarse, (n_coarse, 1, 1))]),
         np.concatenate([number[good], their_number[there], number[~good]]),
-        contrast / size,
+        contrast / np.where(by_outline, counted * size, 1.0),
         float(np.median(np.concatenate([centres.residual_dn[good], more.residual_dn[there]]))),
         n_coarse,
         shapes * size[:, None, None],

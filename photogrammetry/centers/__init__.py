@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from photogrammetry.centers.ellipse import Ellipse as Ellipse
     from photogrammetry.centers.ellipse import NamedEllipses as NamedEllipses
     from photogrammetry.centers.ellipse import eccentricity_px as eccentricity_px
+    from photogrammetry.centers.light_moments import counted_share as counted_share
     from photogrammetry.centers.light_moments import has_free_ground as has_free_ground
     from photogrammetry.centers.light_moments import light_centers as light_centers
     from photogrammetry.centers.measured_centers import measure_center as measure_center

@@ -96,6 +96,24 @@ def light_centers(
     return LightCenters(centers, covariance, light / area, usual, settled)
 
 
+def counted_share(radius_px: float, blur_px: float, outline_px: float) -> float:
+    """Return the share of a disc's light that `light_centers` counts: not its tail, nor what that adds to the ground.
+
+    radius_px: Of the disc [px].
+    blur_px: Standard deviation of its blur, pixel included [px].
+    outline_px: Radius of the outline that the window is laid around [px].
+    """
+    from scipy.special import chndtr
+
+    r = np.linspace(0.0, outline_px + _MARGIN_PX + 0.5 + _RING_PX, 400)
+    # Exact for a circle: the chance that a place, blurred, is on the disc.
+    light = chndtr((radius_px / blur_px) ** 2, 2.0, (r / blur_px) ** 2)
+    weight = np.clip(_MARGIN_PX + 0.5 - (r - outline_px), 0.0, 1.0)
+    ring = r > outline_px + _MARGIN_PX + 0.5
+    ground = float((light * r)[ring].sum() / r[ring].sum())
+    return float((weight * (light - ground) * r).sum() * (r[1] - r[0]) * 2 / radius_px**2)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class _Moments:
     """Shift of the centres, light over ground, noise of the ground, covariance per noise, whether all is there."""

@@ -93,9 +93,9 @@ def test_a_photo_without_dots_is_refused_in_words() -> None:
         find_dots(image, region, Polarity.BLACK_ON_WHITE)
 
 
-@pytest.mark.parametrize(("radius_px", "blur_px"), [(2.1, 1.1), (2.5, 0.8), (3.0, 1.0), (4.5, 1.0)])
+@pytest.mark.parametrize(("radius_px", "blur_px"), [(2.1, 1.1), (2.5, 0.8), (3.0, 1.0), (3.5, 1.3), (4.5, 1.0)])
 def test_size_and_contrast_of_a_dot_hold_its_light(radius_px: float, blur_px: float) -> None:
-    """Dots are taken off the photo by size, contrast and blur: of small ones 0.55 to 0.83 of their light was said."""
+    """Dots are taken off the photo by size, contrast and blur: without the tail of their blur it is 0.94 of that."""
     fine, pitch_px, count = 8, 14.0 if radius_px < 4 else 20.0, 8
     rng = np.random.default_rng(1)
     size = int(pitch_px * (count + 1))
@@ -110,4 +110,4 @@ def test_size_and_contrast_of_a_dot_hold_its_light(radius_px: float, blur_px: fl
     photo = np.rint(150 - 100 * blurred + rng.normal(0, 1, blurred.shape)).astype(np.uint8)
     dots = find_dots(photo, np.ones(photo.shape, dtype=np.bool_), Polarity.BLACK_ON_WHITE)
     light = dots.contrast_dn * np.pi * np.sqrt(np.linalg.det(dots.outlines_px2))
-    assert np.median(light) == pytest.approx(100 * np.pi * radius_px**2, rel=0.05)
+    assert np.median(light) == pytest.approx(100 * np.pi * radius_px**2, rel=0.01)
