@@ -90,8 +90,8 @@ def test_slopes_are_the_publishers_with_his_pose(shared_data: Path, folder: Path
     found, found_slopes, _ = _measured(run(load_dots(other)))
     distance, index = cKDTree(points[:, :2]).query(found)
     same = distance < 1e-3
-    # Beside these: dots that an edge cuts, whose middle he has from what is left of them, and one under the light. Two of
-    # them have 0.49 of the usual contrast, where half is asked of a cut dot.
+    # Beside these: dots that an edge cuts, whose middle he has from what is left of them, and one under the light. Two
+    # of them have 0.49 of the usual contrast, where half is asked of a cut dot.
     assert np.count_nonzero(same) >= 3759
     apart = found_slopes[same] - slopes[index[same]]
     apart -= apart.mean(axis=0)
