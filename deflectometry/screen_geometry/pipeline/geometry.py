@@ -13,7 +13,7 @@ from deflectometry.screen_geometry.pipeline.network import ScreenNetwork, see, s
 from deflectometry.screen_geometry.pipeline.screen_file import SCREEN_FILE, write_screen
 from deflectometry.screen_geometry.screen_shape import ShapeTest, describe_display, describe_dots
 from deflectometry.setup.dot_screen import DotScreen
-from heliogauge.doubts import Doubt, gather_doubts
+from heliogauge.doubts import Doubt, Severity, gather_doubts
 from heliogauge.errors import showing
 from heliogauge.measurement.writer import dump_toml, write_text
 from heliogauge.results.folder import Summary, hash_files, refuse_copies
@@ -234,7 +234,9 @@ def run(measurement: ScreenMeasurement, progress: Progress | None = None) -> Res
         network=network,
         tests=tests,
         name=model.name,
-        doubts=gather_doubts(network.doubts, _off_surface(measured, tests), _left_out(network)),
+        doubts=gather_doubts(
+            network.doubts, _off_surface(measured, tests), _left_out(network), _exact_camera(measurement)
+        ),
         durations_s=dict(progress.durations_s),
         input_sha256=hashes,
     )
@@ -256,6 +258,21 @@ def _off_surface(measured: MeasuredScreen, tests: tuple[ShapeTest, ...]) -> Doub
         f"(chi-square {last.chi_square:.0f} for {last.freedom}); counted as sigma of the surface; do all targets "
         "lie on the display, and are their fractions u, v right?",
         {"sigma_surface_m": measured.sigma_surface_m},
+    )
+
+
+def _exact_camera(measurement: ScreenMeasurement) -> Doubt | None:
+    """Return a note where nothing of any camera is estimated: then no sigma holds what is not known of them."""
+    if any(one.estimated for one in measurement.model.camera):
+        return None
+    names = ", ".join(one.name for one in measurement.model.camera)
+    return Doubt(
+        "screen_camera_exact",
+        f"nothing of the cameras ({names}) is estimated: they count as exact, and sigmas of the screen hold noise and "
+        "what is known of lengths and targets alone; name in `free` of [[camera]] what is not known exactly, with its "
+        "`sigma`",
+        {"cameras_count": len(measurement.model.camera)},
+        Severity.NOTE,
     )
 
 

@@ -85,6 +85,8 @@ def test_published_dot_wall(shared_data: Path, tmp_path: Path) -> None:
     rms = np.sqrt(np.nanmean(away**2, axis=(0, 1)))
     assert (rms < 2 * np.sqrt(np.mean(sigma**2, axis=(0, 1)))).all()
     assert (rms < 5e-4).all()
+    # His file says nothing of how well the camera is known.
+    assert "screen_camera_exact" in {one.code for one in result.doubts}
 
 
 @pytest.mark.slow
