@@ -9,7 +9,7 @@ from scipy.ndimage import gaussian_filter
 from deflectometry.pose.pose_observations import UncertainPose
 from deflectometry.shape.common_modes import moved_inputs
 from deflectometry.shape.facet_pixels import PixelSamples
-from deflectometry.shape.fine_structure import fine_share
+from deflectometry.shape.fine_structure import fine_responses, fine_share
 from deflectometry.shape.pixel_slopes import SlopeImage
 from deflectometry.shape.smooth_shape import ShapeSolution, start_surface
 from heliogauge.geometry.surfaces import Facet, plane
@@ -38,7 +38,7 @@ def share(laboratory, cam_from_mirror, image: SlopeImage, width_px: float) -> np
     pose = UncertainPose(cam_from_mirror, np.zeros((6, 6)))
     sample = PixelSamples(FACET, pixels, screen, screen)
     inputs = tuple(moved_inputs(laboratory, cam_from_mirror, pose))
-    return fine_share(laboratory, sample, solution, inputs, image, surface, width_px)
+    return fine_share(fine_responses(laboratory, sample, solution, inputs, surface), image, width_px)
 
 
 @pytest.mark.parametrize("noise", [0.0, 2e-5])
