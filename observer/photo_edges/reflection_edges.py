@@ -350,8 +350,7 @@ def beside_receiver_m(
     points_m: FloatArray, eyes_m: FloatArray, collector: Collector, absorber: AbsorberPath
 ) -> FloatArray:
     """Return how far lines of sight to mirror points pass beside the receiver, negative where it hides them [m]."""
-    outer = collector.absorber_diameter_m if collector.glass is None else collector.glass.outer_diameter_m
     axis_x, axis_z = absorber.at(points_m[:, 1])
     way_x, way_z = eyes_m[:, 0] - points_m[:, 0], eyes_m[:, 2] - points_m[:, 2]
     beside = (axis_x - points_m[:, 0]) * way_z - (axis_z - points_m[:, 2]) * way_x
-    return np.asarray(np.abs(beside) / np.hypot(way_x, way_z) - outer / 2)
+    return np.asarray(np.abs(beside) / np.hypot(way_x, way_z) - collector.receiver_diameter_m / 2)

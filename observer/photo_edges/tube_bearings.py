@@ -17,7 +17,7 @@ from heliogauge.geometry.surfaces import Quadric, quadric
 from heliogauge.validate import BoolArray, FloatArray, IntArray
 from observer.photo_edges.edges import Edges, find_edges
 from observer.photo_edges.rectify import Strip, pixel_samples, rectified_strip
-from observer.photo_edges.tube_in_glass import BEYOND_PX, Sighting, find_in_glass
+from observer.photo_edges.tube_profile import BEYOND_PX, Sighting, find_axis
 from observer.photo_edges.views import Shot
 from observer.trough.expectation import Expectation
 from observer.trough.glass import turned_rad
@@ -185,9 +185,10 @@ def _bearings(
     shared, ends = np.empty(len(seen)), np.searchsorted(which, np.arange(len(seen) + 1))
     for k, one in enumerate(seen):
         own = slice(ends[k], ends[k + 1])
+        angle[own], sigma[own], between_edges = _by_profile(one, plane, expected, row[own], angle[own])
+        # As the steepest places are apart, a bare tube tells whether it is in glass that nobody stated.
         if collector.glass is not None:
-            glass = _in_glass(one, plane, expected, row[own], angle[own])
-            angle[own], sigma[own], wide[own] = glass
+            wide[own] = between_edges
         turned = 2 * turned_rad(collector, 1 + _NEAR_PX * one.distance_m * one.pixel_rad / radius)
         shared[k] = _SHARED_PX * one.pixel_rad * max(1.0, turned / one.to_reflection_rad) ** _NEAR_POWER
     # Something dark in the glass beside one edge makes the tube look wider, and moves the bisector by half of that.
@@ -209,26 +210,26 @@ def _bearings(
     return [bearings.chosen(np.flatnonzero(kept & (which == k))) for k in range(len(seen))]
 
 
-def _in_glass(
+def _by_profile(
     seen: _Lookout, plane: Quadric, expected: Expectation, row: IntArray, angle_rad: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return angle and sigma of the axis of a tube in glass [rad], and how thick the tube looks [m], of each row.
+    """Return angle and sigma of the tube's axis [rad], and how thick the tube looks [m], of each row.
 
     Standard deviations are those whose mean over a group, `ROWS_ALIKE` rows counted as one, is the group's.
     """
     collector, y_m = expected.collector, expected.y_m
     pixel_m, slant = seen.distance_m * seen.pixel_rad, seen.distance_m / seen.height_m
-    if collector.glass is None or row.size == 0:
-        return angle_rad, np.zeros(row.size), np.zeros(row.size)
+    if row.size == 0:
+        return angle_rad, np.zeros(0), np.zeros(0)
     middle = float(np.mean(expected.absorber.x_m))
-    reach = SEARCH_M + (collector.glass.outer_diameter_m / 2 + (BEYOND_PX + 1) * pixel_m) * slant
+    reach = SEARCH_M + (collector.receiver_diameter_m / 2 + (BEYOND_PX + 1) * pixel_m) * slant
     x = np.arange(middle - reach, middle + reach, pixel_m * slant)
     rows_each = max(1, round(float(y_m[1] - y_m[0]) / pixel_m))
     samples = pixel_samples(seen.shot.image, seen.shot.view, plane, x, y_m, rows_each=rows_each)
     axis = middle, float(np.mean(expected.absorber.z_m))
     eye = seen.eye_m
     sighting = Sighting(float(eye[0]), seen.height_m, seen.distance_m, pixel_m, axis, float(eye[2]))
-    found = find_in_glass(samples, row, y_m[row], angle_rad, sighting, collector)
+    found = find_axis(samples, row, y_m[row], angle_rad, sighting, collector)
     each = found.sigma_rad * np.sqrt(np.maximum(found.rows / ROWS_ALIKE, 1.0))
     return found.angle_rad, each, 2 * found.radius_m
 

@@ -171,11 +171,10 @@ def _touching(scene: Scene, lattice: _Lattice, eye_m: FloatArray) -> _Touching:
 def _behind_receiver(sights: Sights, truth: Expectation, margin_m: float) -> BoolArray:
     """Return which lines of sight the receiver, glass and all, hides on their way to the mirror."""
     collector = truth.collector
-    outer = collector.absorber_diameter_m if collector.glass is None else collector.glass.outer_diameter_m
     axis_x, axis_z = truth.absorber.at(sights.points_m[:, 1])
     way = sights.eyes_m - sights.points_m
     beside = (axis_x - sights.points_m[:, 0]) * way[:, 2] - (axis_z - sights.points_m[:, 2]) * way[:, 0]
-    return np.asarray(np.abs(beside) / np.hypot(way[:, 0], way[:, 2]) < outer / 2 + margin_m)
+    return np.asarray(np.abs(beside) / np.hypot(way[:, 0], way[:, 2]) < collector.receiver_diameter_m / 2 + margin_m)
 
 
 def in_image(view: View, points_m: FloatArray) -> BoolArray:

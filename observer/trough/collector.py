@@ -112,6 +112,11 @@ class Collector(ShortRepr):
         return trough(self.focal_length_m)
 
     @property
+    def receiver_diameter_m(self) -> float:
+        """Outer diameter of the receiver: of the glass, or of a bare tube [m]."""
+        return self.absorber_diameter_m if self.glass is None else self.glass.outer_diameter_m
+
+    @property
     def n_panels(self) -> int:
         """Number of panels."""
         return (len(self.panel_edges_x_m) - 1) * (len(self.panel_edges_y_m) - 1)

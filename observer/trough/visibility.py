@@ -139,9 +139,8 @@ def _is_behind(
     nodes: _Nodes, to_x: FloatArray, to_z: FloatArray, distance: FloatArray, collector: Collector
 ) -> BoolArray:
     """Return whether the receiver is between the camera and the node."""
-    outer = collector.absorber_diameter_m if collector.glass is None else collector.glass.outer_diameter_m
     beside = (nodes.axis_x_m - nodes.x_m) * to_z - (nodes.axis_z_m - nodes.z_m) * to_x
-    return np.asarray(np.abs(beside) < outer / 2 * distance)
+    return np.asarray(np.abs(beside) < collector.receiver_diameter_m / 2 * distance)
 
 
 def _needed(nodes: _Nodes, eyes_m: FloatArray) -> tuple[float, float]:

@@ -1,14 +1,15 @@
-"""The tube behind glass: where the metal's axis is, by the light that glass and metal send.
+"""The absorber tube in a photo: where the metal's axis is, by the light that metal, glass and background send.
 
-Beside the metal one looks through two walls of glass. Across the tube a photo shows, beside each other: what is behind
-it, beyond the glass; the same through four faces, less what Fresnel's formulas say they reflect; what the faces throw
-back, which differs from side to side and is not known; the tube's own reflection, which the glass, a prism there,
-turns into view on one side; and the metal, on which the near wall shows its surroundings. Of this only the metal's
-edges stand where the axis says. Levels of brightness beside them, or the steepest place, put a tube of 8 pixels
-0.03 to 0.08 px aside, all photos to the same height: 2.4 mm in path-traced photos.
+Beside a bare tube a photo shows what is behind it, which changes over a few pixels where clouds are mirrored. In glass
+one looks through two walls beside the metal. Across the tube there are then, beside each other: what is behind it,
+beyond the glass; the same through four faces, less what Fresnel's formulas say they reflect; what the faces throw back,
+which differs from side to side and is not known; the tube's own reflection, which the glass, a prism there, turns into
+view on one side; and the metal, on which the near wall shows its surroundings. Of this only the metal's edges stand
+where the axis says. Levels of brightness beside them, or the steepest place, put a tube of 8 pixels 0.03 to 0.08 px
+aside, all photos to the same height: 2.4 mm in path-traced photos, and 1 mm for a bare tube.
 
 Here the whole profile is compared with what it consists of, each part with the amplitude that it may have (linear
-unknowns with priors, relative to what is seen beyond the glass), blurred by the lens and the pixel, for a few rows
+unknowns with priors, relative to what is seen beyond the receiver), blurred by the lens and the pixel, for a few rows
 together. The axis and the blur are what remains (variable projection, Gauss-Newton).
 
 Rays across a concentric tube keep their distance b from the axis (Bouguer), so that glass leaves the metal's edges
@@ -22,22 +23,21 @@ from typing import NamedTuple
 import numpy as np
 
 from heliogauge.adjust.chi_square import chi_square_cdf
-from heliogauge.errors import InputError
 from heliogauge.validate import FloatArray, IntArray
 from observer.photo_edges.rectify import PixelSamples
 from observer.trough.collector import Collector, GlassTube
 
 #: Rows that are taken together.
 ROWS_TOGETHER = 16
-#: The profile is tabulated this finely [m], as far beyond the glass as pixels can be used, and blur reaches.
+#: The profile is tabulated this finely [m], as far beyond the receiver as pixels can be used, and blur reaches.
 _STEP_M, _TABLE_M = 0.25e-3, 0.25
-#: Pixels beyond the glass that are used.
+#: Pixels beyond the receiver that are used.
 BEYOND_PX = 3.0
 #: Pixels are put together in bins of so many to a pixel's width.
 _BINS_PER_PX = 3
-#: Brightness of the metal, relative to what is beyond the glass: its mean is free; how it changes over the tube's half
+#: Brightness of the metal, relative to what is beyond the receiver: its mean is free; how it changes over the tube's half
 #: width (Legendre polynomials of the degrees 1 to 4) has this standard deviation. Faces reflect 0.07 of what is around.
-_METAL_DEGREE, _METAL_SIGMA = 4, 0.12
+_METAL_DEGREE, _METAL_MEAN, _METAL_SIGMA = 4, 0.25, 0.12
 #: What is behind the tube changes by this in 20 mm, as a slope and as a bend.
 _SLOPE_SIGMA, _BEND_SIGMA, _SCALE_M = 0.1, 0.05, 0.02
 #: What both walls throw back beside the metal, mean and standard deviation: 0.17 of what is around, dark or bright.
@@ -63,11 +63,10 @@ _ROUNDS = 6
 _FURTHEST_PX = 1.5
 
 
-class TubeInGlass(NamedTuple):
+class TubeByProfile(NamedTuple):
     """Where the axis is seen, for each row.
 
-    angle_rad (m,): Angle across the trough; NaN where it was not found, or the photo shows nothing beyond the glass
-        [rad].
+    angle_rad (m,): Angle across the trough; NaN where it was not found, or the photo shows nothing beyond it [rad].
     sigma_rad (m,): Standard deviation of the group of rows that a row belongs to [rad].
     radius_m (m,): Radius of the metal as its edges are apart [m].
     rows (m,): How many rows the group has.
@@ -97,15 +96,15 @@ class Sighting(NamedTuple):
     eye_z_m: float
 
 
-def find_in_glass(
+def find_axis(
     samples: PixelSamples,
     row: IntArray,
     y_m: FloatArray,
     angle_rad: FloatArray,
     sighting: Sighting,
     collector: Collector,
-) -> TubeInGlass:
-    """Find the axis of a tube behind glass.
+) -> TubeByProfile:
+    """Find the axis of a tube.
 
     Shapes: y_m (m,), angle_rad (m,).
     samples: Pixels on a plane near the axis.
@@ -114,14 +113,14 @@ def find_in_glass(
     angle_rad: Under which angle the middle between the edges is seen [rad].
     """
     if row.size == 0:
-        return TubeInGlass(np.zeros(0), np.zeros(0), np.zeros(0), np.zeros(0, dtype=np.intp))
+        return TubeByProfile(np.zeros(0), np.zeros(0), np.zeros(0), np.zeros(0, dtype=np.intp))
     _, group = np.unique(row // ROWS_TOGETHER, return_inverse=True)
     start = _straight(group, y_m, angle_rad)
     profiles = _profiles(samples, row, group, start, sighting, collector)
     fit = _fit(profiles, sighting, collector)
     angle = start + (fit.middle_m / sighting.distance_m)[group]
     good = (np.abs(fit.middle_m) < _FURTHEST_PX * sighting.pixel_m) & profiles.number.any(axis=1)
-    return TubeInGlass(
+    return TubeByProfile(
         np.where(good[group], angle, np.nan),
         (fit.sigma_m / sighting.distance_m)[group],
         (collector.absorber_diameter_m / 2 + fit.wider_m)[group],
@@ -141,7 +140,7 @@ class _Profiles(NamedTuple):
     """Mean brightness over the distance from the expected axis, of g groups in k bins.
 
     beside_m (g, k): Mean distance of the pixels [m].
-    light (g, k): Their mean brightness relative to that beyond the glass.
+    light (g, k): Their mean brightness relative to that beyond the receiver.
     number (g, k): How many they are.
     """
 
@@ -153,7 +152,7 @@ class _Profiles(NamedTuple):
 def _profiles(
     samples: PixelSamples, row: IntArray, group: IntArray, start: FloatArray, sighting: Sighting, collector: Collector
 ) -> _Profiles:
-    outer = _outer_radius(collector)
+    outer = collector.receiver_diameter_m / 2
     bin_m = sighting.pixel_m / _BINS_PER_PX
     reach = int(np.ceil((outer + BEYOND_PX * sighting.pixel_m) / bin_m))
     n, groups = 2 * reach + 1, int(group.max()) + 1
@@ -268,6 +267,52 @@ def _of_groups(profiles: FloatArray, place: FloatArray) -> FloatArray:
     return low + share * (profiles[group, before + 1] - low)
 
 
+#: Brightness over the distance from the axis, and mean and standard deviation of its amplitude.
+_Part = tuple[FloatArray, float, float]
+
+
+class _Behind(NamedTuple):
+    """What is seen beside the metal, brightness over the distance from the axis.
+
+    clear (n,): Share of the light from behind the tube.
+    of_sides: Parts whose amplitudes differ from side to side.
+    of_both: Parts with one amplitude on both sides.
+    beside_metal: Brightness next to the metal's edge.
+    """
+
+    clear: FloatArray
+    of_sides: list[_Part]
+    of_both: list[_Part]
+    beside_metal: float
+
+    @classmethod
+    def of_view(cls, sighting: Sighting, collector: Collector, beside: FloatArray) -> "_Behind":
+        radius, far = collector.absorber_diameter_m / 2, np.abs(beside)
+        glass = collector.glass
+        if glass is None:
+            return cls(1 - _up_to(far, radius), [], [], 1.0)
+        outer, inner = glass.outer_diameter_m / 2, glass.inner_diameter_m / 2
+        within, wall = _up_to(far, inner) - _up_to(far, radius), _up_to(far, outer) - _up_to(far, inner)
+        light = through_glass(glass, beside)
+        clear = 1 - _up_to(far, outer) + within * light.passed
+        miss = _miss_of_reflection(sighting, collector, beside, light.turned_rad)
+        moved = 2 * collector.focal_length_m * _SLOPES_RAD
+        dark, less, more = (
+            within * light.passed * _darkness(miss + way * moved, radius, outer) for way in (0.0, -1.0, 1.0)
+        )
+        of_sides = [
+            (within, _THROWN_MEAN, _THROWN_SIGMA),
+            (within * (far - radius) / (inner - radius), 0.0, _THROWN_SIGMA),
+            (wall, _WALL_MEAN, _WALL_SIGMA),
+            (-dark, _DARK_MEAN, _DARK_SIGMA),
+            ((less - more) / 2, 0.0, 1.0),
+        ]
+        # The glass beside the metal moves its own edges.
+        rim = -np.gradient(clear + wall * _WALL_MEAN, _STEP_M) * (far > (radius + inner) / 2)
+        beside_metal = float(np.interp(radius, beside, light.passed)) + _THROWN_MEAN
+        return cls(clear, of_sides, [(rim * _GLASS_OFF_M, 0.0, 1.0)], beside_metal)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class _Parts:
     """What a profile consists of, before blur.
@@ -282,37 +327,23 @@ class _Parts:
 
     @classmethod
     def of_view(cls, sighting: Sighting, collector: Collector) -> "_Parts":
-        glass = collector.glass
-        if glass is None:
-            raise InputError("a tube in glass is looked for where the collector has none; give it a glass")
-        radius, outer, inner = collector.absorber_diameter_m / 2, glass.outer_diameter_m / 2, glass.inner_diameter_m / 2
+        radius = collector.absorber_diameter_m / 2
         # Without its last place: a number of samples that Fourier transforms like.
         beside = np.arange(-_TABLE_M, _TABLE_M - _STEP_M / 2, _STEP_M)
         far = np.abs(beside)
-        metal, within = _up_to(far, radius), _up_to(far, inner) - _up_to(far, radius)
-        wall, beyond = _up_to(far, outer) - _up_to(far, inner), 1 - _up_to(far, outer)
-        light = through_glass(glass, beside)
-        clear = beyond + within * light.passed
-        parts: list[tuple[FloatArray, float, float]] = []
+        metal = _up_to(far, radius)
+        behind = _Behind.of_view(sighting, collector, beside)
         shapes = np.polynomial.legendre.legvander(np.clip(beside / radius, -1, 1), _METAL_DEGREE).T
-        parts += [(metal * one, 0.25 * (k == 0), _METAL_SIGMA if k else 1.0) for k, one in enumerate(shapes)]
-        scaled, across = (far - radius) / _SCALE_M, (far - radius) / (inner - radius)
-        miss = _miss_of_reflection(sighting, collector, beside, light.turned_rad)
-        moved = 2 * collector.focal_length_m * _SLOPES_RAD
-        dark, less, more = (
-            within * light.passed * _darkness(miss + way * moved, radius, outer) for way in (0.0, -1.0, 1.0)
-        )
+        parts = [(metal * one, _METAL_MEAN * (k == 0), _METAL_SIGMA if k else 1.0) for k, one in enumerate(shapes)]
+        scaled = (far - radius) / _SCALE_M
         for side in ((beside < 0) * 1.0, (beside >= 0) * 1.0):
-            parts += [(side * clear, 1.0, 1.0), (side * clear * scaled, 0.0, _SLOPE_SIGMA)]
-            parts += [(side * clear * scaled**2, 0.0, _BEND_SIGMA), (side * within, _THROWN_MEAN, _THROWN_SIGMA)]
-            parts += [(side * within * across, 0.0, _THROWN_SIGMA), (side * wall, _WALL_MEAN, _WALL_SIGMA)]
-            parts += [(-side * dark, _DARK_MEAN, _DARK_SIGMA), (side * (less - more) / 2, 0.0, 1.0)]
-        # The glass beside the metal moves its own edges; a metal that is wider moves both of its edges outwards.
-        rim = -np.gradient(clear + wall * _WALL_MEAN, _STEP_M) * (far > (radius + inner) / 2)
-        parts.append((rim * _GLASS_OFF_M, 0.0, 1.0))
+            clear = side * behind.clear
+            parts += [(clear, 1.0, 1.0), (clear * scaled, 0.0, _SLOPE_SIGMA), (clear * scaled**2, 0.0, _BEND_SIGMA)]
+            parts += [(side * one, mean, sigma) for one, mean, sigma in behind.of_sides]
+        parts += behind.of_both
+        # A metal that is wider moves both of its edges outwards.
         edge = np.gradient(metal, _STEP_M) * np.sign(beside)
-        step = float(np.interp(radius, beside, light.passed)) + _THROWN_MEAN - 0.25
-        parts.append((edge * step * _RADIUS_SIGMA_M, 0.0, 1.0))
+        parts.append((edge * (behind.beside_metal - _METAL_MEAN) * _RADIUS_SIGMA_M, 0.0, 1.0))
         return cls(np.array([one for one, _, _ in parts]), *np.array([[m, s] for _, m, s in parts]).T)
 
     def blurring(self, pixel_m: float, reach_m: float) -> tuple[int, Callable[[float], FloatArray]]:
@@ -395,7 +426,3 @@ def _miss_of_reflection(
     back_x, back_z = way_x + against * slope, way_z - against
     miss = ((x - axis_x) * back_z - (z - axis_z) * back_x) / np.hypot(back_x, back_z)
     return np.where((np.abs(x) < collector.aperture_width_m / 2) & (linear > 0), miss, np.inf)
-
-
-def _outer_radius(collector: Collector) -> float:
-    return collector.absorber_diameter_m / 2 if collector.glass is None else collector.glass.outer_diameter_m / 2

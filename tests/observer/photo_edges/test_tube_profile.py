@@ -1,5 +1,6 @@
-"""The tube behind glass: its axis from profiles drawn by another hand, and what glass does to light from data_synth."""
+"""The tube's axis from profiles drawn by another hand, and what glass does to light from data_synth."""
 
+from dataclasses import replace
 from math import cos, sin
 
 import numpy as np
@@ -10,15 +11,17 @@ from data_synth.troughs.mirror import Rays
 from data_synth.troughs.receiver import Receiver, ReceiverTable
 from heliogauge.camera.model import Camera
 from heliogauge.geometry.surfaces import quadric
-from observer.photo_edges import tube_in_glass
+from observer.photo_edges import tube_profile
 from observer.photo_edges.rectify import PixelSamples, pixel_samples
-from observer.photo_edges.tube_in_glass import Sighting, TubeInGlass, find_in_glass, through_glass
+from observer.photo_edges.tube_profile import Sighting, TubeByProfile, find_axis, through_glass
 from observer.photo_edges.views import View
 from observer.trough import ls2
 from tests.observer.drawn_tube import looking
 
 DESIGN = ls2()
 PIXEL_M, DISTANCE_M, ROWS = 8e-3, 13.5, 160
+#: Profiles are drawn this finely [m].
+FINE_M = 0.1e-3
 #: As `observer.photo_edges.tube_bearings` has it.
 SHARED_PX = 0.02
 #: Where photos at the sides of a pass see the tube from.
@@ -40,9 +43,9 @@ def rays_at(beside: np.ndarray) -> Rays:
     return Rays(beside, np.zeros(n), np.full(n, 5.0), np.zeros(n), np.zeros(n), np.full(n, -1.0))
 
 
-def profile(thrown: tuple[float, float], metal_slope: float, fine_m: float = 0.1e-3) -> tuple[np.ndarray, np.ndarray]:
+def profile(thrown: tuple[float, float], metal_slope: float) -> tuple[np.ndarray, np.ndarray]:
     """Return brightness across a tube in glass, by the light that data_synth lets pass; thrown back on either side."""
-    beside = np.arange(-0.3, 0.3, fine_m)
+    beside = np.arange(-0.3, 0.3, FINE_M)
     table = ReceiverTable(Receiver(DESIGN), np.float64)
     with np.errstate(all="ignore"):
         passage = table.approach(rays_at(beside))
@@ -66,9 +69,15 @@ def drawn(
     noise: float = 0.02,
 ) -> PixelSamples:
     """Draw rows of pixels of a tube whose axis is beside where it is expected; two lines each, places of their own."""
-    fine_m = 0.1e-3
-    beside, light = profile(thrown, metal_slope, fine_m)
-    light = uniform_filter1d(gaussian_filter1d(light, blur_px * PIXEL_M / fine_m), round(PIXEL_M / fine_m))
+    return sampled(rng, middle_m, profile(thrown, metal_slope)[1], blur_px, noise)
+
+
+def sampled(
+    rng: np.random.Generator, middle_m: np.ndarray, light: np.ndarray, blur_px: float, noise: float = 0.02
+) -> PixelSamples:
+    """Show brightness across a tube, from -0.3 m on in steps of FINE_M, as a lens and pixels do."""
+    beside = -0.3 + FINE_M * np.arange(light.size)
+    light = uniform_filter1d(gaussian_filter1d(light, blur_px * PIXEL_M / FINE_M), round(PIXEL_M / FINE_M))
     place = PIXEL_M * (np.arange(-14, 15) + rng.uniform(-0.5, 0.5, (middle_m.size, 2, 1)))
     values = np.interp(place - middle_m[:, None, None], beside, light) + noise * rng.normal(size=place.shape)
     angle = ANGLE_RAD + np.arcsin(place / DISTANCE_M)
@@ -76,10 +85,10 @@ def drawn(
     return PixelSamples((150 * values).astype(np.float32), x.astype(np.float32))
 
 
-def found(samples: PixelSamples, start_px: float = 0.2) -> TubeInGlass:
+def found(samples: PixelSamples, start_px: float = 0.2) -> TubeByProfile:
     rows = np.arange(ROWS)
     start = np.full(ROWS, ANGLE_RAD + start_px * PIXEL_M / DISTANCE_M)
-    return find_in_glass(samples, rows, 0.02 * rows, start, SIGHTING, DESIGN)
+    return find_axis(samples, rows, 0.02 * rows, start, SIGHTING, DESIGN)
 
 
 def off_px(samples: PixelSamples) -> float:
@@ -99,9 +108,23 @@ def test_light_on_the_glass_does_not_move_the_axis(
     assert abs(off_px(samples)) < 2 * SHARED_PX
 
 
+@pytest.mark.parametrize("blur_px", [0.35, 0.6, 0.9])
+@pytest.mark.parametrize(("left", "right"), [(0.0, 0.0), (0.15, 0.15), (0.0, -0.12), (0.1, -0.1)])
+def test_what_changes_behind_a_bare_tube_does_not_move_its_axis(left: float, right: float, blur_px: float) -> None:
+    """left, right: By what share the background becomes brighter towards +x over 20 mm, on either side."""
+    beside = np.arange(-0.3, 0.3, FINE_M)
+    light = 1 + np.clip(np.where(beside < 0, left, right) * beside / 0.02, -0.6, 0.6)
+    light[np.abs(beside) < 0.035] = 0.1
+    samples = sampled(np.random.default_rng(1), np.zeros(ROWS), light, blur_px)
+    rows, start = np.arange(ROWS), np.full(ROWS, ANGLE_RAD + 0.2 * PIXEL_M / DISTANCE_M)
+    one = find_axis(samples, rows, 0.02 * rows, start, SIGHTING, replace(DESIGN, glass=None))
+    # A relative change s per pixel puts the steepest places s (blur^2 + 1/12 + 1.2^2) aside: 0.10 to 0.14 px for 0.15.
+    assert abs(float(np.mean(one.angle_rad - ANGLE_RAD))) * DISTANCE_M / PIXEL_M < 2 * SHARED_PX
+
+
 def test_a_metal_of_one_tone_would_be_put_aside(monkeypatch: pytest.MonkeyPatch) -> None:
     samples = drawn(np.random.default_rng(1), np.zeros(ROWS), thrown=(0.12, 0.0), metal_slope=0.05)
-    monkeypatch.setattr(tube_in_glass, "_METAL_DEGREE", 0)
+    monkeypatch.setattr(tube_profile, "_METAL_DEGREE", 0)
     assert abs(off_px(samples)) > 0.05
 
 
@@ -129,7 +152,7 @@ def test_a_metal_of_one_tone_would_be_put_aside(monkeypatch: pytest.MonkeyPatch)
 def test_what_is_assumed_of_brightness_hardly_matters(name: str, times: float, monkeypatch: pytest.MonkeyPatch) -> None:
     samples = drawn(np.random.default_rng(2), np.zeros(ROWS), thrown=(0.12, 0.02), metal_slope=0.04)
     before = off_px(samples)
-    monkeypatch.setattr(tube_in_glass, name, times * getattr(tube_in_glass, name))
+    monkeypatch.setattr(tube_profile, name, times * getattr(tube_profile, name))
     assert abs(off_px(samples) - before) < 0.015
 
 
@@ -139,7 +162,7 @@ def test_groups_scatter_as_stated(noise: float) -> None:
     over = []
     for _ in range(12):
         one = found(drawn(rng, np.zeros(ROWS), noise=noise))
-        groups = one.angle_rad[:: tube_in_glass.ROWS_TOGETHER], one.sigma_rad[:: tube_in_glass.ROWS_TOGETHER]
+        groups = one.angle_rad[:: tube_profile.ROWS_TOGETHER], one.sigma_rad[:: tube_profile.ROWS_TOGETHER]
         over.append((groups[0] - groups[0].mean()) / groups[1])
     # 120 groups, 12 means: a mean square of 0.9 is right within 13 %.
     assert 0.5 < float(np.mean(np.square(over))) < 1.4
@@ -150,7 +173,7 @@ def test_what_disturbs_some_rows_makes_all_less_sure(low_m: float, high_m: float
     """A cable beside the glass, a bright and a dark cloud: on the right alone, which no part of the model explains."""
     samples = drawn(np.random.default_rng(2), np.zeros(ROWS))
     beside = DISTANCE_M * np.sin(np.arctan2(samples.x_m - SIGHTING.eye_x_m, HEIGHT_M) - ANGLE_RAD)
-    rows = np.arange(ROWS) // tube_in_glass.ROWS_TOGETHER == 4
+    rows = np.arange(ROWS) // tube_profile.ROWS_TOGETHER == 4
     there = rows[:, None, None] & (beside > low_m) & (beside < high_m)
     values = np.where(there, factor * samples.values_dn, samples.values_dn)
     before = found(samples)
@@ -166,7 +189,7 @@ def test_what_disturbs_some_rows_makes_all_less_sure(low_m: float, high_m: float
 def test_rows_with_nothing_beyond_the_glass_have_no_axis_and_spoil_no_others() -> None:
     samples = drawn(np.random.default_rng(2), np.zeros(ROWS))
     beside = DISTANCE_M * np.sin(np.arctan2(samples.x_m - SIGHTING.eye_x_m, HEIGHT_M) - ANGLE_RAD)
-    rows = np.arange(ROWS) // tube_in_glass.ROWS_TOGETHER == 4
+    rows = np.arange(ROWS) // tube_profile.ROWS_TOGETHER == 4
     values = np.where(rows[:, None, None] & (np.abs(beside) > 0.055), np.nan, samples.values_dn)
     one = found(PixelSamples(values.astype(np.float32), samples.x_m))
     assert np.isnan(one.angle_rad[rows]).all()
@@ -180,7 +203,7 @@ def test_a_tube_that_leans_is_followed() -> None:
     samples = drawn(np.random.default_rng(4), lean)
     rng, rows = np.random.default_rng(5), np.arange(ROWS)
     start = ANGLE_RAD + lean / DISTANCE_M + rng.normal(0, 0.15, ROWS) * PIXEL_M / DISTANCE_M
-    one = find_in_glass(samples, rows, 0.02 * rows, start, SIGHTING, DESIGN)
+    one = find_axis(samples, rows, 0.02 * rows, start, SIGHTING, DESIGN)
     assert np.abs(one.angle_rad - ANGLE_RAD - lean / DISTANCE_M).max() * DISTANCE_M / PIXEL_M < 0.15
     assert abs(float(np.mean(one.angle_rad - ANGLE_RAD - lean / DISTANCE_M))) * DISTANCE_M / PIXEL_M < 2 * SHARED_PX
 
@@ -200,7 +223,7 @@ def test_no_tube_is_not_found_far_away() -> None:
 def test_nothing_of_no_rows() -> None:
     none = np.zeros(0)
     samples = drawn(np.random.default_rng(8), np.zeros(4))
-    assert find_in_glass(samples, np.zeros(0, dtype=np.intp), none, none, SIGHTING, DESIGN).angle_rad.size == 0
+    assert find_axis(samples, np.zeros(0, dtype=np.intp), none, none, SIGHTING, DESIGN).angle_rad.size == 0
 
 
 def test_glass_lets_pass_and_turns_as_rays_do() -> None:
@@ -217,14 +240,14 @@ def test_glass_lets_pass_and_turns_as_rays_do() -> None:
 
 
 def test_light_through_the_focal_line_leaves_the_mirror_along_the_axis() -> None:
-    miss = tube_in_glass._miss_of_reflection(SIGHTING, DESIGN, np.zeros(1), np.zeros(1))
+    miss = tube_profile._miss_of_reflection(SIGHTING, DESIGN, np.zeros(1), np.zeros(1))
     # Through the focus at 0.2 rad: the mirror is met at x = 2 f tan(0.1).
     assert abs(float(miss[0])) == pytest.approx(2 * DESIGN.focal_length_m * np.tan(0.1), rel=1e-9)
     # Seen from the left, a line that is turned to the left by as much goes straight down and meets the axis again.
-    down = tube_in_glass._miss_of_reflection(SIGHTING, DESIGN, np.array([-0.04]), np.array([-ANGLE_RAD]))
+    down = tube_profile._miss_of_reflection(SIGHTING, DESIGN, np.array([-0.04]), np.array([-ANGLE_RAD]))
     # 40 mm to the left of the axis, where the mirror sends it back to the focus.
     assert abs(float(down[0])) < 1e-9
-    away = tube_in_glass._miss_of_reflection(SIGHTING, DESIGN, np.array([0.04]), np.array([ANGLE_RAD]))
+    away = tube_profile._miss_of_reflection(SIGHTING, DESIGN, np.array([0.04]), np.array([ANGLE_RAD]))
     assert abs(float(away[0])) > 0.5
 
 
@@ -232,9 +255,9 @@ def test_light_through_the_focal_line_leaves_the_mirror_along_the_axis() -> None
 def test_the_prism_shows_the_reflection_on_the_cameras_side(side: int) -> None:
     # 20 mm and more beside the metal the glass turns lines by 0.1 rad and more, away from the axis.
     seen = Sighting(side * 2.0, 13.5, 13.6, PIXEL_M, (0.0, DESIGN.focal_length_m), DESIGN.focal_length_m + 13.5)
-    parts = tube_in_glass._Parts.of_view(seen, DESIGN)
+    parts = tube_profile._Parts.of_view(seen, DESIGN)
     place = -0.25 + 0.25e-3 * np.arange(parts.table.shape[1])
-    own = np.flatnonzero(parts.mean == tube_in_glass._DARK_MEAN)
+    own = np.flatnonzero(parts.mean == tube_profile._DARK_MEAN)
     shown = -parts.table[own].sum(axis=0)
     assert shown.max() > 0.5
     assert (np.sign(place[shown > 0.5]) == side).all()
