@@ -35,8 +35,9 @@ _STEP_M, _TABLE_M = 0.25e-3, 0.25
 BEYOND_PX = 3.0
 #: Pixels are put together in bins of so many to a pixel's width.
 _BINS_PER_PX = 3
-#: Brightness of the metal, relative to what is beyond the receiver: its mean is free; how it changes over the tube's half
-#: width (Legendre polynomials of the degrees 1 to 4) has this standard deviation. Faces reflect 0.07 of what is around.
+#: Brightness of the metal, relative to what is beyond the receiver: its mean is free; how it changes over the tube's
+#: half width (Legendre polynomials of the degrees 1 to 4) has this standard deviation. Faces reflect 0.07 of what is
+#: around.
 _METAL_DEGREE, _METAL_MEAN, _METAL_SIGMA = 4, 0.25, 0.12
 #: What is behind the tube changes by this in 20 mm, as a slope and as a bend.
 _SLOPE_SIGMA, _BEND_SIGMA, _SCALE_M = 0.1, 0.05, 0.02
