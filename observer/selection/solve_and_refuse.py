@@ -13,7 +13,7 @@ from observer.photo_edges.reflection_edges import ReflectionEdges, design_misfit
 from observer.selection.edge_refusal import EdgeFate, first_fate, has_shadows, is_alone
 from observer.selection.shadows import confirmed_edges, pulled_curves
 from observer.selection.two_sided import agreed_by_both, cells_of
-from observer.slopes.along_variance import find_along
+from observer.slopes.along_variance import PossibleRoughness, averaged, find_along
 from observer.slopes.common_unknowns import CommonUnknowns, common_unknowns, glass_widening_rad
 from observer.slopes.edge_gaps import EdgeGaps, edge_gaps
 from observer.slopes.joint_solution import SlopeErrors, find_roughness, solve_jointly
@@ -22,7 +22,7 @@ from observer.slopes.pose_modes import Photos, pose_derivatives, pose_scatter, r
 from observer.slopes.row_likeness import row_likeness
 from observer.slopes.row_spline import Roughness, RowGrid, TouchingLines, nodes_of
 from observer.slopes.shape_share import ShapeShare, find_shape_share
-from observer.slopes.slope_sums import SlopeSums
+from observer.slopes.slope_sums import AveragedSums, SlopeSums
 from observer.trough.absorber_path import AbsorberPath
 from observer.trough.collector import Collector
 from observer.trough.expectation import Expectation
@@ -72,7 +72,8 @@ class Reflector:
     measured (r, nx): Nodes near enough to an edge.
     fate (m,): `EdgeFate` of each edge.
     residuals_rad (m,): What remains of each edge's angle [rad].
-    roughness: Of the slopes along the rows.
+    models: How slopes along the rows may vary, the likeliest first; slopes and sums are means over these.
+    apart_rad (k, r, nx): What the slopes across are under each model, less that mean [rad].
     noise_factor: By what the sigmas of the edges had to be multiplied.
     absorber: The tube's axis, to which the width of its reflection has added what it says of it.
     unknowns: What the lines have in common.
@@ -90,7 +91,8 @@ class Reflector:
     measured: BoolArray
     fate: IntArray
     residuals_rad: FloatArray
-    roughness: Roughness
+    models: tuple[PossibleRoughness, ...]
+    apart_rad: FloatArray
     noise_factor: float
     absorber: AbsorberPath
     unknowns: CommonUnknowns
@@ -100,17 +102,20 @@ class Reflector:
     has_shadows: bool
     shape: ShapeShare
 
+    @property
+    def roughness(self) -> Roughness:
+        """Of the slopes along the rows, as is most probable."""
+        return self.models[0].roughness
+
     @cached_property
-    def sums(self) -> SlopeSums:
+    def sums(self) -> AveragedSums:
         """How well weighted sums of the slopes across are known, the absorber held."""
-        return SlopeSums(
-            self.lines,
-            self.grid,
-            self.roughness,
-            self.errors.covariance_common,
-            ~self.unknowns.is_place,
-            alike=self.alike,
+        held, alike = ~self.unknowns.is_place, self.alike
+        each = tuple(
+            SlopeSums(self.lines, self.grid, one.roughness, self.errors.covariance_common, held, alike=alike)
+            for one in self.models
         )
+        return AveragedSums(each, np.array([one.probability for one in self.models]), self.apart_rad)
 
     @cached_property
     def gaps(self) -> EdgeGaps:
@@ -238,17 +243,27 @@ def solve_reflector(
     if roughness.alike is not None:
         # Row by row, as they are looked at there: what cameras from all rows leave of each row looks like such slopes.
         errors = solve_jointly(used, grid, alone, unknowns.covariance, with_shares=None)
-    roughness = replace(find_along(_apart(used, errors), grid, alone), alike=roughness.alike)
-    errors = solve_jointly(
+    models = tuple(
+        one._replace(roughness=replace(one.roughness, alike=roughness.alike))
+        for one in find_along(_apart(used, errors), grid, alone)
+    )
+    # From far away nothing but the mirror's own shape says where the tube is, and that is one for a panel's rows.
+    most_rows = len(expected.collector.panel_edges_y_m) - 1 if far.any() else None
+    first = solve_jointly(
         used,
         grid,
-        roughness,
+        models[0].roughness,
         unknowns.covariance,
         with_shares=~unknowns.is_place,
         looks_like=lambda rows, columns: unknowns.place_as_slope(expected, expected.y_m[rows], grid.x_m[columns]),
-        # From far away nothing but the mirror's own shape says where the tube is, and that is one for a panel's rows.
-        most_rows=len(expected.collector.panel_edges_y_m) - 1 if far.any() else None,
+        most_rows=most_rows,
     )
+    others = [
+        solve_jointly(used, grid, one.roughness, unknowns.covariance, with_shares=None, most_rows=most_rows)
+        for one in models[1:]
+    ]
+    errors = averaged(models, [first, *others])
+    apart = np.stack([one.slopes[..., 0] - errors.slopes[..., 0] for one in (first, *others)])
     if unknowns.mean is not None:
         # From here on the unknowns count from zero.
         errors = replace(errors, common=errors.common + unknowns.mean)
@@ -262,7 +277,8 @@ def solve_reflector(
         _near_edges(used, grid) & agreed,
         fate,
         _residuals(lines, grid, errors)[0],
-        roughness,
+        models,
+        apart,
         noise,
         absorber,
         unknowns,

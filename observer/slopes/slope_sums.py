@@ -1,6 +1,6 @@
 """How well weighted sums of slopes are known: with what neighbours and what all rows share."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -107,6 +107,35 @@ class SlopeSums:
                 pulled = self._others[:, first:last] @ _pulled(solved[number, first:last], self._system.bands)
                 own[:, number] += flat @ pulled.reshape(-1)
         return solved, np.asarray(0.5 * (own + own.T))
+
+
+class AveragedSums:
+    """The same for slopes that are the mean over several models of how they may vary.
+
+    each: Of the models.
+    probability (k,): How probable these are.
+    apart_rad (k, r, nx): What the slopes are under each, less their mean [rad].
+    """
+
+    def __init__(self, each: Sequence[SlopeSums], probability: FloatArray, apart_rad: FloatArray) -> None:
+        self._each, self._probability, self._apart = each, probability, apart_rad
+
+    def __call__(self, weights: FloatArray) -> FloatArray:
+        """Return the covariance of sums.
+
+        weights (k, r, nx): Weights of all nodes' slopes in k sums.
+        Returns (k, k): Covariance [rad^2].
+        """
+        return self._mean([one(weights) for one in self._each], weights)
+
+    def without_common(self, weights: FloatArray) -> FloatArray:
+        """Return the same with the common unknowns held, shape (k, k) [rad^2]."""
+        return self._mean([one.without_common(weights) for one in self._each], weights)
+
+    def _mean(self, covariances: Sequence[FloatArray], weights: FloatArray) -> FloatArray:
+        apart = weights.reshape(len(weights), -1) @ self._apart.reshape(len(self._apart), -1).T
+        within = np.tensordot(self._probability, np.stack(covariances), axes=1)
+        return np.asarray(within + (apart * self._probability) @ apart.T)
 
 
 def _span(has_weight: BoolArray) -> tuple[int, int]:

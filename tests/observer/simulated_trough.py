@@ -23,8 +23,8 @@ def short_trough() -> Collector:
     return replace(ls2(), length_m=3.16, panel_edges_x_m=edges, panel_edges_y_m=ends, panel_gap_m=0.01)
 
 
-def short_scene(mirror: Mirror, *, photos: int = 24, rows: int = 8) -> Scene:
-    collector = short_trough()
+def short_scene(mirror: Mirror, *, photos: int = 24, rows: int = 8, collector: Collector | None = None) -> Scene:
+    collector = collector or short_trough()
     y = (np.arange(rows) + 0.5) * (collector.length_m / rows) - collector.length_m / 2
     absorber = AbsorberPath.straight(0.003, collector.focal_length_m - 0.005, collector.length_m / 2)
     poses = Pass(12.0, 2.9, photos).poses()

@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from heliogauge.geometry.rigid import RigidTransform, rotation_from_vector
 from observer.photo_edges.views import View
@@ -53,10 +54,13 @@ def test_where_the_edges_say_nothing_what_was_assumed_stays() -> None:
     lines = TouchingLines(
         row, x, rng.normal(0, 1e-4, 90), np.full(90, -2.0), np.zeros(90), np.full(90, 1e-4), none.astype(int), none
     )
-    assert find_along(lines, grid, ASSUMED).along_rad == ASSUMED.along_rad
+    found = find_along(lines, grid, ASSUMED)
+    assert {one.roughness.along_rad for one in found} == {ASSUMED.along_rad}
+    # Nor do they say anything of the length.
+    assert [one.probability for one in found] == pytest.approx([1 / 3] * 3)
 
 
-def test_the_length_of_slopes_that_hardly_any_edge_tells_stays_as_assumed() -> None:
+def test_the_length_of_slopes_that_hardly_any_edge_tells_stays_open() -> None:
     """By chance a length of metres is a little more probable; slopes alike along it would move the whole map."""
     grid = RowGrid(np.linspace(-1, 1, 40), np.ones(39, dtype=bool), 8)
     for weak, own_rad, seed in ((0.05, 1e-3, 7), (0.1, 0.5e-3, 7), (0.1, 0.5e-3, 6)):
@@ -65,4 +69,21 @@ def test_the_length_of_slopes_that_hardly_any_edge_tells_stays_as_assumed() -> N
         by_y = rng.choice([-weak, weak], 200)
         found = rng.normal(0, 1e-4, 200) + by_y * rng.normal(0, own_rad, 200)
         lines = TouchingLines(row, x, found, np.full(200, -2.0), by_y, np.full(200, 1e-4), none.astype(int), none)
-        assert find_along(lines, grid, ASSUMED).along_length_m == ASSUMED.along_length_m
+        probability = {one.roughness.along_length_m: one.probability for one in find_along(lines, grid, ASSUMED)}
+        assert set(probability) == {0.3, 1.0, 3.0}
+        assert max(probability.values()) < 0.5
+
+
+@pytest.mark.parametrize(("wave_m", "length_m"), [(None, 3.0), (0.5, 0.3)])
+def test_a_length_that_edges_tell_is_the_only_one(wave_m: float | None, length_m: float) -> None:
+    """Slopes along of 2 mrad that each row has as a whole, or that wave across it."""
+    rng = np.random.default_rng(1)
+    grid = RowGrid(np.linspace(-1, 1, 40), np.ones(39, dtype=bool), 8)
+    x, row, none = rng.uniform(-1, 1, 400), np.repeat(np.arange(8), 50), np.zeros((400, 0))
+    by_y = rng.choice([-0.3, 0.3], 400)
+    along = rng.normal(0, 2e-3, 8)[row] if wave_m is None else 2e-3 * np.sin(2 * np.pi * x / wave_m + row)
+    found = rng.normal(0, 1e-4, 400) - by_y * along
+    lines = TouchingLines(row, x, found, np.full(400, -2.0), by_y, np.full(400, 1e-4), none.astype(int), none)
+    [one] = find_along(lines, grid, ASSUMED)
+    assert (one.probability, one.roughness.along_length_m) == (1.0, length_m)
+    assert one.roughness.along_rad >= ASSUMED.along_rad

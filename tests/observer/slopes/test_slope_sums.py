@@ -7,9 +7,10 @@ import pytest
 
 from heliogauge.flags import SampleFlag
 from heliogauge.slopes.map import SlopeMap, no_common_modes
+from observer.slopes.along_variance import PossibleRoughness, averaged
 from observer.slopes.joint_solution import solve_jointly
 from observer.slopes.row_spline import Roughness, TouchingLines, assemble, prior_bands
-from observer.slopes.slope_sums import SlopeSums, noise_correlation, with_bridged
+from observer.slopes.slope_sums import AveragedSums, SlopeSums, noise_correlation, with_bridged
 from tests.observer.slopes.test_joint_solution import dense, random_lines, small_grid
 
 
@@ -27,6 +28,28 @@ def test_sums_have_the_covariance_of_dense_algebra(order: int, across: float) ->
     _, inverse = dense(grid, lines, prior, covariance)
     sums = SlopeSums(lines, grid, prior, found.covariance_common)(weights)
     np.testing.assert_allclose(sums, flat @ inverse @ flat.T, rtol=1e-8, atol=1e-9 * np.abs(sums).max())
+
+
+def test_sums_over_models_are_those_of_a_mixture() -> None:
+    rng = np.random.default_rng(6)
+    grid, covariance = small_grid(), np.diag([1e-6, 4e-6, 9e-6])
+    lines = random_lines(rng, grid, 200, 3)
+    models = [PossibleRoughness(p, Roughness(1e-3, along_length_m=m)) for p, m in ((0.7, 3.0), (0.3, 0.3))]
+    found = [solve_jointly(lines, grid, one.roughness, covariance) for one in models]
+    both = averaged(models, found)
+    apart = np.stack([one.slopes[..., 0] - both.slopes[..., 0] for one in found])
+    each = [SlopeSums(lines, grid, one.roughness, found[0].covariance_common) for one in models]
+    weights = rng.normal(0, 1, (2, 3, 20))
+    weights[1] = 0.0
+    weights[1, 2, 5] = 1.0
+    mean = [(weights * one.slopes[..., 0]).sum(axis=(1, 2)) for one in (*found, both)]
+    within = 0.7 * each[0](weights) + 0.3 * each[1](weights)
+    expected = within + 0.21 * np.outer(mean[0] - mean[1], mean[0] - mean[1])
+    np.testing.assert_allclose(AveragedSums(each, np.array([0.7, 0.3]), apart)(weights), expected, rtol=1e-9)
+    # A sum that is one node has that node's variance.
+    alone = AveragedSums(each, np.array([0.7, 0.3]), apart).without_common(weights)
+    assert alone[1, 1] == pytest.approx(both.random[2, 5, 0, 0], rel=1e-9)
+    np.testing.assert_allclose(both.slopes, 0.7 * found[0].slopes + 0.3 * found[1].slopes, rtol=1e-12)
 
 
 def _alone(lines: TouchingLines) -> TouchingLines:
