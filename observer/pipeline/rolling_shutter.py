@@ -128,14 +128,16 @@ def adjust_rolling(
     EstimationError: They do not settle, or nothing is determined.
     """
     network = adjust(measured)
-    motions: RowMotions | None = None
+    before: RowMotions | None = None
+    moved: Mapping[str, FloatArray] = {}
     for _ in range(_MOST_ROUNDS):
-        before = motions
-        found = motions_of(network, shutter, before)[0]
-        network, motions = _adjusted(adjust, measured, network, found, before)
+        found = motions_of(network, shutter, moved)[0]
+        network, motions = _adjusted(adjust, measured, network, found, moved)
+        moved = _of_all_photos(motions, measured.points.photos)
         # A part of the way is no sign that it is short.
         if before is not None and _has_settled(before, found):
-            return RolledNetwork(network, *motions_of(network, shutter, motions))
+            return RolledNetwork(network, *motions_of(network, shutter, moved))
+        before = motions
     raise EstimationError(
         f"rolling_shutter: readout and poses do not settle in {_MOST_ROUNDS} rounds; are the photos in the order of "
         "the flight, and did the camera hold its direction while it read them?"
@@ -147,14 +149,13 @@ def _adjusted(
     measured: MeasuredPhotos,
     network: photogrammetry_pipeline.Result,
     found: RowMotions,
-    before: RowMotions | None,
+    moved: Mapping[str, FloatArray],
 ) -> tuple[photogrammetry_pipeline.Result, RowMotions]:
     """Adjust to new motions, or to a part of the way to them where that cannot be adjusted.
 
     EstimationError: Not even an eighth of the way.
     """
-    past = {} if before is None else dict(zip(before.photos, before.motions_m, strict=True))
-    present = np.array([past.get(name, np.zeros(3)) for name in found.photos])
+    present = np.array([moved.get(name, np.zeros(3)) for name in found.photos])
     for share in _SHARES:
         motions = replace(found, motions_m=present + share * (found.motions_m - present))
         try:
@@ -164,19 +165,33 @@ def _adjusted(
     raise refused
 
 
+def _of_all_photos(motions: RowMotions, photos: Sequence[str]) -> dict[str, FloatArray]:
+    """Return the motion to which the image points of each photo were moved; of a photo left out that of the nearest."""
+    own = dict(zip(motions.photos, motions.motions_m, strict=True))
+    return {name: own[near] for name, near in _nearest_kept(photos, motions.photos).items()}
+
+
+def _nearest_kept(photos: Sequence[str], kept: Sequence[str]) -> dict[str, str]:
+    """Return for each photo the nearest one in the order of the flight that the network has: itself, if it has it.
+
+    A photo can be lost before the motion is known, when its points fit no pose: moved as those of the photo beside it,
+    they do.
+    """
+    place = {name: k for k, name in enumerate(photos)}
+    return {name: min(kept, key=lambda one: abs(place[one] - place[name])) for name in photos}
+
+
 def motions_of(
-    network: photogrammetry_pipeline.Result, shutter: Shutter, present: RowMotions | None
+    network: photogrammetry_pipeline.Result, shutter: Shutter, moved_to: Mapping[str, FloatArray]
 ) -> tuple[RowMotions, RowMotions]:
     """Estimate the motions over the frames of an adjusted network: with what is stated, and by the targets alone.
 
-    present: Those to which its image points were moved; None: none.
+    moved_to: Motion of each photo to which its image points were moved [m]; those of others were not.
     EstimationError: Poses and targets are not determined.
     """
     bundle = network.solved.bundle
     names = bundle.problem.observations.photos
-    # Image points of photos that were not in the network before have not been moved.
-    before = {} if present is None else dict(zip(present.photos, present.motions_m, strict=True))
-    moved = np.array([before.get(name, np.zeros(3)) for name in names])
+    moved = np.array([moved_to.get(name, np.zeros(3)) for name in names])
     flight = shutter.flight(names, bundle.state.centers_m)
     reduced = reduce_to_motions(bundle, moved)
     alone = replace(estimate_motions(reduced, moved, flight), in_seconds=shutter.in_seconds)
@@ -202,7 +217,8 @@ def _has_settled(before: RowMotions, after: RowMotions) -> bool:
 def _at_rest(measured: MeasuredPhotos, network: photogrammetry_pipeline.Result, motions: RowMotions) -> MeasuredPhotos:
     """Move image points to where a camera at rest in the middle row would have taken them.
 
-    Targets that are not in the network, and dots without a name, are moved as those beside them.
+    Targets that are not in the network, and dots without a name, are moved as those beside them; all of a photo that is
+    not in it as those of the nearest one.
     """
     bundle, points, loose = network.solved.bundle, measured.points, measured.loose
     table, state = bundle.problem.observations, bundle.state
@@ -213,17 +229,20 @@ def _at_rest(measured: MeasuredPhotos, network: photogrammetry_pipeline.Result, 
     rows_of, dots_of = _rows_by_name(points.photos, points.photo_index), {}
     if loose is not None:
         dots_of = _rows_by_name(loose.photos, loose.dots.photo_index)
-    for k, photo in enumerate(table.photos):
+    number = {name: k for k, name in enumerate(table.photos)}
+    for photo, nearest in _nearest_kept(points.photos, table.photos).items():
+        k, rows = number[nearest], rows_of[photo]
         pose, camera = bundle.cam_from_world[k], state.cameras[int(bundle.problem.camera_index[k])]
         motion = pose.rotate(motions.motions_m[k])
         shown = pose.apply(state.points_m[np.unique(table.target_index[table.photo_index == k])])
         taken = project_moving(camera, shown, motion)
         away = camera.project(shown) - taken
-        rows = rows_of[photo]
-        own = pose.apply(state.points_m[np.maximum(known[rows], 0)])
-        named = camera.project(own) - project_moving(camera, own, motion)
         beside = away[_nearest(pixels[rows], taken)]
-        pixels[rows] += np.where((known[rows] >= 0)[:, None], named, beside)
+        if photo == nearest:
+            own = pose.apply(state.points_m[np.maximum(known[rows], 0)])
+            named = camera.project(own) - project_moving(camera, own, motion)
+            beside = np.where((known[rows] >= 0)[:, None], named, beside)
+        pixels[rows] += beside
         mine = dots_of.get(photo)
         if mine is not None:
             dots[mine] += away[_nearest(dots[mine], taken)]
@@ -275,7 +294,7 @@ def unstated_doubt(network: photogrammetry_pipeline.Result, *, can_be_stated: bo
         # Where all rows are read at once nothing moves, and the path leaves nothing open either.
         if abs(steady) < CONTRADICTED * sigma:
             return None
-        found = motions_of(network, Shutter(), None)[0]
+        found = motions_of(network, Shutter(), {})[0]
     except EstimationError:
         return None
     if abs(found.readout) < CONTRADICTED * found.sigma_readout:

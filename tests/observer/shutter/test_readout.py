@@ -174,6 +174,46 @@ def test_readout_is_found_within_its_sigma_over_many_flights(readout_s):
     assert low < total.mean() < high
 
 
+class LosingFlight(Flight):
+    """A network that has some photos only where their image points fit the pose of a camera at rest to some pixels."""
+
+    losing = (0, 5)
+
+    def network(self, measured):
+        table = measured.points
+        rest = np.array(
+            [
+                CAMERA.project(self.poses[k].apply(self.points[t]))
+                for k, t in zip(table.photo_index, table.target_index, strict=True)
+            ]
+        )
+        off = np.linalg.norm(table.pixels_px - rest, axis=1).max
+        lost = [k for k in self.losing if off(where=table.photo_index == k, initial=0.0) > 1.0]
+        kept = [k for k in range(len(self.poses)) if k not in lost]
+        rows = np.isin(table.photo_index, kept)
+        number = np.searchsorted(kept, table.photo_index[rows])
+        some = ImagePoints(
+            tuple(table.photos[k] for k in kept),
+            table.targets,
+            number,
+            table.target_index[rows],
+            table.pixels_px[rows],
+            table.covariance_px2[rows],
+        )
+        start = BundleState.from_poses([CAMERA], [self.poses[k] for k in kept], self.stated)
+        problem = BundleProblem(some, (CameraModel("camera"),), constraints=self.constraints)
+        return SimpleNamespace(solved=SimpleNamespace(bundle=adjust(problem, start)))
+
+
+def test_photos_that_fit_no_pose_before_the_readout_is_known_come_back():
+    flight = LosingFlight(11, readout_s=0.03)
+    assert len(flight.network(flight.measured()).solved.bundle.cam_from_world) == 10
+    found, whole = flight.rolled(), Flight(11, readout_s=0.03).rolled()
+    assert found.motions.photos == flight.names
+    np.testing.assert_allclose(found.motions.motions_m, whole.motions.motions_m, atol=1e-4)
+    assert found.motions.readout == pytest.approx(whole.motions.readout, abs=0.1 * whole.motions.sigma_readout)
+
+
 def test_a_stated_readout_is_used_with_its_sigma():
     flight = Flight(7, readout_s=0.02)
     alone = flight.rolled().motions
@@ -210,7 +250,7 @@ def test_a_steady_readout_is_that_of_motions_which_the_path_leaves_no_room(monke
     flight = Flight(5, readout_s=0.02, photos=6)
     network = flight.network(flight.measured())
     bundle = network.solved.bundle
-    found, _ = motions_of(network, Shutter(), None)
+    found, _ = motions_of(network, Shutter(), {})
     value, sigma = readout.steady_readout(bundle, Shutter().flight(flight.names, bundle.state.centers_m))
     assert value == pytest.approx(found.readout, rel=1e-4)
     assert sigma == pytest.approx(found.sigma_readout, rel=1e-4)
