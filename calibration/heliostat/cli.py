@@ -1,6 +1,7 @@
 """``heliogauge heliostat``: beams and drive readings to tracking models; plans of measurements; exports."""
 
 import datetime
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -29,6 +30,8 @@ app = make_app("Where beams were seen and the drive readings -> tracking models 
 exports = add_formats(app, "export")
 add_performance(app)
 
+#: Heliostats of which a command says something on the terminal; its files have all.
+_MOST_SENTENCES = 20
 TableDay = Annotated[
     str | None, typer.Option(metavar="YYYY-MM-DD", help="The day; default: today.", show_default=False)
 ]
@@ -193,11 +196,7 @@ def aim_command(
     options = AimOptions(_day("date", date), step_minutes, target, only, readings, search, time, force)
     sentences = run(result, out, options)
     if not quiet:
-        for text in sentences[:20]:
-            typer.echo(text)
-        if len(sentences) > 20:
-            typer.echo(f"... and {len(sentences) - 20} more heliostats")
-        typer.echo(f"results: {out}")
+        _say_heliostats(sentences, out)
 
 
 @app.command("curves")
@@ -240,11 +239,7 @@ def curves_command(
     )
     sentences = run(result, out, options)
     if not quiet:
-        for text in sentences[:20]:
-            typer.echo(text)
-        if len(sentences) > 20:
-            typer.echo(f"... and {len(sentences) - 20} more heliostats")
-        typer.echo(f"results: {out}")
+        _say_heliostats(sentences, out)
 
 
 @app.command("plan")
@@ -275,9 +270,18 @@ def plan_command(
     sentences = run(result, out, options)
     # Of thousands the worst are enough to read; heliostats.csv has all.
     if not quiet:
-        for text in [*sentences[:-1][:20], sentences[-1]]:
-            typer.echo(text)
-        typer.echo(f"results: {out}")
+        _say_heliostats(sentences[:-1], out, sentences[-1])
+
+
+def _say_heliostats(sentences: Sequence[str], out: Path, last: str | None = None) -> None:
+    """Print a sentence for each of the first heliostats, one on all of them, and where the results are."""
+    for text in sentences[:_MOST_SENTENCES]:
+        typer.echo(text)
+    if len(sentences) > _MOST_SENTENCES:
+        typer.echo(f"... and {len(sentences) - _MOST_SENTENCES} more heliostats")
+    if last is not None:
+        typer.echo(last)
+    typer.echo(f"results: {out}")
 
 
 def _day(name: str, text: str | None) -> datetime.date | None:

@@ -226,14 +226,14 @@ class ChartView:
             add_legend(axes, loc="best")
         return figure
 
-    def still(self) -> Html:
-        """Draw the chart for notebook and print."""
-        return self.sheet().html(f"{self.name}. {self.note}")
+    def still(self, *, width: float = WIDTH_PX) -> Html:
+        """Draw the chart for notebook and print; letters keep their size in a narrower one."""
+        return self.sheet(width=width).html(f"{self.name}. {self.note}")
 
-    def sheet(self) -> Sheet:
+    def sheet(self, *, width: float = WIDTH_PX) -> Sheet:
         """Draw the chart as a picture."""
-        height = 380.0
-        box = (70.0, 50.0, WIDTH_PX - 16, height - 46)
+        height = 380.0 * width / WIDTH_PX
+        box = (70.0, 50.0, width - 16, height - 46)
         reach = [(np.asarray(one.y, dtype=np.float64), one.sigma) for one in self.series]
         spans = [part for y, sigma in reach for part in ((y,) if sigma is None else (y - sigma, y + sigma))]
         based = [np.zeros(1)] if any(one.mark in (Mark.BARS, Mark.STEPS) for one in self.series) else []
@@ -247,7 +247,7 @@ class ChartView:
         if self.equal:
             x_limits, y_limits = equal_limits(x_limits, y_limits, box)
         sheet = Sheet(
-            WIDTH_PX,
+            width,
             height,
             box,
             x_limits,
@@ -259,7 +259,7 @@ class ChartView:
         sheet.title(self.name, self.note)
         if self.background is not None:
             sheet.photo(self.background.image, self.background.extent)
-        ticks = time_ticks(x_limits, most=5) if self.x_time else None
+        ticks = time_ticks(x_limits, most=max(int(width / 110), 2)) if self.x_time else None
         sheet.axes(self.x_label, self.y_label, grid=True, x_ticks=ticks)
         left, top, right, bottom = box
         sheet.add(

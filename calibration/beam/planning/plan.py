@@ -1,6 +1,8 @@
 """From a trial of a beam to the suns and frames that give a wanted sigma of the canting."""
 
 import datetime
+from collections import Counter
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import ClassVar
@@ -8,8 +10,9 @@ from typing import ClassVar
 import numpy as np
 
 from calibration.beam.files.comparison import Comparison
+from calibration.beam.files.result import LEFT_OUT_FILE
 from calibration.beam.keys import BeamsMeasurement
-from calibration.beam.mirror.flux_fit import FluxPhoto, flux_information
+from calibration.beam.mirror.flux_fit import FluxFit, flux_information
 from calibration.beam.pipeline import compare
 from calibration.beam.planning.sun_choice import ChosenSun, Trial, choose_suns, photo_of_sun, trial_of
 from heliogauge.doubts import Doubt, Severity, gather_doubts
@@ -59,6 +62,7 @@ class BeamPlan(InstrumentResult):
     times (n,): Instants, UTC.
     angles_rad (n, 2): Azimuth from the north over east, and elevation, of each [rad].
     wanted_rad: What is wanted [rad].
+    left_out: Suns, or days, that cannot be used: instant or day, and the reason.
     """
 
     kind: ClassVar[str] = "beam-plan"
@@ -68,6 +72,7 @@ class BeamPlan(InstrumentResult):
     times: tuple[str, ...]
     angles_rad: FloatArray
     wanted_rad: float
+    left_out: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def sigmas_rad(self) -> FloatArray:
@@ -120,7 +125,7 @@ class BeamPlan(InstrumentResult):
         return f"{left}, with any number of frames at {many_mrad:.2g} mrad"
 
     def write_files(self, folder: Path) -> None:
-        """Write plan.csv."""
+        """Write plan.csv, and left_out.csv where suns or days cannot be used."""
         sigmas = 1e3 * self.sigmas_rad
         write_table_csv(
             folder / "plan.csv",
@@ -137,6 +142,9 @@ class BeamPlan(InstrumentResult):
                 "frames": ["" if one is None else str(one) for one in self.frames],
             },
         )
+        if self.left_out:
+            columns = {"time_utc": list(self.left_out), "reason": list(self.left_out.values())}
+            write_table_csv(folder / LEFT_OUT_FILE, columns)
 
     def headline(self) -> str:
         """Return the plan in a few lines."""
@@ -179,16 +187,26 @@ def run(
         )
     worth = trial_of(trial.after, trial.photos, trial.mirror, trial.stand)
     place = Site(site.latitude_deg, site.longitude_deg, site.altitude_m)
-    times = _times(options.days or _SEASONS, place)
+    days = {day: _times(day, place) for day in options.days or _SEASONS}
+    left_out = {
+        day.isoformat(): f"the sun stays below {np.degrees(_LOWEST_RAD):.0f} degrees"
+        for day, times in days.items()
+        if not times.size
+    }
+    times = np.concatenate(list(days.values()))
     to_sun = sun_directions(times, place) if times.size else np.zeros((0, 3))
     informations, numbers = [], []
     with progress.stage("suns", len(times)) as stage:
         for number in range(len(times)):
-            photo = _photo(trial, to_sun[number])
-            if photo is not None:
-                informations.append(flux_information(photo, trial.mirror, trial.stand, trial.after))
+            try:
+                informations.append(_told(trial, trial.after, to_sun[number]))
                 numbers.append(number)
+            except (InputError, EstimationError) as error:
+                left_out[_minute(times[number])] = str(error)
             stage.advance()
+    if not informations:
+        when, why = next(iter(left_out.items()))
+        raise InputError(f"suns: there is none at which the mirror can light the target ({when}: {why})")
     chosen = choose_suns(informations, worth.facets, options.most)
     kept = [numbers[one.number] for one in chosen]
     plan = BeamPlan(
@@ -196,10 +214,11 @@ def run(
         trial=trial,
         worth=worth,
         suns=tuple(chosen),
-        times=tuple(f"{np.datetime_as_string(times[one], unit='m')}Z" for one in kept),
+        times=tuple(_minute(times[one]) for one in kept),
         angles_rad=np.stack(sun_angles(times[kept], place), axis=1),
         wanted_rad=options.wanted_rad,
-        doubts=trial.doubts,
+        left_out=left_out,
+        doubts=gather_doubts(trial.doubts, _suns_left_out(left_out, len(times))),
         durations_s=dict(progress.durations_s),
         input_sha256=trial.input_sha256,
     )
@@ -212,7 +231,7 @@ def run(
         {"sigma_canting_rad": float(plan.sigmas_rad[-1])},
         Severity.SERIOUS,
     )
-    return replace(plan, doubts=gather_doubts(trial.doubts, [doubt]))
+    return replace(plan, doubts=gather_doubts(plan.doubts, [doubt]))
 
 
 def promised_rad(plan: BeamPlan, to_sun: FloatArray, frames: int = 1) -> float:
@@ -220,36 +239,53 @@ def promised_rad(plan: BeamPlan, to_sun: FloatArray, frames: int = 1) -> float:
 
     to_sun (n, 3): The suns.
     frames: Photos at each.
-    InputError: None at which the mirror can light the target.
+    InputError: One at which the mirror cannot light the target, or a trial without a fit.
     """
-    trial = plan.trial
-    photos = [photo for one in to_sun if (photo := _photo(trial, one)) is not None]
-    if trial.after is None or not photos:
-        raise InputError("suns: there is none at which the mirror can light the target")
-    after = trial.after
-    told = np.sum([flux_information(one, trial.mirror, trial.stand, after) for one in photos], axis=0)
+    after = plan.trial.after
+    if after is None:
+        raise InputError("trial: nothing was fitted to it")
+    told = np.sum([_told(plan.trial, after, one) for one in to_sun], axis=0)
     return plan.worth.sigma_rad(told, frames)
 
 
-def _photo(trial: Comparison, to_sun: FloatArray) -> FluxPhoto | None:
-    """Return the photo of a sun; None where the mirror cannot light the target."""
-    if trial.after is None:
-        return None
-    try:
-        return photo_of_sun(trial.photos[0], to_sun, trial.mirror, trial.stand, trial.after)
-    except (InputError, EstimationError):
-        return None
+def _told(trial: Comparison, after: FluxFit, to_sun: FloatArray) -> FloatArray:
+    """Return what a photo of a sun tells.
+
+    InputError: The mirror cannot light the target.
+    EstimationError: It sends no light to it.
+    """
+    photo = photo_of_sun(trial.photos[0], to_sun, trial.mirror, trial.stand, after)
+    return flux_information(photo, trial.mirror, trial.stand, after)
 
 
-def _times(days: tuple[datetime.date, ...], site: Site) -> np.ndarray[tuple[int], np.dtype[np.datetime64]]:
-    """Return instants spread evenly over the hours of each day with the sun high enough."""
-    found = []
-    for day in days:
-        # Solar noon is in the middle of 24 hours about it, wherever the zone.
-        start = np.datetime64(day.isoformat(), "m") - np.timedelta64(round(4 * site.longitude_deg), "m")
-        minutes = start + np.arange(0, 24 * 60, 5).astype("timedelta64[m]")
-        _, elevation = sun_angles(minutes.astype("datetime64[ms]"), site)
-        up = minutes[elevation > _LOWEST_RAD]
-        if up.size:
-            found.append(up[np.linspace(0, up.size - 1, _PER_DAY).round().astype(int)])
-    return np.concatenate(found).astype("datetime64[ms]") if found else np.zeros(0, dtype="datetime64[ms]")
+def _suns_left_out(left_out: Mapping[str, str], count: int) -> list[Doubt]:
+    """Say which suns cannot be used, with the commonest reason."""
+    if not left_out:
+        return []
+    (reason, times), *_ = Counter(left_out.values()).most_common(1)
+    first = next(when for when, why in left_out.items() if why == reason)
+    return [
+        Doubt(
+            "suns_left_out",
+            f"{len(left_out)} suns or days of {count} suns cannot be used; {times} x {reason} ({first}); left_out.csv "
+            "has all",
+            {"left_out_count": len(left_out), "suns_count": count},
+            Severity.NOTE,
+        )
+    ]
+
+
+def _minute(time: np.datetime64) -> str:
+    """Return an instant in words, to the minute."""
+    return f"{np.datetime_as_string(time, unit='m')}Z"
+
+
+def _times(day: datetime.date, site: Site) -> np.ndarray[tuple[int], np.dtype[np.datetime64]]:
+    """Return instants spread evenly over the hours of a day with the sun high enough."""
+    # Solar noon is in the middle of 24 hours about it, wherever the zone.
+    start = np.datetime64(day.isoformat(), "m") - np.timedelta64(round(4 * site.longitude_deg), "m")
+    minutes = start + np.arange(0, 24 * 60, 5).astype("timedelta64[m]")
+    _, elevation = sun_angles(minutes.astype("datetime64[ms]"), site)
+    up = minutes[elevation > _LOWEST_RAD]
+    spread = np.linspace(0, up.size - 1, _PER_DAY).round().astype(int) if up.size else np.zeros(0, dtype=int)
+    return np.asarray(up[spread].astype("datetime64[ms]"))

@@ -1,5 +1,6 @@
 """Plans of suns and frames for the canting: arithmetic, and what is promised against what comes out."""
 
+import datetime
 import json
 from pathlib import Path
 from types import SimpleNamespace
@@ -10,6 +11,7 @@ import pytest
 
 from calibration.beam.keys import load_beams
 from calibration.beam.pipeline import compare
+from calibration.beam.planning import plan as plan_module
 from calibration.beam.planning.plan import BeamPlan, BeamPlanOptions, promised_rad, run
 from calibration.beam.planning.sun_choice import Trial, choose_suns
 from data_synth.heliostats import BenchOptions, write_beam_dataset
@@ -59,6 +61,43 @@ def test_a_plan_of_suns_that_tell_nothing_is_written_with_the_reason(tmp_path: P
     summary = json.loads((tmp_path / "summary.json").read_text())
     names = {"suns_count", "frames_count", "least_planned_sigma_canting_rad"}
     assert summary["not_determined"] == dict.fromkeys(names, "1 sun does not tell the canting of 3 facets apart")
+
+
+def test_a_sun_that_cannot_be_used_is_written_with_the_reason(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A mirror that no sun in the west lights, and a day of the polar night."""
+    trial: Any = SimpleNamespace(
+        after=SimpleNamespace(sigma_canting_rad=np.full((2, 2), 1e-4), is_canting_told=True),
+        photos=("first",),
+        mirror=SimpleNamespace(facets=("left", "right")),
+        stand=None,
+        name="one",
+        doubts=(),
+        input_sha256={},
+    )
+
+    def told(_trial: Any, _after: Any, to_sun: np.ndarray) -> np.ndarray:
+        if to_sun[0] < 0:
+            raise InputError("the sun stands behind the mirror")
+        return information(50.0, 40.0)
+
+    monkeypatch.setattr(compare, "run", lambda *_: trial)
+    monkeypatch.setattr(plan_module, "trial_of", lambda *_: Trial(4.0, 3.0, 2))
+    monkeypatch.setattr(plan_module, "_told", told)
+    measurement: Any = SimpleNamespace(
+        folder=tmp_path,
+        model=SimpleNamespace(site=SimpleNamespace(latitude_deg=70.0, longitude_deg=20.0, altitude_m=0.0)),
+    )
+    days = tuple(datetime.date(2026, month, 21) for month in (6, 12))
+    plan = run(measurement, BeamPlanOptions(days=days))
+    assert plan.left_out["2026-12-21"] == "the sun stays below 10 degrees"
+    assert len(plan.suns) + len(plan.left_out) == 10
+    assert set(plan.left_out.values()) == {"the sun stays below 10 degrees", "the sun stands behind the mirror"}
+    assert "suns_left_out" in {one.code for one in plan.doubts}
+    (tmp_path / "plan").mkdir()
+    plan.write(tmp_path / "plan")
+    assert "behind the mirror" in (tmp_path / "plan" / "left_out.csv").read_text()
+    with pytest.raises(InputError, match=r"none at which the mirror can light.*2026-12-21"):
+        run(measurement, BeamPlanOptions(days=days[1:]))
 
 
 @pytest.mark.slow

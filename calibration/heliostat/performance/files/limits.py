@@ -4,20 +4,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from calibration.heliostat.performance.entries import CONFIDENCE, Limit
+from calibration.heliostat.performance.entries import CONFIDENCE, Limit, in_entry_unit
 from heliogauge.errors import InputError
 from heliogauge.files.texts import read_toml
 from heliogauge.instruments import near_match
-from heliogauge.results.folder import unit_of
 
-#: Ends of names in limits.toml that stand for another unit than the entry's: its end, and the factor.
-_UNITS = {
-    "_mrad": ("_rad", 1e-3),
-    "_urad": ("_rad", 1e-6),
-    "_deg": ("_rad", 0.017453292519943295),
-    "_mm": ("_m", 1e-3),
-    "_percent": ("_share", 1e-2),
-}
 _KEYS = ("least", "most", "source")
 
 
@@ -53,16 +44,12 @@ def read_limits(path: Path) -> Limits:
 
 
 def _entry_name(path: Path, name: str) -> tuple[str, float]:
-    for end, (unit, factor) in _UNITS.items():
-        if name.endswith(end):
-            return name.removesuffix(end) + unit, factor
     try:
-        unit_of(name)
+        return in_entry_unit(name)
     except InputError:
         raise InputError(
             f"{path}: [{name}]: the name of an entry with its unit is needed, such as day_beam_rms_mrad"
         ) from None
-    return name, 1.0
 
 
 def _limit(path: Path, name: str, table: Any, factor: float) -> Limit:

@@ -1,6 +1,8 @@
 """Tests without a series of beams: play, camera at the sun, reflectance, controller, energy, given numbers."""
 
+import datetime
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +15,7 @@ from calibration.heliostat.diagnosis.backlash import (
 )
 from calibration.heliostat.performance.beam_series import BeamSeries, Estimate, accuracy
 from calibration.heliostat.performance.control_log import FAULTS, TIMES_EACH, answers
-from calibration.heliostat.performance.entries import Entry
+from calibration.heliostat.performance.entries import Entry, in_entry_unit
 from calibration.heliostat.performance.keys import (
     BacklashSection,
     ControlSection,
@@ -459,33 +461,56 @@ def power_test(tests: HeliostatTests, section: PowerSection) -> Outcome:
 
 
 def given_test(tests: HeliostatTests, section: GivenSection) -> Outcome:
-    """Numbers measured elsewhere, such as star reflection (C-10), as they are given."""
+    """Numbers measured elsewhere, such as star reflection (C-10), as they are given.
+
+    InputError: No row, a name without a unit or given twice, a number or a day that cannot be meant.
+    """
     path = tests.path(section.file)
     table = read_table_csv(path, ("key", "value", "sigma", "method"))
     same_heliostat(path, table, tests.model.name)
+    if not table["key"]:
+        raise InputError(f"{path}: there is no row; a key, value, sigma and method are needed, such as sd_mrad, 1.2")
     values, sigmas = numbers_of(path, table, "value"), numbers_of(path, table, "sigma")
-    entries = []
-    for row, key in enumerate(table["key"]):
-        try:
-            name, unit = unit_of(key)
-        except InputError as error:
-            raise InputError(f"{path}, row {row + 1}: {error}") from None
-        scale, end = (1e-3, "_rad") if unit == "mrad" else (np.pi / 180, "_rad") if unit == "deg" else (1.0, "")
-        stored = key if not end else f"{name}{end}"
-        label = table["label"][row] if "label" in table else name.replace("_", " ")
-        date, conditions = (table[key_][row] if key_ in table else "" for key_ in ("date", "conditions"))
-        known = np.isfinite(values[row])
-        entries.append(
-            Entry(
-                "given",
-                stored,
-                label,
-                float(scale * values[row]) if known else None,
-                float(scale * sigmas[row]) if np.isfinite(sigmas[row]) else None,
-                method=table["method"][row],
-                date=date or tests.date,
-                conditions=conditions,
-                note="measured elsewhere" if known else "not measured",
-            )
-        )
-    return Outcome(tuple(entries))
+    entries = tuple(_given(path, table, row, values[row], sigmas[row]) for row in range(values.size))
+    keys = [one.key for one in entries]
+    twice = next((key for key in keys if keys.count(key) > 1), None)
+    if twice is not None:
+        raise InputError(f"{path}: {twice} is given {keys.count(twice)} times; keep one or give each its own name")
+    return Outcome(tuple(one if one.date else replace(one, date=tests.date) for one in entries))
+
+
+def _given(path: Path, table: Mapping[str, Sequence[str]], row: int, value: float, sigma: float) -> Entry:
+    """Return the entry of a row; an empty value was not measured, an empty sigma is not known."""
+    where = f"{path}, row {row + 1}"
+    try:
+        key, factor = in_entry_unit(table["key"][row])
+    except InputError as error:
+        raise InputError(f"{where}: {error}") from None
+    for name, number in (("value", value), ("sigma", sigma)):
+        if table[name][row] and not np.isfinite(number):
+            raise InputError(f"{where}: {name} = {table[name][row]} is not finite; leave it empty where not known")
+    if sigma <= 0:
+        raise InputError(f"{where}: sigma = {sigma:g}: a positive number is needed; empty where not known")
+    label, date, conditions = (table[name][row] if name in table else "" for name in ("label", "date", "conditions"))
+    if date and not _is_day(date):
+        raise InputError(f"{where}: date = {date!r}: a day such as 2026-06-21 is needed")
+    known = np.isfinite(value)
+    return Entry(
+        "given",
+        key,
+        label or unit_of(key)[0].removesuffix("_share").replace("_", " "),
+        float(factor * value) if known else None,
+        float(factor * sigma) if known and np.isfinite(sigma) else None,
+        method=table["method"][row],
+        date=date,
+        conditions=conditions,
+        note="measured elsewhere" if known else "not measured",
+    )
+
+
+def _is_day(text: str) -> bool:
+    try:
+        datetime.date.fromisoformat(text)
+    except ValueError:
+        return False
+    return True

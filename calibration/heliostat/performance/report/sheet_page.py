@@ -13,6 +13,8 @@ from heliogauge.reporting.page_frame import POLICY_HEAD
 from heliogauge.reporting.style import STYLE
 
 _MOST_DOUBTS = 5
+#: Half a page wide, with letters that can be read on paper and on a telephone.
+_CHART_PX = 370.0
 _HEAD = (
     ("manufacturer", "Manufacturer"),
     ("model", "Model"),
@@ -59,6 +61,7 @@ main.sheet { max-width: 900px; }
 .sheet .rule { font-size: .8em; color: var(--faint); margin: .4em 0; max-width: none; }
 .sheet .cost { display: grid; grid-template-columns: 1fr 1fr; gap: 1em; align-items: start; margin: .5em 0; }
 .sheet .cost h2, .sheet h2 { font-size: 1.02em; margin: .5em 0 .2em; padding: 0; border: 0; }
+.sheet .cost figure { margin: 0; }
 .sheet .cost img { width: 100%; height: auto; }
 .sheet td.number { white-space: nowrap; }
 .signatures { display: grid; grid-template-columns: repeat(3, 1fr); gap: 1.6em; margin-top: 2.2em; }
@@ -85,10 +88,10 @@ main.sheet { max-width: 900px; }
   .sheet .rule { font-size: 6.8pt; margin: .2em 0; }
   .sheet .doubts { margin: .1em 0; font-size: 7.4pt; }
   .sheet .doubts li { margin: 0; }
-  .sheet .cost img { max-height: 42mm; width: auto; max-width: 100%; }
+  .sheet .cost img { max-height: 45mm; width: auto; max-width: 100%; }
   .facts { grid-template-columns: repeat(3, 1fr); }
-  .sheet .cost { grid-template-columns: 4fr 5fr; }
-  .signatures { margin-top: 9mm; }
+  .sheet .cost { grid-template-columns: 5fr 6fr; }
+  .signatures { margin-top: 8mm; }
 }
 """
 
@@ -130,8 +133,9 @@ def sheet_page(sheet: Sheet, confidence: float, *, printed: bool = False) -> str
 
 
 def is_main(line: SheetLine) -> bool:
-    """Whether a line is on the printed page: the standard ones, and what has a limit."""
-    return line.limit is not None or (line.entry.test, line.entry.key) in {(test, key) for test, key, _ in STANDARD}
+    """Whether a line is on the printed page: the standard ones, what has a limit, and what was given by hand."""
+    standard = {(test, key) for test, key, _ in STANDARD}
+    return line.limit is not None or line.entry.test == "given" or (line.entry.test, line.entry.key) in standard
 
 
 def _verdict(sheet: Sheet) -> str:
@@ -165,20 +169,20 @@ def _table(lines: list[SheetLine]) -> str:
     for test, group in groupby(ordered, key=lambda line: line.entry.test):
         own = list(group)
         measured = [line.entry for line in own if line.entry.value is not None]
-        rows.append(f'<tr class="group"><td colspan="4"><b>{TEST_WORDS.get(test, test)}</b>{_said(measured)}</td></tr>')
-        rows += map(_row, own)
+        said = _said(measured)
+        words = " not measured" if not measured else f" {html.escape('; '.join(filter(None, said)))}"
+        rows.append(f'<tr class="group"><td colspan="4"><b>{TEST_WORDS.get(test, test)}</b>{words}</td></tr>')
+        rows += [_row(line, said) for line in own]
     return f"<table>{''.join(rows)}</table>"
 
 
-def _said(measured: list[Entry]) -> str:
-    if not measured:
-        return " not measured"
-    first = measured[0]
-    parts = [first.method, first.date, first.conditions]
-    return " " + html.escape("; ".join(part for part in parts if part))
+def _said(measured: list[Entry]) -> tuple[str, str, str]:
+    """Return method, date and conditions of the first entry; those that differ say their own."""
+    first = measured[0] if measured else Entry("", "", "", None)
+    return first.method, first.date, first.conditions
 
 
-def _row(line: SheetLine) -> str:
+def _row(line: SheetLine, said: tuple[str, str, str]) -> str:
     entry, state = line.entry, line.decision.conformity
     value = html.escape(value_text(entry)) if entry.value is not None else '<span class="none">not measured</span>'
     if entry.value is not None and entry.sigma is None:
@@ -187,8 +191,12 @@ def _row(line: SheetLine) -> str:
     if line.decision.probability is not None and state not in (Conformity.PASS, Conformity.FAIL):
         mark += f" ({100 * line.decision.probability:.0f} %)"
     limit = html.escape(limit_text(entry, line.limit)) if line.limit else ""
+    own = [part for part in (entry.method or "method not stated", entry.date, entry.conditions) if part]
+    own = [part for part in own if part not in said]
+    more = f" <small>{html.escape('; '.join(own))}</small>" if own and entry.value is not None else ""
     return (
-        f'<tr><td>{html.escape(entry.label)}</td><td class="number">{value}</td><td class="number limit">{limit}</td>'
+        f'<tr><td>{html.escape(entry.label)}{more}</td><td class="number">{value}</td>'
+        f'<td class="number limit">{limit}</td>'
         f'<td class="mark {_MARKS[state]}">{html.escape(mark)}</td></tr>'
     )
 
@@ -209,7 +217,7 @@ def _below(sheet: Sheet) -> str:
     pieces = []
     if "day_rows" in sheet.tables:
         chart = series_chart(sheet.tables["day_rows"], "Error of the beam")
-        pieces.append(f"<div>{chart.still()._repr_html_()}</div>")
+        pieces.append(f"<div>{chart.still(width=_CHART_PX)._repr_html_()}</div>")
     if "year_costs" in sheet.tables:
         table = sheet.tables["year_costs"]
         rows = "".join(

@@ -11,6 +11,7 @@ from calibration.heliostat.performance.keys import load_tests
 from calibration.heliostat.performance.pipeline.make_sheet import SheetOptions
 from calibration.heliostat.performance.pipeline.make_sheet import run as make_sheets
 from calibration.heliostat.performance.pipeline.run_tests import Options, run
+from calibration.heliostat.performance.report.sheet_page import sheet_page
 from data_synth.acceptance.dataset import write_tests_folder
 from data_synth.acceptance.plant import TestPlant
 from heliogauge.errors import InputError
@@ -93,7 +94,6 @@ def test_year_says_what_a_mrad_costs(tmp_path):
 @pytest.mark.slow
 def test_pdf_is_one_page(drawn, results, tmp_path):
     pytest.importorskip("weasyprint", exc_type=ImportError)
-    from calibration.heliostat.performance.report.sheet_page import sheet_page
     from heliogauge.reporting.print_pdf import write_pdf
 
     sheets = make_sheets([results], SheetOptions(limits=drawn / "limits.toml"))
@@ -178,6 +178,56 @@ def test_gap_of_spectra_is_named(drawn):
     found = run(load_tests(drawn), Options("reflectance"))
     texts = [one.text for one in found.doubts if one.code == "spectrum_gap"]
     assert any("840 to 885 nm" in text for text in texts)
+
+
+GIVEN = """key,value,sigma,label,method,date
+sd_mrad,1.21,0.05,Slope deviation of the normals,star reflection,2025-02-11
+soiling_percent,3.1,,,,
+moon_d90_m,,,,photo of the moon,
+"""
+
+
+def given(folder, text):
+    """Return the results of numbers that were measured elsewhere."""
+    folder.mkdir(exist_ok=True)
+    (folder / "given.csv").write_text(text)
+    (folder / "measurement.toml").write_text(
+        'kind = "heliostat-tests"\nname = "AB12"\ndate = 2026-06-25\n'
+        '[heliostat]\nposition_m = [9.0, 52.0, 2.2]\n[given]\nfile = "given.csv"\n'
+    )
+    return run(load_tests(folder), Options("given"))
+
+
+def test_numbers_measured_elsewhere_stand_on_the_sheet(tmp_path):
+    found = given(tmp_path / "elsewhere", GIVEN)
+    assert [(one.key, one.value, one.sigma, one.date) for one in found.entries] == [
+        ("sd_rad", pytest.approx(1.21e-3), pytest.approx(0.05e-3), "2025-02-11"),
+        ("soiling_share", pytest.approx(0.031), None, "2026-06-25"),
+        ("moon_d90_m", None, None, "2026-06-25"),
+    ]
+    into_folder(tmp_path / "out", lambda: found, SilentProgress(), force=False, report=True)
+    (sheet,) = make_sheets([tmp_path / "out"], SheetOptions(pdf=False)).sheets
+    page = sheet_page(sheet, 0.95, printed=True)
+    assert "Measured elsewhere</b> star reflection; 2025-02-11" in page
+    assert "1.210 \u00b1 0.050 mrad" in page
+    # What the first row says holds for the others only where they say nothing else.
+    assert "soiling <small>method not stated; 2026-06-25</small>" in page
+
+
+@pytest.mark.parametrize(
+    ("rows", "said"),
+    [
+        ("", "there is no row"),
+        ("sd,1.2,0.1,star,\n", "must end with its unit"),
+        ("sd_mrad,inf,0.1,star,\n", "value = inf is not finite"),
+        ("sd_mrad,1.2,-0.1,star,\n", "sigma = -0.1: a positive number"),
+        ("sd_mrad,1.2,0.1,star,11.02.2025\n", "a day such as"),
+        ("sd_mrad,1.2,0.1,star,\nsd_urad,1300,100,star,\n", "sd_rad is given 2 times"),
+    ],
+)
+def test_given_numbers_that_cannot_be_meant_are_refused(tmp_path, rows, said):
+    with pytest.raises(InputError, match=said):
+        given(tmp_path / "elsewhere", f"key,value,sigma,method,date\n{rows}")
 
 
 def test_unknown_limit_is_listed_and_doubted(results, tmp_path):
