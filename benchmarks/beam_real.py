@@ -64,8 +64,16 @@ def centres():
                 own[targets == target] -= np.median(own[used & (targets == target)], axis=0)
             line(f"{name}, and the median of each target", own[used], sigma[used])
         reasons = Counter(one.split(";")[0] for one, bad in zip(result.beams.reasons, ~used, strict=True) if bad)
-        held = float(np.mean((result.beams.flags[used] & np.uint32(BeamFlag.BACKGROUND_MAY_HOLD_LIGHT)) != 0))
-        row(f"{name}: refused, each with a reason; aureole said", str((~used).sum()), f"{held:.0%}", "")
+        held, uneven = (
+            float(np.mean((result.beams.flags[used] & np.uint32(flag)) != 0))
+            for flag in (BeamFlag.BACKGROUND_MAY_HOLD_LIGHT, BeamFlag.UNEVEN_TARGET)
+        )
+        row(
+            f"{name}: refused, each with a reason; aureole said; panels said",
+            str((~used).sum()),
+            f"{held:.0%}",
+            f"{uneven:.0%}",
+        )
         for reason, count in reasons.items():
             print(f"    {count} x {reason}")
     line("all", *(np.concatenate(one) for one in zip(*everything, strict=True)))
@@ -99,11 +107,12 @@ def convention():
         )
         latitude, longitude, height = tower["power_plant_properties"]["coordinates"]
         turn = np.radians(longitude - 6) * np.sin(np.radians(latitude)) if early else 0.0
-        offsets, norths = [], {}
+        offsets, norths, plants = [], {}, []
         for file, target, x, y in zip(
             result.beams.files, result.beams.targets, result.beams.x_m, result.beams.y_m, strict=True
         ):
-            record = json.loads((folder / f"{file.name.split('_')[0].split('-')[0]}-{RECORD}").read_text())
+            number = file.name.split("_")[0].split("-")[0]
+            record = json.loads((folder / f"{number}-{RECORD}").read_text())
             spot = np.array(record["focal_spot"]["UTIS"]) + ([4.894e-7, 2.31243e-5, 0.0] if early else [0.0, 0.0, 0.0])
             east, north, _ = enu_from_geodetic(*spot, (latitude, longitude, height))
             true_north = np.sin(turn) * east + np.cos(turn) * north
@@ -118,8 +127,21 @@ def convention():
             crop = cv2.getPerspectiveTransform(seen, np.array([[0, 0], [1, 0], [1, 1], [0, 1]], dtype=np.float32))
             ours = crop @ [x, y, 1.0]
             offsets.append((ours[:2] / ours[2] - label) * [left - right, bottom - top])
+            if (folder / f"{number}-flux.png").is_file():
+                flux = cv2.imread(str(folder / f"{number}-flux.png"), cv2.IMREAD_GRAYSCALE).astype(float)
+                y, x = np.indices(flux.shape)
+                share = np.array([(flux * x).sum(), (flux * y).sum()]) / flux.sum() / flux.shape[0]
+                plants.append((share - label) * [left - right, bottom - top])
         offsets, sigma = np.array(offsets), result.beams.sigma_m
         line(f"{name}, {used.sum()} photos", offsets[used], sigma[used])
+        if plants:
+            away = np.hypot(*np.array(plants).T)
+            row(
+                f"{name}: the plant's own pictures without background: median, farthest",
+                f"{np.median(away):.3f} m",
+                f"{away.max():.3f} m",
+                "",
+            )
         before, after = (max(float(np.ptp(np.array(one)[:, k])) for one in norths.values()) for k in (0, 1))
         row(
             f"{name}: range of north coordinates, as published; turned",

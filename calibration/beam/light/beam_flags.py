@@ -19,6 +19,7 @@ class BeamFlag(IntFlag):
     METHODS_DISAGREE = 1 << 8
     UNREADABLE = 1 << 9
     BACKGROUND_MAY_HOLD_LIGHT = 1 << 10
+    UNEVEN_TARGET = 1 << 11
 
 
 BEAM_FLAG_TEXTS: dict[BeamFlag, str] = {
@@ -34,6 +35,8 @@ BEAM_FLAG_TEXTS: dict[BeamFlag, str] = {
     BeamFlag.UNREADABLE: "the picture cannot be read",
     BeamFlag.BACKGROUND_MAY_HOLD_LIGHT: "light of the beam may be spread over the whole target and count as "
     "background (haze, a dirty mirror, the camera's halo): the sizes are those of the rest",
+    BeamFlag.UNEVEN_TARGET: "the target's panels differ and no frame without a beam shows those under it: the centre "
+    "may be off by more than its sigma says",
 }
 
 #: Bits with which a beam has no value that a fit may use.

@@ -187,10 +187,12 @@ def _peak(light: FloatArray, picture: LightPicture, smoothed_dn: FloatArray) -> 
         return float("nan"), float("nan")
     smoothed = np.where(picture.inside, smoothed_dn, 0.0)
     top = np.unravel_index(int(np.argmax(smoothed)), smoothed.shape)
-    found = [_top(light, smoothed, (int(top[0]), int(top[1])), share) for share in _TOPS]
-    (peak, scatter), (wider, _) = found
+    highest = float(smoothed[top])
+    left, low, width, height = cv2.boundingRect((smoothed > min(_TOPS) * highest).astype(np.uint8))
+    part = (slice(low, low + height), slice(left, left + width))
+    place = (int(top[0]) - low, int(top[1]) - left)
+    (peak, scatter), (wider, _) = (_top(light[part], smoothed[part], place, share) for share in _TOPS)
     if not np.isfinite(peak):
-        highest = float(smoothed[int(top[0]), int(top[1])])
         return highest, 0.1 * highest
     apart = peak - wider if np.isfinite(wider) else 0.0
     return peak, float(np.sqrt(scatter**2 + apart**2 + (2 * _LIMIT_SHARE * peak) ** 2))
@@ -210,15 +212,19 @@ def _top(light: FloatArray, smoothed: FloatArray, top: tuple[int, int], share: f
     y, x = (rows - rows.mean()) / scale, (columns - columns.mean()) / scale
     design = np.column_stack([np.ones(x.size), x, y, x * x, x * y, y * y])
     values = light[rows, columns]
-    found, _, rank, _ = np.linalg.lstsq(design, values, rcond=None)
+    normal = design.T @ design
+    if np.linalg.cond(normal) > 1e12:
+        return nothing
+    inverse = np.linalg.inv(normal)
+    found = inverse @ (design.T @ values)
     bend = np.array([[2 * found[3], found[4]], [found[4], 2 * found[5]]])
-    if rank < 6 or not (np.linalg.eigvalsh(bend) < 0).all():
+    if not (np.linalg.eigvalsh(bend) < 0).all():
         return nothing
     place = np.clip(-np.linalg.solve(bend, found[1:3]), -1.0, 1.0)
     at = np.array([1.0, place[0], place[1], place[0] ** 2, place[0] * place[1], place[1] ** 2])
     residuals = values - design @ found
     variance = float(residuals @ residuals) / max(values.size - 6, 1)
-    return float(at @ found), float(np.sqrt(variance * (at @ np.linalg.pinv(design.T @ design) @ at)))
+    return float(at @ found), float(np.sqrt(variance * (at @ inverse @ at)))
 
 
 def _with_aureole(picture: LightPicture, skirts: Skirts | None, aureole: Aureole) -> FloatArray:

@@ -4,11 +4,12 @@ A surface that is smooth cannot follow a step, and extends its error under the b
 another tower casts on the target ends in a straight line, and so does a panel.
 """
 
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 
-from heliogauge.validate import BoolArray, FloatArray
+from heliogauge.validate import BoolArray, Float32Array, FloatArray, freeze
 
 __all__ = ["strongest_edge"]
 
@@ -33,20 +34,21 @@ def strongest_edge(residuals: FloatArray, free: BoolArray, basis: FloatArray) ->
     Returns (h, w): The step, from 0 to 1; None where no step explains a good part of the residuals' squares.
     """
     chosen = np.flatnonzero(free)
-    y, x = np.divmod(chosen[:: (chosen.size // _ENOUGH_PIXELS) | 1], free.shape[1])
-    wanted = residuals[y, x]
+    chosen = chosen[:: (chosen.size // _ENOUGH_PIXELS) | 1]
+    wanted = residuals.ravel()[chosen]
     height, width = residuals.shape
-    across, down = (x + 0.5) * (2 / width) - 1, (y + 0.5) * (2 / height) - 1
-    orthogonal, _ = np.linalg.qr(basis[y, x])
+    orthogonal, _ = np.linalg.qr(basis.reshape(-1, basis.shape[2])[chosen])
     wanted = wanted - orthogonal @ (orthogonal.T @ wanted)
     power = float(wanted @ wanted)
     if not power > 0:
         return None
-    best = _search(across, down, wanted, orthogonal, _grid(0.0, np.pi, 0.0, 1.3, (_DIRECTIONS, _OFFSETS)))
+    best = _search(_all_steps((height, width))[chosen], wanted, orthogonal, _all_edges())
     if best.gain < _HOPELESS * _LEAST_GAIN * power:
         return None
     fine = _grid(best.angle, np.pi / _DIRECTIONS, best.offset, 2.6 / _OFFSETS, (11, 11))
-    best = max(best, _search(across, down, wanted, orthogonal, fine))
+    y, x = np.divmod(chosen, width)
+    across, down = (x + 0.5) * (2 / width) - 1, (y + 0.5) * (2 / height) - 1
+    best = max(best, _search(_steps(across, down, fine), wanted, orthogonal, fine))
     if best.gain < _LEAST_GAIN * power:
         return None
     columns = ((np.arange(width) + 0.5) * (2 / width) - 1)[None, :]
@@ -72,23 +74,42 @@ def _grid(angle: float, reach: float, offset: float, spread: float, counts: tupl
     return np.stack([each.ravel() for each in np.meshgrid(angles, offsets, indexing="ij")], axis=1)
 
 
-def _search(
-    across: FloatArray, down: FloatArray, wanted: FloatArray, orthogonal: FloatArray, candidates: FloatArray
-) -> _Drop:
-    """Return the largest drop of the squares."""
+@lru_cache(maxsize=1)
+def _all_edges() -> FloatArray:
+    return freeze(_grid(0.0, np.pi, 0.0, 1.3, (_DIRECTIONS, _OFFSETS)))
+
+
+@lru_cache(maxsize=2)
+def _all_steps(shape: tuple[int, int]) -> Float32Array:
+    """Return the steps of the coarse candidates at all pixels, (pixels, n): photos of one size share them."""
+    y, x = np.divmod(np.arange(shape[0] * shape[1]), shape[1])
+    steps = _steps((x + 0.5) * (2 / shape[1]) - 1, (y + 0.5) * (2 / shape[0]) - 1, _all_edges())
+    steps.setflags(write=False)
+    return steps
+
+
+def _steps(across: FloatArray, down: FloatArray, candidates: FloatArray) -> Float32Array:
+    """Return the steps of candidates at pixels, shape (pixels, n).
+
+    Single precision: gains are compared to a percent, and the table of all steps is what takes the time.
+    """
     directions = np.stack([np.cos(candidates[:, 0]), np.sin(candidates[:, 0])])
-    # Single precision: gains are compared to a percent, and the table of all steps is what takes the time.
     steps = (np.stack([across, down], axis=1) @ directions).astype(np.float32)
     steps -= candidates[:, 1].astype(np.float32)
     steps *= np.float32(0.5 / _BLUR)
     steps += np.float32(0.5)
     np.clip(steps, 0, 1, out=steps)
-    parts = orthogonal.T.astype(np.float32) @ steps
-    beyond = steps.mean(axis=0)
+    return np.asarray(steps)
+
+
+def _search(steps: Float32Array, wanted: FloatArray, orthogonal: FloatArray, candidates: FloatArray) -> _Drop:
+    """Return the largest drop of the squares."""
+    rows = np.concatenate([orthogonal.T, wanted[None], np.full((1, wanted.size), 1 / wanted.size)])
+    *parts, drops, beyond = rows.astype(np.float32) @ steps
     # What is orthogonal to the smooth functions has the power of the step less that of its parts along them.
-    power = np.einsum("ij,ij->j", steps, steps) - np.einsum("ij,ij->j", parts, parts)
+    power = np.einsum("ij,ij->j", steps, steps) - sum(part * part for part in parts)
     usable = (beyond > _LEAST_SIDE) & (beyond < 1 - _LEAST_SIDE) & (power > 1e-3 * wanted.size)
-    gain = np.where(usable, (wanted.astype(np.float32) @ steps) ** 2 / np.where(usable, power, 1.0), 0.0)
+    gain = np.where(usable, drops**2 / np.where(usable, power, 1.0), 0.0)
     k = int(np.argmax(gain))
     return _Drop(float(gain[k]), float(candidates[k, 0]), float(candidates[k, 1]))
 

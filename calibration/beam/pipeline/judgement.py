@@ -71,6 +71,16 @@ def doubts_of_beams(result: "Result") -> tuple[Doubt, ...]:
                 {"beams_count": int(held.sum()), "median_aureole_share": float(np.median(shares))},
             )
         )
+    uneven = ~refused & ((beams.flags & np.uint32(BeamFlag.UNEVEN_TARGET)) != 0)
+    if uneven.any():
+        doubts.append(
+            Doubt(
+                "target_uneven",
+                f"in {int(uneven.sum())} of {uneven.size} photos {BEAM_FLAG_TEXTS[BeamFlag.UNEVEN_TARGET]}, and "
+                "sizes likewise; give frames without a beam (images.empty), or a reflectance_map",
+                {"beams_count": int(uneven.sum())},
+            )
+        )
     skirts = np.array([one.skirt_share for one in beams.sizes])
     wide = ~refused & (skirts > _MUCH_SKIRT)
     if wide.any():

@@ -169,20 +169,20 @@ def _table(lines: list[SheetLine]) -> str:
     for test, group in groupby(ordered, key=lambda line: line.entry.test):
         own = list(group)
         measured = [line.entry for line in own if line.entry.value is not None]
-        said = _said(measured)
-        words = " not measured" if not measured else f" {html.escape('; '.join(filter(None, said)))}"
+        first = _circumstances(measured)
+        words = " not measured" if not measured else f" {html.escape('; '.join(filter(None, first)))}"
         rows.append(f'<tr class="group"><td colspan="4"><b>{TEST_WORDS.get(test, test)}</b>{words}</td></tr>')
-        rows += [_row(line, said) for line in own]
+        rows += [_row(line, first) for line in own]
     return f"<table>{''.join(rows)}</table>"
 
 
-def _said(measured: list[Entry]) -> tuple[str, str, str]:
+def _circumstances(measured: list[Entry]) -> tuple[str, str, str]:
     """Return method, date and conditions of the first entry; those that differ say their own."""
     first = measured[0] if measured else Entry("", "", "", None)
     return first.method, first.date, first.conditions
 
 
-def _row(line: SheetLine, said: tuple[str, str, str]) -> str:
+def _row(line: SheetLine, shared: tuple[str, str, str]) -> str:
     entry, state = line.entry, line.decision.conformity
     value = html.escape(value_text(entry)) if entry.value is not None else '<span class="none">not measured</span>'
     if entry.value is not None and entry.sigma is None:
@@ -192,7 +192,7 @@ def _row(line: SheetLine, said: tuple[str, str, str]) -> str:
         mark += f" ({100 * line.decision.probability:.0f} %)"
     limit = html.escape(limit_text(entry, line.limit)) if line.limit else ""
     own = [part for part in (entry.method or "method not stated", entry.date, entry.conditions) if part]
-    own = [part for part in own if part not in said]
+    own = [part for part in own if part not in shared]
     more = f" <small>{html.escape('; '.join(own))}</small>" if own and entry.value is not None else ""
     return (
         f'<tr><td>{html.escape(entry.label)}{more}</td><td class="number">{value}</td>'
