@@ -6,21 +6,12 @@ probability is at least 95 %, failure where that of conformity is at most 5 %; w
 
 from dataclasses import dataclass
 from enum import StrEnum
-from math import inf, isfinite, pi
+from math import inf, isfinite
 
 from heliogauge.errors import InputError
-from heliogauge.results.folder import unit_of
 
 #: ISO 14253-1:2017: the probability at which conformity counts as proven unless agreed otherwise.
 CONFIDENCE = 0.95
-#: Ends of names in a user's files that stand for another unit than an entry's: its end, and the factor.
-_UNITS = {
-    "_mrad": ("_rad", 1e-3),
-    "_urad": ("_rad", 1e-6),
-    "_deg": ("_rad", pi / 180),
-    "_mm": ("_m", 1e-3),
-    "_percent": ("_share", 1e-2),
-}
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,21 +43,6 @@ class Entry:
     def name(self) -> str:
         """Test and key: how limits and tables call it."""
         return f"{self.test}_{self.key}"
-
-
-def in_entry_unit(name: str) -> tuple[str, float]:
-    """Return a name with its unit as entries have it, and the factor that numbers of the named unit take.
-
-    InputError: A name that does not end with a unit.
-
-    >>> in_entry_unit("day_beam_rms_mrad")
-    ('day_beam_rms_rad', 0.001)
-    """
-    for end, (unit, factor) in _UNITS.items():
-        if name.endswith(end):
-            return name.removesuffix(end) + unit, factor
-    unit_of(name)
-    return name, 1.0
 
 
 class Conformity(StrEnum):

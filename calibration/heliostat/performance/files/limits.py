@@ -1,14 +1,24 @@
 """Limits of a data sheet: what each entry must keep, from limits.toml."""
 
 from dataclasses import dataclass, field
+from math import pi
 from pathlib import Path
 from typing import Any
 
-from calibration.heliostat.performance.entries import CONFIDENCE, Limit, in_entry_unit
+from calibration.heliostat.performance.entries import CONFIDENCE, Limit
 from heliogauge.errors import InputError
 from heliogauge.files.texts import read_toml
 from heliogauge.instruments import near_match
+from heliogauge.results.folder import unit_of
 
+#: Ends of names in a user's files that stand for another unit than an entry's: its end, and the factor.
+_UNITS = {
+    "_mrad": ("_rad", 1e-3),
+    "_urad": ("_rad", 1e-6),
+    "_deg": ("_rad", pi / 180),
+    "_mm": ("_m", 1e-3),
+    "_percent": ("_share", 1e-2),
+}
 _KEYS = ("least", "most", "source")
 
 
@@ -41,6 +51,21 @@ def read_limits(path: Path) -> Limits:
             raise InputError(f"{path}: [{name}]: {entry} has a limit already, in another unit; keep one")
         found[entry] = _limit(path, name, table, factor)
     return Limits(found, confidence, path.name)
+
+
+def in_entry_unit(name: str) -> tuple[str, float]:
+    """Return a name with its unit as entries have it, and the factor that numbers of the named unit take.
+
+    InputError: A name that does not end with a unit.
+
+    >>> in_entry_unit("day_beam_rms_mrad")
+    ('day_beam_rms_rad', 0.001)
+    """
+    for end, (unit, factor) in _UNITS.items():
+        if name.endswith(end):
+            return name.removesuffix(end) + unit, factor
+    unit_of(name)
+    return name, 1.0
 
 
 def _entry_name(path: Path, name: str) -> tuple[str, float]:

@@ -15,7 +15,8 @@ from calibration.heliostat.diagnosis.backlash import (
 )
 from calibration.heliostat.performance.beam_series import BeamSeries, Estimate, accuracy
 from calibration.heliostat.performance.control_log import FAULTS, TIMES_EACH, answers
-from calibration.heliostat.performance.entries import Entry, in_entry_unit
+from calibration.heliostat.performance.entries import Entry
+from calibration.heliostat.performance.files.limits import in_entry_unit
 from calibration.heliostat.performance.keys import (
     BacklashSection,
     ControlSection,
