@@ -1,5 +1,6 @@
 """From the photo of a target in its file to the beam on the target's plane."""
 
+from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
 
@@ -68,6 +69,7 @@ class TargetFinder:
                 )
             )
         self._near: TargetCorners | None = None
+        self._photo_shape: tuple[int, ...] | None = None
         self._empty = self._empty_target()
         self._reflectance = None
         if frame.reflectance_file is not None:
@@ -76,7 +78,13 @@ class TargetFinder:
                 raise InputError(f"{frame.reflectance_file}: more than half of the reflectance map is black")
 
     def look(self, file: Path) -> None:
-        """Find the marks once, so that all photos start their search from the same place, whatever their order."""
+        """Find the marks once, so that all photos start their search from the same place, whatever their order.
+
+        Corners that are given in pixels are those of photos as large as this one, or as the frames without a beam.
+        """
+        if self._fixed is not None and self._photo_shape is None:
+            with suppress(InputError):  # Its own row has the reason.
+                self._photo_shape = read_channel(file, self._frame.channel).shape
         if isinstance(self._frame.source, MarkerTemplates):
             try:
                 self._near = template_corners(read_channel(file, self._frame.channel), self._templates)
@@ -130,6 +138,10 @@ class TargetFinder:
         if isinstance(source, WholeImage):
             return whole_image(photo, self._frame.corners_m, by_index=source.places == "index")
         if self._fixed is not None:
+            self._photo_shape = self._photo_shape or photo.shape
+            if photo.shape != self._photo_shape:
+                sizes = [f"{shape[1]} x {shape[0]} px" for shape in (photo.shape, self._photo_shape)]
+                raise EstimationError(f"the photo has {sizes[0]}, corners_px are those of photos of {sizes[1]}")
             return self._fixed.rectify(photo, full_scale_dn=_full_scale(photo))
         return self._rectifier(self._corners(photo)).rectify(photo, full_scale_dn=_full_scale(photo))
 

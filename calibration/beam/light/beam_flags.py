@@ -20,6 +20,7 @@ class BeamFlag(IntFlag):
     UNREADABLE = 1 << 9
     BACKGROUND_MAY_HOLD_LIGHT = 1 << 10
     UNEVEN_TARGET = 1 << 11
+    TARGET_MOVED = 1 << 12
 
 
 BEAM_FLAG_TEXTS: dict[BeamFlag, str] = {
@@ -37,6 +38,8 @@ BEAM_FLAG_TEXTS: dict[BeamFlag, str] = {
     "background (haze, a dirty mirror, the camera's halo): the sizes are those of the rest",
     BeamFlag.UNEVEN_TARGET: "the target's panels differ and no frame without a beam shows those under it: the centre "
     "may be off by more than its sigma says",
+    BeamFlag.TARGET_MOVED: "the target's seams and marks are not where the frames without a beam show them (another "
+    "target, or the camera has moved)",
 }
 
 #: Bits with which a beam has no value that a fit may use.
@@ -48,6 +51,7 @@ REJECTED_BEAM = (
     | BeamFlag.TARGET_NOT_FOUND
     | BeamFlag.UNREADABLE
     | BeamFlag.METHODS_DISAGREE
+    | BeamFlag.TARGET_MOVED
 )
 
 

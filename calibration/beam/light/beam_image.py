@@ -27,6 +27,7 @@ from calibration.beam.light.beam_lumps import count_lumps
 from calibration.beam.light.beam_moments import BeamMoments, beam_moments
 from calibration.beam.light.beam_region import BeamRegion, find_beam_region
 from calibration.beam.light.beam_size import BeamSize, LightPicture, Skirts, beam_size, no_size
+from calibration.beam.light.target_details import compare_details
 from calibration.beam.target.view import TargetImage
 from heliogauge.errors import EstimationError, InputError
 from heliogauge.validate import BoolArray, FloatArray, freeze
@@ -56,6 +57,9 @@ _PANEL_PULL = 0.56
 #: real photos of one heliostat two have more, and none of another's five; of 36 drawn targets each, panels of 1, 3 and
 #: 6 % are said in 2, 27 and 36, and pull the centre by up to 4, 6 and 6 sigma.
 _UNEVEN = 0.015
+#: Strength of the empty target's details in a photo, and sigmas that it must be below: 0.8 and more in drawn photos
+#: with shadows, clouds and haze, about 0 where the camera has moved by more than twice a seam's width.
+_LEAST_DETAILS, _SURE = 0.45, 2.0
 #: Rounds in which a beam's skirts and the background are told apart, and the change that ends them, of the peak.
 _SKIRT_ROUNDS, _SKIRT_SETTLED = 6, 0.002
 #: Of what reflects less than this share of the target around it, the beam's light is not known.
@@ -353,6 +357,10 @@ def _measured(image: TargetImage, picture: _Picture, region: BeamRegion, setting
         flags |= BeamFlag.SUNLIT_TARGET
     if uneven > _UNEVEN:
         flags |= BeamFlag.UNEVEN_TARGET
+    if picture.empty is not None:
+        details = compare_details(picture.values_dn, picture.empty, free, image.full_scale_dn)
+        if any(one.strength + _SURE * one.sigma < _LEAST_DETAILS for one in details):
+            flags |= BeamFlag.TARGET_MOVED
     if _disagree(estimates, moments):
         flags |= BeamFlag.METHODS_DISAGREE
     light = LightPicture(

@@ -11,6 +11,7 @@ from calibration.beam.light.beam_flags import BeamFlag
 from calibration.beam.light.beam_image import measure_beam
 from calibration.beam.pipeline.measure import run
 from data_synth.heliostats import BenchOptions, write_beam_dataset
+from heliogauge.images.photos import read_image, write_image
 from tests.calibration.beam_pictures import gaussian, picture, sky_light
 
 
@@ -71,6 +72,39 @@ def test_panels_without_a_frame_of_the_empty_target_are_said(spread: float, leas
     # 2.0 and 3.1 where no scale of the background's error was as wide as a panel, and blocks that the smooth functions
     # follow counted as free; 1.7 and 2.1 now.
     assert np.sqrt(np.mean(np.square(scores))) < (2.4 if least else 1.9)
+
+
+def test_a_photo_of_a_camera_that_has_moved_is_refused(tmp_path: Path) -> None:
+    """Corners by hand put the beam aside without a word otherwise: here by 0.25 and 1.2 m."""
+    write_beam_dataset(tmp_path / "F", BenchOptions(suns=3, seed=9))
+    for name, shift_px in (("beam_001.png", 8), ("beam_002.png", 40)):
+        write_image(tmp_path / "F" / name, np.roll(read_image(tmp_path / "F" / name), shift_px, axis=1))
+    beams = run(load_beams(tmp_path / "F")).beams
+    assert ((beams.flags & np.uint32(BeamFlag.TARGET_MOVED)) != 0).tolist() == [False, True, True]
+    assert beams.rejected.tolist() == [False, True, True]
+
+
+def test_a_target_without_a_detail_does_not_tell() -> None:
+    plain = sky_light() + 120 * gaussian((0.3, -0.2), (0.5, 0.4))
+    even = empty_target([empty(np.ones_like(plain))])
+    assert not measure_beam(picture(plain, noise_dn=1.5), empty=even).flags & BeamFlag.TARGET_MOVED
+
+
+@pytest.mark.parametrize("faults", [("shadow",), ("moved-shadow",), ("clouds",), ("underexposed",)])
+def test_details_of_drawn_photos_are_found_in_their_places(tmp_path: Path, faults: tuple[str, ...]) -> None:
+    write_beam_dataset(tmp_path / "F", BenchOptions(suns=2, faults=faults, seed=4))
+    beams = run(load_beams(tmp_path / "F")).beams
+    assert not (beams.flags & np.uint32(BeamFlag.TARGET_MOVED)).any()
+
+
+def test_photos_of_another_size_than_the_corners_are_refused(tmp_path: Path) -> None:
+    write_beam_dataset(tmp_path / "F", BenchOptions(suns=2, seed=4))
+    file = tmp_path / "F" / "beam_001.png"
+    image = read_image(file)
+    write_image(file, np.ascontiguousarray(np.repeat(np.repeat(image, 2, axis=0), 2, axis=1)))
+    beams = run(load_beams(tmp_path / "F")).beams
+    assert beams.rejected.tolist() == [False, True]
+    assert "corners_px are those of photos of" in beams.reasons[1]
 
 
 @pytest.mark.slow
