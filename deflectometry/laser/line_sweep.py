@@ -107,11 +107,11 @@ def _segments(sweep: Sweep) -> _Segments:
         usual[number] = np.median(length[same & (sweep.line[:-1] == number)])
     same &= length < _GAP * usual[sweep.line[:-1]]
     piece = np.flatnonzero(same)
-    # Noise of its two points turns a piece: the line's direction is that of some more.
-    ends = [np.clip(piece + far, 0, len(sweep.line) - 1) for far in (-_BESIDE, _BESIDE + 1)]
-    low, high = (
-        np.where(sweep.line[end] == sweep.line[piece], end, piece + own) for end, own in zip(ends, (0, 1), strict=True)
-    )
+    # Noise of its two points turns a piece: the line's direction is that of some more, as far as it has no gap.
+    begins = np.append(True, ~same)
+    first, last = np.flatnonzero(begins), np.flatnonzero(np.append(begins[1:], True))
+    run = np.cumsum(begins)[piece] - 1
+    low, high = np.maximum(piece - _BESIDE, first[run]), np.minimum(piece + 1 + _BESIDE, last[run])
     chord = sweep.points_m[high] - sweep.points_m[low]
     across = np.stack([-chord[:, 1], chord[:, 0]], axis=1) / np.hypot(*chord.T)[:, None]
     return _Segments(sweep.line[piece], sweep.points_m[piece], step[piece], across)

@@ -221,7 +221,9 @@ class _Heliostat:
             )
         except EstimationError as error:
             raise EstimationError(f"{self.name}: {error}") from error
-        mean, spread = found.rms_rad.mean(axis=0), found.rms_rad.std(axis=0, ddof=1 if len(found.rms_rad) > 1 else 0)
+        mean = found.rms_rad.mean(axis=0)
+        spread = found.rms_rad.std(axis=0, ddof=1) if len(found.rms_rad) > 1 else np.full_like(mean, np.nan)
+        ratio = mean / mean[0]
         return [
             {
                 "heliostat": self.name,
@@ -232,7 +234,7 @@ class _Heliostat:
                 "failed": found.failed,
                 "rms_mrad": _mrad(float(mean[row])),
                 "spread_mrad": _mrad(float(spread[row])),
-                "over_first_day_ratio": round(float(mean[row] / mean[0]), 3),
+                "over_first_day_ratio": round(float(ratio[row]), 3) if np.isfinite(ratio[row]) else "",
             }
             for row, day in enumerate(self.days)
         ]
@@ -248,11 +250,19 @@ class _Heliostat:
 
 
 def _stability_sentence(rows: list[dict[str, Any]]) -> str:
-    others = [float(row["rms_mrad"]) for row in rows[1:]]
-    text = f"estimated from {rows[0]['date']} it errs by {rows[0]['rms_mrad']:.2f} mrad on that day"
+    first, *others = (one["rms_mrad"] for one in rows)
+    known = [one for one in others if one != ""]
+    text = f"estimated from {rows[0]['date']} it errs by {_two_digits(first)} mrad on that day"
     if len(others) == 1:
-        return text + f", {others[0]:.2f} mrad on the other"
-    return text + (f", {min(others):.2f} to {max(others):.2f} mrad on the others" if others else "")
+        text += f", {_two_digits(others[0])} mrad on the other"
+    elif known:
+        text += f", {min(known):.2f} to {max(known):.2f} mrad on the others"
+    unknown = [str(one["date"]) for one in rows if one["rms_mrad"] == ""]
+    return text + (f"; not known where a draw leaves no beam: {', '.join(unknown)}" if unknown else "")
+
+
+def _two_digits(value: float | str) -> str:
+    return "unknown" if isinstance(value, str) else f"{value:.2f}"
 
 
 def _seasons(site: Site) -> tuple[datetime.date, ...]:

@@ -198,6 +198,22 @@ def test_lines_cross_where_both_sheets_met() -> None:
     assert np.abs(scan.spot_steps).max(axis=(0, 1)).min() == pytest.approx(np.sqrt(0.5), abs=0.03)
 
 
+def test_a_gap_in_a_line_leaves_its_other_crossings_alone() -> None:
+    """Crossings beside points that were not seen are as sure as any: the line's direction there has no gap in it."""
+    places, along = np.linspace(-1, 1, 5), np.linspace(-1.3, 1.3, 105)
+    across = np.array([[3, 0, x] for x in places]) / np.hypot(3, places)[:, None]
+    lines = np.array([(2 * x, 2 * y) for x in places for y in along])
+    crossing = Sweep(across[:, [1, 0, 2]], np.repeat(np.arange(5), 105), lines[:, ::-1])
+    whole = cross_lines(Sweep(across, crossing.line, lines), crossing).scan
+    # Beams meet the lines at along = 0, which is point 52, among others.
+    lines = np.where(
+        (np.arange(105 * 5) % 105 >= 46)[:, None] & (np.arange(105 * 5) % 105 <= 50)[:, None], np.nan, lines
+    )
+    broken = cross_lines(Sweep(across, crossing.line, lines), crossing).scan
+    assert broken.seen.all()
+    assert broken.spot_steps == pytest.approx(whole.spot_steps, abs=1e-9)
+
+
 def test_an_error_of_a_sheet_is_shared_by_its_line(tmp_path: Path) -> None:
     scene = replace(line_scene(), columns=25, rows=17, sigma_spot_m=1e-6, sigma_direction_rad=1e-4)
     write_line_sweep(tmp_path / "s", scene)

@@ -15,6 +15,7 @@ from calibration.heliostat.pipeline import aim, curves
 from calibration.heliostat.pipeline.field import run_into
 from calibration.heliostat.pipeline.measure import Options
 from calibration.heliostat.pipeline.measure import run as calibrate
+from calibration.heliostat.planning.error_curves import Stability
 from heliogauge.errors import InputError
 from heliogauge.geometry.sun import direction_from_angles
 from heliogauge.results.tables import read_table_csv
@@ -204,3 +205,16 @@ def test_curves_of_a_calibrated_heliostat(paint: Path, tmp_path: Path) -> None:
     stable = table(tmp_path / "curves", curves.STABILITY_FILE)
     assert stable["estimated_from"] == [str(DAY)] * 2
     assert float(stable["over_first_day_ratio"][0]) == 1.0
+
+
+def test_a_day_without_a_beam_is_unknown(paint: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A day on which the heliostat cannot serve the target has no RMS; of one draw nobody knows the spread."""
+    monkeypatch.setattr(curves, "stability", lambda *_, **__: Stability(np.array([[1e-3, np.nan]]), 0))
+    options = curves.CurvesOptions(dates=(DAY, datetime.date(2026, 12, 21)), draws=1)
+    (sentence,) = curves.run(paint, tmp_path / "curves", options)
+    assert "1.00 mrad on that day, unknown mrad on the other" in sentence
+    assert sentence.endswith("2026-12-21")
+    stable = table(tmp_path / "curves", curves.STABILITY_FILE)
+    assert stable["rms_mrad"] == ["1.0", ""]
+    assert stable["over_first_day_ratio"] == ["1.0", ""]
+    assert stable["spread_mrad"] == ["", ""]
