@@ -113,9 +113,11 @@ class PanelLattice:
         fixed = np.full(run.shape, own)
         return self.on_surface(fixed, run) if line.axis == 0 else self.on_surface(run, fixed)
 
-    def length_m(self, line: PanelLine) -> float:
-        """Return the length of a line on the surface [m]."""
-        return float(np.linalg.norm(np.diff(self.along(line, np.linspace(0, 1, 9)), axis=0), axis=1).sum())
+    @cached_property
+    def length_m(self) -> dict[PanelLine, float]:
+        """Length of each line on the surface [m]."""
+        courses = {line: self.along(line, np.linspace(0, 1, 9)) for line in self.lines}
+        return {line: float(np.linalg.norm(np.diff(course, axis=0), axis=1).sum()) for line, course in courses.items()}
 
     @cached_property
     def covariance_m2(self) -> FloatArray:

@@ -6,6 +6,7 @@ what crosses a gap, as the edge of the tube's reflection, has a large response i
 own places near it give the line and, by their scatter, its covariance.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -83,34 +84,41 @@ class FoundLine:
         return float(row @ [self.offset_px, self.slope_px]), float(row @ self.covariance_px2 @ row)
 
 
-def normal_at(view: View, lattice: PanelLattice, line: PanelLine, share: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the image points of a line and the unit normals to its image there, shape (n, 2) each; NaN where unseen.
+def normals_at(
+    view: View, lattice: PanelLattice, lines: Sequence[PanelLine], share: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return the image points of k lines and the unit normals to their images there, shape (k, n, 2); NaN where unseen.
 
-    share (n,): Places along the line.
+    share (n,): Places along each line.
     """
-    step = 1e-3
-    points = np.stack(
-        [lattice.along(line, share), lattice.along(line, share - step), lattice.along(line, share + step)]
-    )
-    pixels, before, after = view.camera.project(view.cam_from_frame.apply(points))
-    along = after - before
+    step, count = 1e-3, share.size
+    places = np.concatenate([share, share - step, share + step])
+    points = np.stack([lattice.along(line, places) for line in lines])
+    pixels = view.camera.project(view.cam_from_frame.apply(points))
+    along = pixels[:, 2 * count :] - pixels[:, count : 2 * count]
     with np.errstate(invalid="ignore", divide="ignore"):
-        along = along / np.linalg.norm(along, axis=1, keepdims=True)
-    return pixels, np.stack([-along[:, 1], along[:, 0]], axis=1)
+        along = along / np.linalg.norm(along, axis=2, keepdims=True)
+    return pixels[:, :count], np.stack([-along[..., 1], along[..., 0]], axis=2)
+
+
+def normal_at(view: View, lattice: PanelLattice, line: PanelLine, share: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the same of one line, shape (n, 2) each."""
+    pixels, normals = normals_at(view, lattice, [line], share)
+    return pixels[0], normals[0]
 
 
 def line_profiles(
-    image: AnyImage, view: View, lattice: PanelLattice, line: PanelLine, reach_px: float
+    image: AnyImage, view: View, lattice: PanelLattice, line: PanelLine, course_px: FloatArray, reach_px: float
 ) -> Profiles | None:
     """Read the brightness across a line; None where the photo shows less of it than a few pieces.
 
+    course_px (3, 2): Image of its first corner, its middle and its last corner [px].
     reach_px: How far to both sides [px].
     """
-    ends, _ = normal_at(view, lattice, line, np.array([0.0, 0.5, 1.0]))
-    if not np.isfinite(ends).all():
+    if not np.isfinite(course_px).all():
         return None
-    length = float(np.linalg.norm(ends[1] - ends[0]) + np.linalg.norm(ends[2] - ends[1]))
-    margin = _END_PX / length + _END_M / lattice.length_m(line)
+    length = float(np.linalg.norm(np.diff(course_px, axis=0), axis=1).sum())
+    margin = _END_PX / length + _END_M / lattice.length_m[line]
     pieces = int((1 - 2 * margin) * length / _PIECE_PX) if length > 0 else 0
     if pieces < _FEWEST_PIECES:
         return None
@@ -201,8 +209,10 @@ def find_lines(
     lines, pieces: Each line as found; and in how many pieces the photo shows the place where it would be.
     """
     found, pieces = [], []
-    for line in lattice.lines if wanted is None else wanted:
-        profiles = line_profiles(image, view, lattice, line, reach_px)
+    lines = lattice.lines if wanted is None else wanted
+    courses, _ = normals_at(view, lattice, lines, np.array([0.0, 0.5, 1.0]))
+    for line, course in zip(lines, courses, strict=True):
+        profiles = line_profiles(image, view, lattice, line, course, reach_px)
         pieces.append(0 if profiles is None else profiles.share.size)
         found.append(None if profiles is None else find_line(profiles, line, noise_dn))
     return tuple(found), np.array(pieces, dtype=np.intp)

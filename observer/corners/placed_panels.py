@@ -19,7 +19,7 @@ import numpy as np
 from heliogauge.adjust.robust_scale import robust_scale
 from heliogauge.validate import BoolArray, FloatArray, IntArray
 from observer.corners.lattice import PanelLattice
-from observer.corners.panel_lines import FoundLine, normal_at
+from observer.corners.panel_lines import FoundLine, normals_at
 from observer.photo_edges.views import View
 from observer.slopes.panel_places import PanelPlaces
 from observer.slopes.pose_modes import Photos
@@ -88,20 +88,27 @@ def edge_sights(number: int, view: View, lattice: PanelLattice, found: tuple[Fou
     view: Camera and pose by which the lines were looked for.
     found: Lines of constant x as found, in their order; None where one is not seen.
     """
-    rows, share = [], np.array(END_SHARES)
-    for k, one in enumerate(found):
-        if one is None:
-            continue
-        _, normals = normal_at(view, lattice, one.line, share)
-        seen = view.camera.project_posed(lattice.along(one.line, share), view.cam_from_frame)
-        for end, normal in enumerate(normals):
-            offset, variance = one.at(END_SHARES[end])
-            place = normal @ seen.d_pixel_d_point[end]
-            pose = normal @ seen.d_pixel_d_pose[end]
-            rows.append([number, 2 * k + end, offset, np.sqrt(variance), *pose, place[0], place[2]])
-    table = np.array(rows, dtype=np.float64).reshape(-1, 12)
-    whole = table[:, :2].astype(np.intp)
-    return EdgeSights(whole[:, 0], whole[:, 1], table[:, 2], table[:, 3], table[:, 4:10], table[:, 10:])
+    share, numbers = np.array(END_SHARES), [k for k, one in enumerate(found) if one is not None]
+    lines = [one for one in found if one is not None]
+    if not lines:
+        none, empty = np.zeros(0, dtype=np.intp), np.zeros(0)
+        return EdgeSights(none, none, empty, empty, np.zeros((0, 6)), np.zeros((0, 2)))
+    # All lines in one call each: sixty photos of twenty lines take a tenth of the time.
+    _, normals = normals_at(view, lattice, [one.line for one in lines], share)
+    points = np.stack([lattice.along(one.line, share) for one in lines])
+    seen = view.camera.project_posed(points, view.cam_from_frame)
+    place = np.einsum("kei,keij->kej", normals, seen.d_pixel_d_point)
+    pose = np.einsum("kei,keij->kej", normals, seen.d_pixel_d_pose)
+    offset, variance = np.moveaxis([[one.at(end) for end in END_SHARES] for one in lines], 2, 0)
+    end = (2 * np.array(numbers, dtype=np.intp)[:, None] + np.arange(share.size)).ravel()
+    return EdgeSights(
+        np.full(end.size, number, dtype=np.intp),
+        end,
+        offset.ravel(),
+        np.sqrt(variance.ravel()),
+        pose.reshape(-1, 6),
+        place.reshape(-1, 3)[:, [0, 2]],
+    )
 
 
 def joined_sights(parts: list[EdgeSights]) -> EdgeSights:

@@ -172,7 +172,7 @@ def _walk(grid: RowGrid, prior: Roughness, bands: FloatArray) -> FloatArray:
 
 def _factorised(rows: Rows, bands: FloatArray, walk: FloatArray, precision: FloatArray, order: int) -> AlikeFactor:
     """Set up and factorise the blocks."""
-    from scipy.linalg import lapack
+    from scipy.linalg import blas, lapack
 
     n_rows, n_nodes = rows.grid.n_rows, rows.grid.x_m.size
     own: FloatArray = np.zeros((n_nodes, n_rows, 2, n_rows, 2))
@@ -200,8 +200,11 @@ def _factorised(rows: Rows, bands: FloatArray, walk: FloatArray, precision: Floa
             raise np.linalg.LinAlgError("the slopes of rows that are alike are not determined")
         turned[i] = lapack.dtrtri(root, lower=0)[0].T
         tied = below[i, : n_nodes - 1 - i]
-        under = tied.reshape(-1, width) @ turned[i].T
-        squares = (under @ under.T).reshape(len(tied), width, len(tied), width)
+        if not len(tied):
+            continue
+        under = blas.dtrmm(1.0, turned[i].T, tied.reshape(-1, width).T, trans_a=1).T
+        # Its lower half is what is read.
+        squares = blas.dsyrk(1.0, under.T, trans=1).T.reshape(len(tied), width, len(tied), width)
         tied[:] = under.reshape(tied.shape)
         for k in range(len(tied)):
             own[i + 1 + k] -= squares[k, :, k]

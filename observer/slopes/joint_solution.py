@@ -35,8 +35,8 @@ _NEXT_ORDER_PER_M2 = 100.0
 #: Lengths along the trough over which rows may be alike: from half their distance, below which they are independent, to
 #: so many times their extent, beyond which all are one; how many, and how often roughness and length take turns.
 _LONGEST, _LENGTHS, _TIMES = 30.0, 10, 3
-#: It is found to such a part of the range, by differences of the evidence over twice so many decades.
-_INTERVALS, _DIFFERENCE = 32, 0.125
+#: It is found to such a part of the range.
+_INTERVALS = 32
 
 
 #: From rows and columns of nodes to by how much those unknowns that are apart look like slope there, shape (s, n, l).
@@ -101,9 +101,9 @@ def find_roughness(
     any_order: Whether the order of the random walk is chosen as well; otherwise it is the prior's.
     maybe_alike: Whether it is looked for how rows are alike, too.
 
-    Marginal likelihood with slopes and common unknowns integrated out, on a sample of rows and photos. The interval
-    in which its slope over the logarithm of the roughness changes sign is enclosed from the prior's own, which is
-    near after the first round, and found by bisection.
+    Marginal likelihood with slopes and common unknowns integrated out, on a sample of rows and photos. The roughness
+    is one of some values evenly spread over its logarithm: the largest evidence among them is enclosed from the
+    prior's own, which is near after the first round, and found by bisection.
     """
     some, fewer = _sampled(lines, grid, sample_rows(lines, grid, _ROWS_FOR_ROUGHNESS))
     some, own_covariance = _fewer_common(some, covariance)
@@ -123,12 +123,19 @@ def find_roughness(
         return max(both, key=evidence)
     # Each question is answered by what is most probable for it: a row by itself bends as its own edges say best, what
     # all rows have in common is found from all of them together.
-    field = max((_with_likeness(one, fewer, evidence) for one in both), key=evidence)
-    return replace(max(both, key=evidence), alike=field.alike)
+    fields = [_with_likeness(both[0], fewer, evidence)]
+    # Rows are alike over the same length whatever the order.
+    fields.append(_with_likeness(both[1], fewer, evidence, fields[0].alike))
+    return replace(max(both, key=evidence), alike=max(fields, key=evidence).alike)
 
 
-def _with_likeness(prior: Roughness, grid: RowGrid, evidence: Callable[[Roughness], float]) -> Roughness:
-    """Return the most probable likeness of rows; none where independent rows are more probable."""
+def _with_likeness(
+    prior: Roughness, grid: RowGrid, evidence: Callable[[Roughness], float], near: Likeness | None = None
+) -> Roughness:
+    """Return the most probable likeness of rows; none where independent rows are more probable.
+
+    near: What rows are alike by with another order: where it is looked for.
+    """
     if grid.y_m is None or grid.n_rows < 2:
         return prior
     extent = float(np.ptp(grid.y_m))
@@ -141,6 +148,8 @@ def _with_likeness(prior: Roughness, grid: RowGrid, evidence: Callable[[Roughnes
         return evidence(with_alike(number, across))
 
     place, across = _LENGTHS // 2, prior.across
+    if near is not None:
+        place = int(np.abs(np.log(lengths / near.length_m)).argmin())
     for _ in range(_TIMES):
         for way in (-1, 1):
             while 0 <= place + way < _LENGTHS and at(place + way, across) > at(place, across):
@@ -157,25 +166,18 @@ def _most_probable(prior: Roughness, evidence_of: Callable[[Roughness], float]) 
     """Return the roughness of the prior's order that has the largest evidence: of all rows where they are alike."""
     low, high = _EXPONENTS[prior.order if prior.alike is None else prior.alike.order]
     width = (high - low) / _INTERVALS
-    known: dict[int, bool] = {}
 
-    def trial(exponent: float) -> Roughness:
-        across = 10.0**exponent
+    def trial(interval: int) -> Roughness:
+        across = 10.0 ** (low + (interval + 0.5) * width)
         if prior.alike is not None:
             return replace(prior, alike=replace(prior.alike, across=across))
         return replace(prior, across=across)
-
-    def evidence(exponent: float) -> float:
-        return evidence_of(trial(exponent))
 
     def rises(border: int) -> bool:
         """Return whether the evidence rises at a border between intervals; the first and the last enclose it."""
         if border <= 0 or border >= _INTERVALS:
             return border <= 0
-        if border not in known:
-            middle = low + border * width
-            known[border] = evidence(middle + _DIFFERENCE) > evidence(middle - _DIFFERENCE)
-        return known[border]
+        return evidence_of(trial(border)) > evidence_of(trial(border - 1))
 
     first = int(np.clip((np.log10(_across_of(prior)) - low) / width, 0, _INTERVALS - 1))
     last, stride = first + 1, 1
@@ -187,7 +189,7 @@ def _most_probable(prior: Roughness, evidence_of: Callable[[Roughness], float]) 
     while last - first > 1:
         middle = (first + last) // 2
         first, last = (middle, last) if rises(middle) else (first, middle)
-    return trial(low + (first + 0.5) * width)
+    return trial(first)
 
 
 def _across_of(prior: Roughness) -> float:
