@@ -7,6 +7,7 @@ import numpy as np
 
 from heliogauge.errors import InputError
 from heliogauge.validate import BoolArray, FloatArray
+from observer.trough.absorber_path import AbsorberPath
 from observer.trough.collector import Collector
 
 #: Fewest corners that hold a photo's pose with some to spare.
@@ -112,6 +113,11 @@ class PanelLattice:
         run = other[line.cell] + share * (other[line.cell + 1] - other[line.cell])
         fixed = np.full(run.shape, own)
         return self.on_surface(fixed, run) if line.axis == 0 else self.on_surface(run, fixed)
+
+    @cached_property
+    def receiver(self) -> AbsorberPath:
+        """Axis of the receiver that stands before some lines, as designed."""
+        return AbsorberPath.designed(self.collector)
 
     @cached_property
     def length_m(self) -> dict[PanelLine, float]:

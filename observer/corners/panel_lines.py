@@ -20,7 +20,6 @@ from heliogauge.validate import BoolArray, Float32Array, FloatArray, IntArray
 from observer.corners.lattice import PanelLattice, PanelLine
 from observer.photo_edges.reflection_edges import beside_receiver_m
 from observer.photo_edges.views import AnyImage, View
-from observer.trough.absorber_path import AbsorberPath
 
 #: Samples across a line, and length of a piece along it [px].
 _STEP_PX, _PIECE_PX = 0.5, 8.0
@@ -140,9 +139,8 @@ def line_profiles(
 
 def _is_behind_receiver(lattice: PanelLattice, points_m: FloatArray, eye_m: FloatArray) -> BoolArray:
     """Return which points the receiver hides, or shows through its glass; all around it a little more."""
-    collector = lattice.collector
     eyes = np.broadcast_to(eye_m, points_m.shape)
-    beside = beside_receiver_m(points_m, eyes, collector, AbsorberPath.designed(collector))
+    beside = beside_receiver_m(points_m, eyes, lattice.collector, lattice.receiver)
     return np.asarray(beside < _RECEIVER_OFF_M)
 
 
@@ -192,7 +190,7 @@ def _moved_by_step_px(profiles: Profiles, found: FoundLine, response: FloatArray
 def photo_noise(image: AnyImage) -> float:
     """Return the noise of a photo's pixels from third differences, which shading leaves out [DN]."""
     some = np.asarray(image[:: max(1, image.shape[0] // 128)], dtype=np.float64)
-    return max(robust_scale(np.diff(some, 3, axis=1)) / float(np.sqrt(20.0)), 0.1)
+    return max(robust_scale(np.diff(some, 3, axis=1), upper=True) / float(np.sqrt(20.0)), 0.1)
 
 
 def find_lines(
