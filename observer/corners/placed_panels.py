@@ -99,13 +99,13 @@ def edge_sights(number: int, view: View, lattice: PanelLattice, found: tuple[Fou
     seen = view.camera.project_posed(points, view.cam_from_frame)
     place = np.einsum("kei,keij->kej", normals, seen.d_pixel_d_point)
     pose = np.einsum("kei,keij->kej", normals, seen.d_pixel_d_pose)
-    offset, variance = np.moveaxis([[one.at(end) for end in END_SHARES] for one in lines], 2, 0)
+    found_at = np.array([[one.at(end) for end in END_SHARES] for one in lines]).reshape(-1, 2)
     end = (2 * np.array(numbers, dtype=np.intp)[:, None] + np.arange(share.size)).ravel()
     return EdgeSights(
         np.full(end.size, number, dtype=np.intp),
         end,
-        offset.ravel(),
-        np.sqrt(variance.ravel()),
+        found_at[:, 0],
+        np.sqrt(found_at[:, 1]),
         pose.reshape(-1, 6),
         place.reshape(-1, 3)[:, [0, 2]],
     )
