@@ -32,6 +32,10 @@ class Likeness(NamedTuple):
     structure_b_rad: float
 
 
+#: Slopes below are those of rounding: polynomials are taken out of slopes below 1 to 1e-15.
+_ROUNDING_RAD = 1e-12
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class FoundMotion:
     """A motion that was found, with its covariance.
@@ -86,8 +90,8 @@ def likeness(map_a: SlopeMap, map_b: SlopeMap, motion: PlaneMotion) -> Likeness:
     squares = [float(np.mean(one**2)) for one in (fine_a, fine_b)]
     noise = [float(np.mean(one**2)) for one in (pair.sigmas_a, pair.sigmas_b)]
     pure = [total - part for total, part in zip(squares, noise, strict=True)]
-    # Below its noise a structure says nothing.
-    known = all(one > part for one, part in zip(pure, noise, strict=True))
+    # Below its noise a structure says nothing, nor does what rounding leaves of an even map.
+    known = all(one > max(part, _ROUNDING_RAD**2) for one, part in zip(pure, noise, strict=True))
     shared = float(np.mean(fine_a * fine_b))
     correlation = shared / float(np.sqrt(pure[0] * pure[1])) if known else float("nan")
     return Likeness(correlation, *(float(np.sqrt(one)) for one in squares))

@@ -35,13 +35,16 @@ _CHANCE = 1e-6
 class GazingSigmas:
     """Standard deviations of what is known of the set-up.
 
-    eyes_m (c,), mirror_m: Of each coordinate of each camera's place, and of the mirror's.
+    eyes_m (c,): Of each coordinate of each camera's place.
+    mirror_m: Of the mirror's place across the sight, against a frame that does not turn with it.
+    distance_m: Of the mirror's place along the sight.
     sun_rad: Of the sun's direction, each way.
     sun_scale: Of the scale of the sun's profile.
     """
 
     eyes_m: FloatArray
     mirror_m: float = 0.0
+    distance_m: float = 0.0
     sun_rad: float = 0.0
     sun_scale: float = 0.0
 
@@ -166,9 +169,9 @@ def _moved(
         eyes = seen.eyes_m.copy()
         eyes[camera] += sigma * along
         yield "distance", through(replace(seen, eyes_m=eyes))
-    if sigmas.mirror_m > 0:
+    if sigmas.distance_m > 0:
         # The mirror's own place moves all cameras alike.
-        yield "distance", through(replace(seen, eyes_m=seen.eyes_m + sigmas.mirror_m * along))
+        yield "distance", through(replace(seen, eyes_m=seen.eyes_m + sigmas.distance_m * along))
     if sigmas.sun_rad > 0:
         across = np.linalg.svd(seen.sun[None])[2][1:]
         for one in across:

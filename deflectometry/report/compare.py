@@ -6,7 +6,16 @@ from pathlib import Path
 
 import numpy as np
 
-from deflectometry.comparison.pipeline.result import CHECKS_FILE, DIFFERENCE, FIRST, MAPS_FILE, REST, SECOND, TERMS_FILE
+from deflectometry.comparison.pipeline.result import (
+    CANTINGS_FILE,
+    CHECKS_FILE,
+    DIFFERENCE,
+    FIRST,
+    MAPS_FILE,
+    REST,
+    SECOND,
+    TERMS_FILE,
+)
 from heliogauge.reporting import page
 from heliogauge.reporting.html import FirstScreen, Html, join, table
 from heliogauge.reporting.notation import number_text
@@ -27,6 +36,7 @@ class CompareResults:
     maps: dict[str, SlopeMap]
     terms: Columns
     checks: Columns
+    cantings: Columns
 
 
 def open_comparison(folder: str | Path = ".") -> CompareResults:
@@ -40,6 +50,7 @@ def open_comparison(folder: str | Path = ".") -> CompareResults:
         {name: read_slope_map(folder / MAPS_FILE, name) for name in (FIRST, SECOND, DIFFERENCE, REST)},
         read_table_csv(folder / TERMS_FILE, ("term", "difference", "sigma_difference")),
         read_table_csv(folder / CHECKS_FILE, ("result",)),
+        read_table_csv(folder / CANTINGS_FILE, ("facet",)) if (folder / CANTINGS_FILE).is_file() else {},
     )
 
 
@@ -91,6 +102,25 @@ def terms(results: CompareResults) -> Html:
         "and are not judged."
     )
     return join(shown, Html(f'<p class="caption">{note}</p>'))
+
+
+def canting(results: CompareResults) -> Html:
+    """Return the canting of single facets in both results."""
+    columns = results.cantings
+    if not columns:
+        return Html('<p class="caption">Not compared: both results need two measured facets of the same names.</p>')
+    rows = [
+        (
+            name,
+            *(_text(columns[f"{side}_{axis}_rad"][k], "", "rad") for side in ("first", "second") for axis in "xy"),
+            *(_text(columns[f"difference_{axis}_rad"][k], columns[f"sigma_{axis}_rad"][k], "rad") for axis in "xy"),
+        )
+        for k, name in enumerate(columns["facet"])
+    ]
+    first, second = (results.summary.texts[key] for key in ("first", "second"))
+    titles = ("facet", f"{first}, x", "y", f"{second}, x", "y", "difference in x \u00b1 1 sigma", "in y")
+    note = "Each without the mean of all facets, which belongs to the frame of each instrument."
+    return join(table(titles, rows, numbers=tuple(range(1, 7))), Html(f'<p class="caption">{note}</p>'))
 
 
 def own_data(results: CompareResults) -> Html:

@@ -7,7 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
+from deflectometry.comparison.canting_difference import CantingDifference, canting_difference
 from deflectometry.comparison.judgement import (
+    SIGNIFICANCE,
     Agreement,
     Judgement,
     SelfCheck,
@@ -30,7 +32,7 @@ from heliogauge.errors import EstimationError, InputError
 from heliogauge.files.regular import read_regular
 from heliogauge.results.folder import SUMMARY_FILE, hash_files, read_summary
 from heliogauge.results.opened import SLOPE_MAP_FILE
-from heliogauge.results.slope_map_file import read_slope_map
+from heliogauge.results.slope_map_file import facet_names, read_slope_map
 from heliogauge.slopes.map import SlopeMap
 from heliogauge.validate import FloatArray
 
@@ -108,7 +110,8 @@ def compare_results(first: Path, second: Path, *, shared: Sequence[str] = (), as
         DIFFERENCE: change,
         REST: replace(change, slope_x=left[0], slope_y=left[1], removed="linear terms of the difference"),
     }
-    every = (*doubts, *_doubts(sides, shared, judged, checks))
+    cantings = None if placed.is_moved else canting_difference(*(_facet_maps(one) for one in sides))
+    every = (*doubts, *_doubts(sides, shared, judged, checks), *_doubts_of_canting(cantings))
     return Comparison(
         name=f"{sides[0].name} against {sides[1].name}",
         sides=sides,
@@ -120,6 +123,7 @@ def compare_results(first: Path, second: Path, *, shared: Sequence[str] = (), as
         rest=rest,
         checks=(checks[0], checks[1]),
         judgement=judged,
+        cantings=cantings,
         doubts=every,
         input_sha256={
             f"{number}/{SLOPE_MAP_FILE}": next(iter(hash_files([one.folder / SLOPE_MAP_FILE]).values()))
@@ -146,6 +150,27 @@ def _read_sides(first: Path, second: Path) -> tuple[Side, Side]:
         for name, folder, summary in zip(names, folders, summaries, strict=True)
     ]
     return found[0], found[1]
+
+
+def _facet_maps(side: Side) -> dict[str, SlopeMap]:
+    """Return the map of each facet of an ensemble; empty for a mirror of one."""
+    file = side.folder / SLOPE_MAP_FILE
+    return {name: read_slope_map(file, name) for name in facet_names(file)}
+
+
+def _doubts_of_canting(cantings: CantingDifference | None) -> Iterator[Doubt]:
+    if cantings is None or not cantings.probability < SIGNIFICANCE:
+        return
+    sigmas = np.abs(cantings.difference_rad / cantings.sigma_rad).max(axis=1)
+    worst = int(np.argmax(sigmas))
+    yield Doubt(
+        "cantings_contradict",
+        f"canting of facets contradicts: their sigmas make these differences with a probability "
+        f"{f'of {cantings.probability:.2g}' if cantings.probability > _LEAST_CHANCE else f'below {_LEAST_CHANCE:g}'}, "
+        f"{cantings.names[worst]} differs most ({sigmas[worst]:.3g} sigma)",
+        {"canting_agreement_probability": cantings.probability, "largest_sigmas": float(sigmas[worst])},
+        Severity.SERIOUS,
+    )
 
 
 def _refuse_itself(sides: tuple[Side, Side]) -> None:

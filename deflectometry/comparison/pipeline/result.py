@@ -7,6 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from deflectometry.comparison.canting_difference import CantingDifference
 from deflectometry.comparison.judgement import SIGNIFICANCE, Agreement, Judgement, SelfCheck, focal_words
 from deflectometry.comparison.linear_terms import ExpectedRest, LinearTerms
 from deflectometry.comparison.placing import Placed
@@ -16,7 +17,7 @@ from heliogauge.results.frame import InstrumentResult
 from heliogauge.slopes.map import SlopeMap
 
 KIND = "deflectometry-compare"
-MAPS_FILE, TERMS_FILE, CHECKS_FILE = "maps.nc", "terms.csv", "own_data.csv"
+MAPS_FILE, TERMS_FILE, CHECKS_FILE, CANTINGS_FILE = "maps.nc", "terms.csv", "own_data.csv", "canting_difference.csv"
 #: Groups of `MAPS_FILE`.
 FIRST, SECOND, DIFFERENCE, REST = "first", "second", "difference", "difference without linear terms"
 
@@ -47,6 +48,7 @@ class Comparison(InstrumentResult):
     rest: What the sigmas leave beside the linear terms.
     checks: What their own data say.
     judgement: Whether they agree.
+    cantings: Canting of single facets; None where both have not measured two of the same names.
     """
 
     kind: ClassVar[str] = KIND
@@ -59,10 +61,13 @@ class Comparison(InstrumentResult):
     rest: ExpectedRest
     checks: tuple[SelfCheck, SelfCheck]
     judgement: Judgement
+    cantings: CantingDifference | None
 
     @property
     def agrees(self) -> bool:
-        """Whether the two results agree within their sigmas."""
+        """Whether the two results agree within their sigmas, canting of facets included."""
+        if self.cantings is not None and self.cantings.probability < SIGNIFICANCE:
+            return False
         return self.judgement.agreement in (Agreement.WITHIN, Agreement.WITHIN_ENLARGED)
 
     @property
@@ -107,6 +112,13 @@ class Comparison(InstrumentResult):
                 strict=True,
             ):
                 numbers[f"in_plane_{name}"], numbers[f"sigma_in_plane_{name}"] = float(value), float(sigma)
+        if (canted := self.cantings) is not None:
+            for axis, off, sigma in zip("xy", canted.difference_rad.T, canted.sigma_rad.T, strict=True):
+                numbers[f"canting_difference_{axis}_rms_rad"] = float(np.sqrt(np.mean(off**2)))
+                numbers[f"canting_difference_{axis}_expected_rms_rad"] = float(np.sqrt(np.mean(sigma**2)))
+            numbers["canting_agreement_probability"] = canted.probability if np.isfinite(canted.probability) else None
+            if not np.isfinite(canted.probability):
+                reasons["canting_agreement_probability"] = "no sigma"
         numbers["nodes_count"] = self.terms.rest.shape[1]
         texts = {
             "first": f"{self.sides[0].name} ({self.sides[0].summary.kind})",
@@ -115,7 +127,22 @@ class Comparison(InstrumentResult):
             "placed": self.placed_words(),
             "difference": "first minus second; slopes of the normal, a beam turns by twice as much",
         }
+        if self.cantings is not None:
+            texts["canting"] = self.canting_words()
         return self._summary(numbers, texts, reasons)
+
+    def canting_words(self) -> str:
+        """Say how the canting of single facets differs; empty where it was not compared."""
+        if (one := self.cantings) is None:
+            return ""
+        off, made = (1e3 * float(np.sqrt(np.mean(values**2))) for values in (one.difference_rad, one.sigma_rad))
+        verdict = "no sigma"
+        if np.isfinite(one.probability):
+            verdict = "contradict" if one.probability < SIGNIFICANCE else "agree within their sigmas"
+        return (
+            f"canting of {len(one.names)} facets against their mean: {off:.3f} mrad RMS apart, the sigmas make "
+            f"{made:.3f}: {verdict}"
+        )
 
     def _difference_rms(self) -> list[float]:
         change = self.maps[DIFFERENCE]
@@ -216,6 +243,12 @@ class Comparison(InstrumentResult):
         columns |= {name: [getattr(one, name) for one in self.checks] for name in fields}
         columns["serious_doubts"] = [" / ".join(one.serious) for one in self.checks]
         write_table_csv(folder / CHECKS_FILE, columns)
+        if (canted := self.cantings) is not None:
+            table: dict[str, Sequence[object]] = {"facet": canted.names}
+            for name in ("first", "second", "difference", "sigma"):
+                for axis, values in zip("xy", getattr(canted, f"{name}_rad").T.tolist(), strict=True):
+                    table[f"{name}_{axis}_rad"] = values
+            write_table_csv(folder / CANTINGS_FILE, table)
 
     def headline(self) -> str:
         """Return the most important numbers in a few lines for the terminal."""
@@ -243,6 +276,8 @@ class Comparison(InstrumentResult):
                 f"  {_spoken(name):18s} {one} against {two}: {off} +- {scatter} {unit} (+- {as_stated} as stated)"
             )
         lines += [f"  own data of {one.name}: {one.words()}" for one in self.checks]
+        if self.cantings is not None:
+            lines.append(f"  {self.canting_words()}")
         lines += [f"  {self.placed_words()}", f"  verdict: {self.verdict()}"]
         return "\n".join(lines)
 

@@ -174,13 +174,14 @@ def gazing_sigmas(measurement: GazingMeasurement, chosen: list[int]) -> GazingSi
     """Return what is known of places and directions, of some cameras.
 
     A frame that aims the stated sun from the stated place turns with errors of both as the measured normal does: slopes
-    against it do not feel them.
+    against it do not feel them. How far the mirror stands from the cameras they feel: it is the angle between these.
     """
     model = measurement.model
     fixed = model.mirror.aim_m is None
     return GazingSigmas(
         1e-3 * np.array([model.camera[number].sigma_place_mm for number in chosen]),
         1e-3 * model.mirror.sigma_place_mm if fixed else 0.0,
+        1e-3 * model.mirror.sigma_place_mm,
         1e-3 * model.sun.sigma_direction_mrad if fixed else 0.0,
         1e-3 * model.sun.sigma_focal_permille,
     )

@@ -9,12 +9,14 @@ import pytest
 from typer.testing import CliRunner
 
 from deflectometry.cli import app
+from deflectometry.comparison.canting_difference import canting_difference
 from deflectometry.comparison.judgement import Agreement
 from deflectometry.comparison.pipeline.compare import compare_results
 from deflectometry.exchange.opencsp_import import OpencspOptions, import_opencsp
 from heliogauge.doubts import Doubt, Severity
 from heliogauge.errors import InputError
 from heliogauge.results.folder import Summary, write_slope_map, write_summary
+from heliogauge.results.slope_map_file import ASSEMBLED
 from heliogauge.running.verbs import measure
 from heliogauge.slopes.map import CommonModes, SlopeMap
 from heliogauge.validate import FloatArray
@@ -236,3 +238,65 @@ def test_published_facet_by_dots_and_by_fringes(shared_data: Path, tmp_path: Pat
     first, second = (one.values[2:4] for one in found.own_terms)
     assert (first < 0).all()
     assert (second > 0).all()
+
+
+def test_an_even_map_has_no_correlation(tmp_path: Path) -> None:
+    """A map of one slope all over, as exact, has no fine structure: rounding is none."""
+    one = drawn_map(np.random.default_rng(0))
+    zero = np.zeros_like(one.slope_x)
+    even = replace(one, slope_x=zero + 1e-4, slope_y=zero, sigma_random_x=zero, sigma_random_y=zero)
+    found = compare_results(written(tmp_path / "a", one), written(tmp_path / "even", even))
+    assert found.summarise().numbers["fine_structure_correlation_ratio"] is None
+    assert "different_mirrors" not in {one.code for one in found.doubts}
+
+
+#: Facets of an ensemble and the sigmas of its canting: of each facet by itself, and of what turns all alike.
+FACETS, OWN_RAD, ALL_RAD = 5, 3e-5, 2e-3
+
+
+def drawn_ensemble(rng: np.random.Generator, leans: FloatArray) -> dict[str, SlopeMap]:
+    """Draw facets that lean (f, 2), measured with errors of each facet and one that turns all."""
+    found, of_all = {}, ALL_RAD * rng.normal(size=2)
+    for number, lean in enumerate(leans):
+        one = drawn_map(rng, step_m=0.06)
+        off = lean + of_all + OWN_RAD * rng.normal(size=2)
+        tilts = np.zeros((2 + 2 * FACETS, 2, 3))
+        tilts[0, 0, 0] = tilts[1, 1, 0] = ALL_RAD
+        tilts[2 + 2 * number, 0, 0] = tilts[3 + 2 * number, 1, 0] = OWN_RAD
+        sources = ("mirror pose",) * 2 + ("facet place",) * (2 * FACETS)
+        common = CommonModes(sources, tilts, np.zeros(2), 1.0)
+        found[f"facet {number}"] = replace(
+            one, slope_x=one.slope_x + off[0], slope_y=one.slope_y + off[1], common=common
+        )
+    return found
+
+
+def test_canting_differs_as_its_sigmas_say() -> None:
+    """What turns all facets by milliradians cancels; of 24 pairs chi-square has 2 (f - 1) degrees of freedom each."""
+    rng, chances, squares = np.random.default_rng(1), [], []
+    for _ in range(24):
+        leans = 1e-3 * rng.normal(size=(FACETS, 2))
+        found = canting_difference(drawn_ensemble(rng, leans), drawn_ensemble(rng, leans))
+        assert found is not None
+        chances.append(found.probability)
+        squares.append(np.mean((found.difference_rad / found.sigma_rad) ** 2))
+    assert np.mean(squares) == pytest.approx(1.0, abs=3 * np.sqrt(2 / (24 * 8)))
+    assert 0.3 < np.mean(chances) < 0.7
+
+
+def test_a_facet_that_was_turned_is_named(tmp_path: Path) -> None:
+    rng = np.random.default_rng(2)
+    leans = 1e-3 * rng.normal(size=(FACETS, 2))
+    folders = []
+    for name, there in (("before", leans), ("after", leans + 5e-4 * np.eye(FACETS, 2, -3))):
+        maps = drawn_ensemble(rng, there)
+        folders.append(written(tmp_path / name, maps["facet 0"]))
+        write_slope_map(folders[-1] / "slope_map.nc", {**maps, ASSEMBLED: maps["facet 0"]})
+    out = tmp_path / "out"
+    ended = CliRunner().invoke(app, ["compare", *map(str, folders), "-o", str(out), "--quiet"])
+    assert ended.exit_code == 1
+    found = compare_results(*folders)
+    (doubt,) = [one for one in found.doubts if one.code == "cantings_contradict"]
+    assert "facet 3 differs most" in doubt.text
+    assert (out / "canting_difference.csv").is_file()
+    assert "Canting of facets" in (out / "report.html").read_text(encoding="utf-8")
