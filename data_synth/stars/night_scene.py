@@ -150,6 +150,8 @@ def _sights_of(scene: NightScene, stars: FloatArray, eye: FloatArray, facet: int
         to_eye = own_eye - np.stack([x, y, height], axis=1)
         distance = np.linalg.norm(to_eye, axis=1)
         half = to_eye / distance[:, None] + own
+        # Of stars behind the facet's plane, which are left out, some are opposite to the camera.
+        half[~ahead] = [0.0, 0.0, 1.0]
         slope_x, slope_y = helio.slopes(facet, x, y)
         miss_x, miss_y = -half[:, 0] / half[:, 2] - slope_x, -half[:, 1] / half[:, 2] - slope_y
         # The halved direction follows the point by 1 / (2 distance cos), the slope by its curvature.
