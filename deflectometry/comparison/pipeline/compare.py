@@ -168,7 +168,7 @@ def _doubts_of_canting(cantings: CantingDifference | None) -> Iterator[Doubt]:
         f"canting of facets contradicts: their sigmas make these differences with a probability "
         f"{f'of {cantings.probability:.2g}' if cantings.probability > _LEAST_CHANCE else f'below {_LEAST_CHANCE:g}'}, "
         f"{cantings.names[worst]} differs most ({sigmas[worst]:.3g} sigma)",
-        {"canting_agreement_probability": cantings.probability, "largest_sigmas": float(sigmas[worst])},
+        {"canting_agreement_probability": cantings.probability, "largest_over_sigma_ratio": float(sigmas[worst])},
         Severity.SERIOUS,
     )
 
