@@ -27,6 +27,8 @@ class FluxStore:
         #: Rows ascend, as axes of maps do.
         self.y_m: FloatArray = low + (np.arange(rows) + 0.5) * ((high - low) / rows)
         self.rows: list[int] = []
+        #: Pixels of the photo that a node of each beam is the mean of.
+        self.averaged: list[int] = []
         self._values: list[npt.NDArray[np.int16]] = []
         self._steps_dn: list[float] = []
 
@@ -40,10 +42,13 @@ class FluxStore:
         line = (self.y_m - light.y_m[0]) / (light.y_m[1] - light.y_m[0])
         steps = [float(np.ptp(one)) / (one.size - 1) for one in (column, line)]
         values = np.asarray(light.values_dn, dtype=np.float32)
-        if max(steps) > 1.2:
+        wide, high = (max(1, round(one)) if max(steps) > 1.2 else 1 for one in steps)
+        if wide * high > 1:
             # Averages over what a node stands for, so that flux is kept where the grid is coarser than the photo.
-            blurred = cv2.blur(values, (max(1, round(steps[0])), max(1, round(steps[1]))))
-            values = np.asarray(blurred, dtype=np.float32)
+            values = np.asarray(cv2.blur(values, (wide, high)), dtype=np.float32)
+            # The mean of an even number of pixels stands half a pixel beside the one that it is kept at.
+            column, line = (axis + 0.5 * (1 - count % 2) for axis, count in ((column, wide), (line, high)))
+        self.averaged.append(wide * high)
         maps = np.meshgrid(column.astype(np.float32), line.astype(np.float32))
         sampled = cv2.remap(values, maps[0], maps[1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=0)
         # Steps of 1/32767 of the largest value: a thousandth of what eight bits resolve.

@@ -218,7 +218,9 @@ class Result(InstrumentResult):
                     f"flux{end}", axes, values, unit, f"flux of the beam on target {target}, without background"
                 )
             )
-            noise = np.array([self.scales[row].noise_dn for row in rows], dtype=np.float32) * factor
+            scales = [self.scales[row] for row in rows]
+            white = np.array([one.white_dn for one in scales]) / np.sqrt(store.averaged)
+            noise = (np.hypot([one.background_dn for one in scales], white) * factor).astype(np.float32)
             arrays.append(
                 LabelledArray(
                     f"sigma_flux{end}",

@@ -66,6 +66,7 @@ class BeamSize:
     moments_m2 (2, 2): Central second moments [m^2].
     covariance_moments_m4 (3, 3): Covariance of their xx, xy, yy [m^4].
     peak_dn, sigma_peak_dn: Largest brightness: top of the paraboloid that fits the light around it [DN].
+    background_dn, white_dn: Standard deviations of a pixel: of the background, which neighbours share; of noise [DN].
     skirt_share: Share of the light that the bell continues beyond where it stands out.
     aureole_share: Share of the light that seems to be spread so wide that it counts as background; 0 where the photo
         shows no such light.
@@ -80,6 +81,8 @@ class BeamSize:
     covariance_moments_m4: FloatArray
     peak_dn: float
     sigma_peak_dn: float
+    background_dn: float
+    white_dn: float
     skirt_share: float
     aureole_share: float
     has_aureole: bool
@@ -95,6 +98,8 @@ def no_size() -> BeamSize:
         np.full(3, nan),
         np.full((2, 2), nan),
         np.full((3, 3), nan),
+        nan,
+        nan,
         nan,
         nan,
         nan,
@@ -161,7 +166,7 @@ def beam_size(
     moments += np.outer(wider[1:4], wider[1:4])
     sigma = np.hypot(sigma, wider)
     peak, sigma_peak = _peak(bare, picture, smoothed_dn)
-    sigma_peak = float(np.hypot(sigma_peak, np.sqrt(sum(noise.block_dn2) / len(noise.block_dn2))))
+    background = float(np.sqrt(sum(noise.block_dn2) / len(noise.block_dn2)))
     return BeamSize(
         whole[0],
         float(sigma[0]),
@@ -170,7 +175,9 @@ def beam_size(
         freeze(np.array([[whole[1], whole[2]], [whole[2], whole[3]]])),
         freeze(moments),
         peak,
-        sigma_peak,
+        float(np.hypot(sigma_peak, background)),
+        background,
+        float(np.sqrt(np.max(noise.white_dn2))),
         share,
         aureole_share,
         has_aureole,

@@ -32,7 +32,7 @@ class FluxScale:
 
     per_dn: Flux per brightness [unit/DN].
     sigma_share: Standard deviation of the scale, as a share of it.
-    noise_dn: Standard deviation of a pixel from noise and background [DN].
+    background_dn, white_dn: Standard deviations of a pixel: of the background, which neighbours share; of noise [DN].
     unit: "W/m2", or "1" for flux relative to the peak.
     of_beam: Peak flux and its sigma [unit], power and its sigma [W]; of relative flux the light over the peak [m^2].
     words: How the scale was found.
@@ -40,7 +40,8 @@ class FluxScale:
 
     per_dn: float
     sigma_share: float
-    noise_dn: float
+    background_dn: float
+    white_dn: float
     unit: str
     of_beam: tuple[float, float, float, float]
     words: str
@@ -59,7 +60,8 @@ def relative_flux(size: BeamSize) -> FluxScale:
     return FluxScale(
         1 / size.peak_dn,
         share,
-        size.sigma_peak_dn,
+        size.background_dn,
+        size.white_dn,
         "1",
         (1.0, share, total, sigma),
         "relative to the peak of each beam",
@@ -75,7 +77,9 @@ def absolute_by_power(size: BeamSize, power_w: float, sigma_power_w: float) -> F
     peak = per_dn * size.peak_dn
     sigma = peak * float(np.hypot(share, size.sigma_peak_dn / size.peak_dn))
     words = "absolute, by the power of each beam on the target"
-    return FluxScale(per_dn, share, size.sigma_peak_dn, "W/m2", (peak, sigma, power_w, sigma_power_w), words)
+    return FluxScale(
+        per_dn, share, size.background_dn, size.white_dn, "W/m2", (peak, sigma, power_w, sigma_power_w), words
+    )
 
 
 def absolute_by_gauge(size: BeamSize, picture: LightPicture, gauge: Gauge) -> FluxScale:
@@ -107,7 +111,7 @@ def absolute_by_gauge(size: BeamSize, picture: LightPicture, gauge: Gauge) -> Fl
     pull = np.array([1.0, 0.0, 0.0, gauge.diameter_m**2 / 8])
     level = float(found @ pull)
     scatter = float(np.sqrt(residual @ residual / (x.size - 4)))
-    sigma_level = float(np.hypot(scatter * np.sqrt(pull @ np.linalg.pinv(rows.T @ rows) @ pull), size.sigma_peak_dn))
+    sigma_level = float(np.hypot(scatter * np.sqrt(pull @ np.linalg.pinv(rows.T @ rows) @ pull), size.background_dn))
     if not level > 3 * sigma_level:
         raise EstimationError(
             f"gauge_center_m = {gauge.center_m.tolist()}: the beam is {level:.1f} \u00b1 {sigma_level:.1f} DN "
@@ -120,7 +124,9 @@ def absolute_by_gauge(size: BeamSize, picture: LightPicture, gauge: Gauge) -> Fl
     sigma_peak = peak * float(np.hypot(share, size.sigma_peak_dn / size.peak_dn))
     sigma_power = power * float(np.hypot(share, size.sigma_total_dn_m2 / size.total_dn_m2))
     words = "absolute, by a calorimeter in the target"
-    return FluxScale(per_dn, share, size.sigma_peak_dn, "W/m2", (peak, sigma_peak, power, sigma_power), words)
+    return FluxScale(
+        per_dn, share, size.background_dn, size.white_dn, "W/m2", (peak, sigma_peak, power, sigma_power), words
+    )
 
 
 def unknown_flux() -> FluxScale:
@@ -130,4 +136,4 @@ def unknown_flux() -> FluxScale:
 
 def _without_beam(unit: str) -> FluxScale:
     nan = float("nan")
-    return FluxScale(nan, nan, nan, unit, (nan, nan, nan, nan), "no beam")
+    return FluxScale(nan, nan, nan, nan, unit, (nan, nan, nan, nan), "no beam")

@@ -9,7 +9,10 @@ import pytest
 from typer.testing import CliRunner
 
 from calibration.beam.cli import app
-from tests.calibration.beam_pictures import gaussian, grid_m, sky_light
+from calibration.beam.files.flux_store import FluxStore
+from calibration.beam.light.beam_image import measure_beam
+from calibration.beam.light.flux_scale import Gauge, absolute_by_gauge, relative_flux
+from tests.calibration.beam_pictures import CORNERS_M, gaussian, grid_m, picture, sky_light
 
 WIDTHS, PLACE = (0.30, 0.22), (0.4, -0.3)
 #: Of a Gaussian: its light over its peak [m^2].
@@ -91,6 +94,23 @@ def test_by_a_calorimeter_beside_the_peak(tmp_path: Path) -> None:
 def test_a_calorimeter_that_no_beam_lights(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="none of 1 beams lights the calorimeter"):
         measured(tmp_path / "m", gauge(-3.0, 2.0, 1000.0))
+
+
+def test_noise_of_a_pixel_is_not_the_sigma_of_the_peak() -> None:
+    """Panels and the paraboloid's misfit grow with the peak; a pixel beside it, or a calorimeter there, has neither."""
+    light = 120 * gaussian(PLACE, (0.9, 0.5))
+    beam = measure_beam(picture(sky_light() + light, noise_dn=0.5))
+    assert beam.light is not None
+    scale, store = relative_flux(beam.size), FluxStore(CORNERS_M)
+    store.add(0, beam.light)
+    lit = cv2.resize(np.flipud(light), store.values_dn[0].shape[::-1], interpolation=cv2.INTER_AREA)
+    scatter = float(np.sqrt(np.mean((store.values_dn[0] - lit)[lit > 10] ** 2)))
+    assert np.hypot(scale.background_dn, scale.white_dn / np.sqrt(store.averaged[0])) == pytest.approx(scatter, rel=0.3)
+    # Where 4 % of the peak are left the beam is bright enough for a scale of a few per cent.
+    far = np.array(PLACE) + 0.9 * np.sqrt(-2 * np.log(0.04)) * np.array([np.cos(0.6), np.sin(0.6)])
+    found = absolute_by_gauge(beam.size, beam.light, Gauge(40.0, 0.4, far, 0.3))
+    assert found.sigma_share < 0.1
+    assert found.of_beam[0] == pytest.approx(1000.0, abs=3 * found.of_beam[1])
 
 
 def test_a_map_of_the_reflectance(tmp_path: Path) -> None:
