@@ -58,7 +58,7 @@ def mean_normal(setup: Setup, evaluation: Evaluation) -> MeanNormal | None:
     middle = _Middle.of(evaluation)
     here = middle.angles(MovedInput("", setup, evaluation.solution.cam_from_mirror))
     moved = tuple(moved_inputs(setup, evaluation.solution.cam_from_mirror, evaluation.located.pose))
-    shares = np.array([middle.angles(one) - here for one in moved]).reshape(-1, 2)
+    shares = np.array([middle.share(one) * (middle.angles(one) - here) for one in moved]).reshape(-1, 2)
     screen_from_mirror = setup.cam_from_screen.inverse() @ evaluation.solution.cam_from_mirror
     return MeanNormal(_angles(screen_from_mirror.rotation[:, 2]), shares, tuple(one.source for one in moved))
 
@@ -100,20 +100,25 @@ def words_of_normal(found: MeanNormal, turns: Mapping[str, FloatArray], *, is_pl
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Middle:
-    """The middle of the mirror, in its frame, and what it sees of the display on average."""
+    """The middle of the mirror, in its frame, what it sees of the display on average, and its measured facets."""
 
     point_m: FloatArray
     u: float
     v: float
+    facets: frozenset[str]
 
     @classmethod
     def of(cls, evaluation: Evaluation) -> "_Middle":
-        names = set(evaluation.images)
+        names = frozenset(evaluation.images)
         facets = [one for one in evaluation.located.facets if one.name in names]
         corners = np.concatenate([one.ensemble_from_facet.apply(one.corners_m) for one in facets])
         seen = evaluation.facet_index >= 0
         u, v = (float(np.nanmean(one[seen])) for one in (evaluation.screen_map.u, evaluation.screen_map.v))
-        return cls(corners.mean(axis=0), u, v)
+        return cls(corners.mean(axis=0), u, v, names)
+
+    def share(self, moved: MovedInput) -> float:
+        """Return the share of the mirror that an input concerns: the mean of all facets turns by so much of theirs."""
+        return 1.0 if moved.facets is None else len(moved.facets & self.facets) / len(self.facets)
 
     def angles(self, moved: MovedInput) -> FloatArray:
         """Return the angles of the bisector with inputs as moved."""

@@ -9,8 +9,11 @@ import pytest
 from data_synth.fringes import DatasetOptions, read_truth, write_dataset
 from data_synth.fringes.tower import UNAM_SIGMA_RAD, tower_knowledge, tower_scene, unam_scene
 from deflectometry.keys import load_deflectometry
+from deflectometry.pipeline.mean_normal import mean_normal
 from deflectometry.pipeline.measure import run
 from deflectometry.pose.surveyed_place import SurveyedPlace, setup_with_place
+from deflectometry.setup.camera_and_screen import FacetShift
+from deflectometry.setup.setup_steps import PLACE_IN_PATTERN
 from heliogauge.adjust.chi_square import chi_square_cdf
 from heliogauge.sunlight.beam import Illumination, direction_to_sun_for, facing_target, trace
 from heliogauge.sunlight.sun_shapes import SOLAR_DISC_RAD, PillboxSun
@@ -46,6 +49,20 @@ def test_facets_canting_and_mean_normal(tmp_path: Path) -> None:
     assert np.abs(found.normal_screen / sigma).max() < 4
     assert "the screen's turn about its x axis" in result.texts["mean normal"]
     assert "[mirror.place]" in result.texts["mean normal"]
+    # Facets that may each show a point beside turn the mean by the root of their number less.
+    names = list(result.evaluation.images)
+    one, *rest = [FacetShift(frozenset({name}), np.array([0.01, 0.0])) for name in names]
+    mean, alone = (
+        mean_normal(replace(setup, sigma_shift=np.zeros(2), facet_shifts=shifts), result.evaluation)
+        for shifts in ((one, *rest), (replace(one, facets=frozenset(names)),))
+    )
+    of_shift = [
+        float(np.linalg.norm(found.shares_rad[[source == PLACE_IN_PATTERN for source in found.sources]]))
+        for found in (mean, alone)
+        if found is not None
+    ]
+    assert of_shift[0] == pytest.approx(of_shift[1] / np.sqrt(len(names)), rel=1e-6)
+    assert len(names) > 1
     # The drawn focal length is 1.6 sigma off, 165 mm of distance: that contradicts nothing.
     assert {one.code for one in result.doubts} <= EXPECTED_DOUBTS
 
