@@ -86,8 +86,11 @@ def deflectometry(
         ),
     ] = None,
     dots: Annotated[
-        Literal["light", "unmarked"] | None,
-        typer.Option(help="One photo of a field of dots instead of fringes, with or without a light at dot (0, 0)."),
+        Literal["light", "marked", "unmarked"] | None,
+        typer.Option(
+            help="One photo of a field of dots instead of fringes: with a light at dot (0, 0), marked by dots of two "
+            "sizes, or all alike."
+        ),
     ] = None,
     pose_known: Annotated[bool, typer.Option("--pose-known", help="State the mirror's pose exactly.")] = False,
     poses: Annotated[

@@ -309,19 +309,45 @@ def patterns_command(
     grey_steps: Annotated[
         int, typer.Option("--grey-steps", min=3, max=256, help="Grey levels to calibrate the response.")
     ] = 33,
+    dots: Annotated[
+        Literal["dark", "light"] | None,
+        typer.Option("--dots", help="A field of dots to print or project instead of fringes, marked by two sizes."),
+    ] = None,
+    pitch_mm: Annotated[
+        float | None, typer.Option("--pitch-mm", min=0.0, help="With --dots: distance of two dots on the wall.")
+    ] = None,
+    width_mm: Annotated[
+        float | None, typer.Option("--width-mm", min=0.0, help="With --dots: width of the image on the wall.")
+    ] = None,
     force: Annotated[bool, typer.Option("--force", help="Replace earlier patterns.")] = False,
     quiet: Quiet = False,
     verbose: Verbose = False,
 ) -> None:
-    """Write the frames to display, pattern.toml for measurement.toml, and grey steps to calibrate the response."""
+    """Write what is to be displayed or printed, with pattern.toml for measurement.toml: fringes, or a field of dots."""
+    from heliogauge.errors import InputError
+
+    if dots is not None:
+        from deflectometry.pipeline.write_dots import DotFieldOptions, write_dot_pattern
+
+        if pitch_mm is None or width_mm is None:
+            raise InputError("--dots: --pitch-mm and --width-mm are needed")
+        if (level_min, level_max, response) != (None, None, None):
+            raise InputError("--dots: levels and response are for fringes; leave them out")
+        options = DotFieldOptions(width_px, height_px, width_mm, pitch_mm, dots)
+        columns, rows = write_dot_pattern(out, options, force=force)
+        if not quiet:
+            typer.echo(f"dots.png, dots.svg and dots.csv with {columns} x {rows} {dots} dots: {out}")
+        return
+    if (pitch_mm, width_mm) != (None, None):
+        raise InputError("--pitch-mm, --width-mm: for --dots; leave them out")
     from deflectometry.pipeline.write_patterns import DisplayOptions, PatternOptions, write_patterns
     from deflectometry.setup.patterns import Axis
     from heliogauge.running.terminal import terminal_progress
 
     display = DisplayOptions(width_px, height_px, int(bits), level_min, level_max, response, response_full_level)
-    options = PatternOptions(parse_periods(periods), steps, Axis(first), grey_steps)
+    fringes = PatternOptions(parse_periods(periods), steps, Axis(first), grey_steps)
     progress = terminal_progress(quiet=quiet, verbose=verbose)
-    pattern = write_patterns(out, display, options, force=force, progress=progress)
+    pattern = write_patterns(out, display, fringes, force=force, progress=progress)
     if not quiet:
         typer.echo(f"{pattern.n_frames} fringe frames, bright.png, dark.png and {grey_steps} grey levels: {out}")
 

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from data_synth.dots.photo import DotScene, photo_light, place_dots
+from data_synth.dots.photo import DotScene, ToldBy, photo_light, place_dots
 from data_synth.fringes.dataset import SYNTHETIC, TRUTH_FILE, DatasetOptions
 from data_synth.fringes.knowledge import measurement_content
 from data_synth.fringes.scene import scene_to_json
@@ -15,6 +15,13 @@ from heliogauge.measurement.writer import write_measurement
 from heliogauge.results.json_file import write_json
 from heliogauge.results.tables import write_table_csv
 from heliogauge.results.whole_folder import WholeFolder
+
+#: What measurement.toml says of the pattern.
+_PATTERNS: dict[ToldBy, dict[str, str]] = {
+    "light": {"dots": "dark", "origin": "light"},
+    "marked": {"dots": "dark", "origin": "unmarked", "marks_file": "dots.csv"},
+    "unmarked": {"dots": "dark", "origin": "unmarked"},
+}
 
 
 def write_dot_dataset(folder: Path, dots: DotScene, options: DatasetOptions | None = None) -> UnsignedArray:
@@ -31,7 +38,8 @@ def write_dot_dataset(folder: Path, dots: DotScene, options: DatasetOptions | No
         write_image(working / "photo.png", photo)
         x, y, z = truth.places_m.T
         numbers = {"column": truth.column.astype(np.intp), "row": truth.row.astype(np.intp)}
-        write_table_csv(working / "dots.csv", {**numbers, "x_m": x, "y_m": y, "z_m": z})
+        sizes = {"radius_m": truth.radius_m} if dots.told_by == "marked" else {}
+        write_table_csv(working / "dots.csv", {**numbers, "x_m": x, "y_m": y, "z_m": z, **sizes})
         content = _content(dots, chosen, knowledge_rng)
         write_measurement(working, content, comment=f"Synthetic measurement, seed {chosen.seed}; see truth.json.")
         shown = {
@@ -39,7 +47,7 @@ def write_dot_dataset(folder: Path, dots: DotScene, options: DatasetOptions | No
             "radius_m": dots.radius_m,
             "count": dots.count,
             "origin": dots.origin,
-            "marked": dots.marked,
+            "told_by": dots.told_by,
         }
         write_json(working / TRUTH_FILE, {**scene_to_json(dots.scene), "dots": shown, "seed": chosen.seed})
     return photo
@@ -56,7 +64,7 @@ def _content(dots: DotScene, options: DatasetOptions, rng: np.random.Generator) 
         "photo": "photo.png",
         "camera": known["camera"],
         "screen": {"shape": "dots"} | {**screen, "file": "dots.csv", "response_file": None},
-        "pattern": {"dots": "dark", "origin": "light" if dots.marked else "unmarked"},
+        "pattern": _PATTERNS[dots.told_by],
         "mirror": known["mirror"],
         "evaluation": known["evaluation"],
     } | dict(options.stated)

@@ -9,9 +9,12 @@ import numpy as np
 from data_synth.fringes.presets import FULL_CAMERA, ensemble_scene, preset_scene
 from data_synth.fringes.scene import FringeScene
 from data_synth.optics.mirror import SyntheticFacet
+from deflectometry.setup import marked_radii
 from heliogauge.short_repr import ShortRepr
 from heliogauge.validate import Float32Array, FloatArray
 
+#: What tells the dots of a field apart.
+ToldBy = Literal["light", "marked", "unmarked"]
 #: Rays along each side of a pixel: a dot of 4 px is then crossed by 300 of them, each standing for its own area.
 _RAYS = 6
 #: Light beside the mirror.
@@ -25,10 +28,10 @@ class DotScene(ShortRepr):
     """A field of dots before a mirror.
 
     scene: Camera, mirror and wall; its pattern is not shown.
-    pitch_m, radius_m: Distance of the dots along the wall, and their size [m].
+    pitch_m, radius_m: Distance of the dots along the wall, and their size where they are all alike [m].
     count: Columns and rows.
     origin: Column and row, from the left and from the top, of dot (0, 0).
-    marked: Whether a point light stands beside dot (0, 0).
+    told_by: What tells the dots apart: a point light beside dot (0, 0), dots of two sizes, or nothing.
     scatter_m: Standard deviation of the dots about a regular field [m].
     blur_sigma_px: Gaussian blur of the lens [px].
     hidden: Share of the field that is covered, from its left edge.
@@ -39,7 +42,7 @@ class DotScene(ShortRepr):
     radius_m: float = 0.015
     count: tuple[int, int] = (75, 55)
     origin: tuple[int, int] = (36, 29)
-    marked: bool = True
+    told_by: ToldBy = "light"
     scatter_m: float = 4e-4
     blur_sigma_px: float = 0.6
     hidden: float = 0.0
@@ -52,6 +55,7 @@ class DotTruth:
     column, row (n,): Their numbers, to the right and upwards.
     u, v (n,): Their display coordinates on the wall.
     places_m (n, 3): Their places in the wall's frame [m].
+    radius_m (n,): Their radii [m].
     """
 
     column: FloatArray
@@ -59,21 +63,22 @@ class DotTruth:
     u: FloatArray
     v: FloatArray
     places_m: FloatArray
+    radius_m: FloatArray
 
 
-def dot_scene(preset: str, origin: Literal["light", "unmarked"]) -> DotScene:
+def dot_scene(preset: str, told_by: ToldBy) -> DotScene:
     """Return a ready scene by the name of its fringe scene, with a camera that resolves dots.
 
     InputError: No such preset.
     """
     if preset == "ensemble":
-        return _ensemble(origin)
+        return _ensemble(told_by)
     scene = preset_scene(preset)
     scene = replace(scene, bench=replace(scene.bench, camera=FULL_CAMERA.scaled(0.5)))
-    return DotScene(scene, marked=origin == "light")
+    return DotScene(scene, told_by=told_by)
 
 
-def _ensemble(origin: Literal["light", "unmarked"]) -> DotScene:
+def _ensemble(told_by: ToldBy) -> DotScene:
     """Return six facets of 0.4 m and dots so near to each other that each shows 18 x 18 of them."""
     scene = ensemble_scene(columns=3, rows=2, camera=FULL_CAMERA)
     wall, pitch_m = scene.bench.wall, 0.045
@@ -89,7 +94,7 @@ def _ensemble(origin: Literal["light", "unmarked"]) -> DotScene:
         radius_m=0.011,
         count=(columns, rows),
         origin=(round(column), round(row)),
-        marked=origin == "light",
+        told_by=told_by,
         blur_sigma_px=0.8,
     )
 
@@ -103,7 +108,10 @@ def place_dots(dots: DotScene, rng: np.random.Generator) -> DotTruth:
     across = dots.pitch_m * (column - 0.5 * (columns - 1)) + off[0]
     down = dots.pitch_m * (row - 0.5 * (rows - 1)) + off[1]
     u, v = 0.5 + across / wall.width_m, 0.5 + down / wall.height_m
-    return DotTruth(column - dots.origin[0], dots.origin[1] - row, u, v, wall.points_m(u, v))
+    radius_m = np.full(column.size, dots.radius_m)
+    if dots.told_by == "marked":
+        radius_m = marked_radii(columns, rows, dots.pitch_m).ravel()
+    return DotTruth(column - dots.origin[0], dots.origin[1] - row, u, v, wall.points_m(u, v), radius_m)
 
 
 def photo_light(dots: DotScene, truth: DotTruth) -> Float32Array:
@@ -157,9 +165,9 @@ def _wall_light(dots: DotScene, truth: DotTruth, u: FloatArray, v: FloatArray) -
     ground = 0.45 + 0.1 * np.nan_to_num(u)
     # Each ray stands for its own small area: how much of that a dot covers, its edge taken as straight.
     step_m = float(np.nanmedian(np.hypot(np.diff(across, axis=1), np.diff(down, axis=1))))
-    cover = np.clip((dots.radius_m - apart) / step_m + 0.5, 0.0, 1.0)
+    cover = np.clip((truth.radius_m[number] - apart) / step_m + 0.5, 0.0, 1.0)
     light = np.where(there, ground * (1.0 - 0.7 * cover), ground)
-    if dots.marked:
+    if dots.told_by == "light":
         first = dots.origin[1] * columns + dots.origin[0]
         beside = np.hypot(
             across - near_across[first] - 0.3 * dots.pitch_m, down - near_down[first] + 0.2 * dots.pitch_m

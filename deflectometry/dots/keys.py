@@ -29,6 +29,10 @@ class DotPatternSection(Section):
         "unmarked",
         description="Whether a point light stands beside dot (0, 0); without, the geometry decides, with its odds.",
     )
+    marks_file: Text | None = Field(
+        None,
+        description="Table of the dots' sizes, where two sizes mark their places: columns column, row, radius_m.",
+    )
     known_dot: tuple[KnownDotSection, ...] = Field(
         (), description="A dot whose place in the photo is known; of several facets one for each, as a list of tables."
     )
@@ -57,6 +61,8 @@ class DotsModel(BenchModel):
         """Yield the key path and the text of every file that is named."""
         yield "photo", self.photo
         yield "screen.file", self.screen.file
+        if self.pattern.marks_file not in (None, self.screen.file):
+            yield "pattern.marks_file", str(self.pattern.marks_file)
         if (camera := getattr(self.camera, "file", None)) is not None:
             yield "camera.file", camera
 

@@ -7,6 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from deflectometry.dots.found_dots import FoundDots
+from deflectometry.dots.mark_evidence import MarkEvidence
 from deflectometry.dots.turns import TURNS
 from deflectometry.pose.pose_observations import UncertainPose
 from deflectometry.setup.camera_and_screen import Setup
@@ -37,6 +38,10 @@ _LIGHT_SIGMAS, _LIGHT_RATIO = 10.0, 1.5
 _SAME_LIGHT = 3.0
 #: Dots that give the mean slopes of a hypothesis: 500 give them twenty times better than one.
 _SPREAD = 500
+#: Odds of marks against chance, as logarithm, that decide whatever the tilt: 5e8 (of some 3e4 places and turns).
+_TELLING = 20.0
+#: Odds of slopes, as logarithm, by which no mirror is as the marks say: 10 sigmas.
+_ABSURD = 50.0
 #: Dots in the middle of a facet that tell its tilt in advance, and sigmas of the tilt beyond which a place is none
 #: (at 8 its odds are 1e-14), or adds nothing to the odds of a turn (a hundredth at 3).
 _MIDDLE, _EXCLUDED, _ROUGHLY = 5, 8.0, 3.0
@@ -73,6 +78,7 @@ class Sight(ShortRepr):
     known: Numbers (2,) of one dot in the table and its place in the photo [px]; None where nobody says it.
     on_facet (n,): Which of the dots the facet shows; None for all.
     name: What the lattice is called in words.
+    marks: Which of the dots are large, where the pattern has dots of two sizes.
     """
 
     dots: FoundDots
@@ -83,6 +89,7 @@ class Sight(ShortRepr):
     known: KnownDot | None = None
     on_facet: BoolArray | None = None
     name: str = ""
+    marks: MarkEvidence | None = None
 
 
 def place_dots(sights: Sequence[Sight]) -> tuple[PlacedDots, ...]:
@@ -91,13 +98,15 @@ def place_dots(sights: Sequence[Sight]) -> tuple[PlacedDots, ...]:
     sights: The lattices; facets may show one of their own each.
     Returns: The dots, numbered as in the table. An open place is a doubt with a share in the sigmas, not an error: it
         turns the mirror's normal, which the alignment takes out.
-    EstimationError: No hypothesis shows dots that there are, or two turns of the lattice are equally likely.
+    EstimationError: No hypothesis shows dots that there are, two turns of the lattice are equally likely, or marks
+        contradict all that the slopes allow.
 
     The odds of a hypothesis (a turn or mirror image of the lattice, 8 in all, and a whole number of columns and rows)
     are those of the slopes that it gives: their mean tilt against the design within the sigma of the pose and 3 mrad of
-    mounting; curvatures, twist and curl within 10 mrad at the rim, which no solar mirror exceeds; and of each dot that
-    would not be in the table. All lattices have the same turn. Facets are judged against those that are placed already
-    (3 mrad of canting each), the surest first; a known dot leaves no hypothesis but its own.
+    mounting; curvatures, twist and curl within 10 mrad at the rim, which no solar mirror exceeds; of each dot that
+    would not be in the table; and of the sizes of the dots, where these are marks. All lattices have the same turn.
+    Facets are judged against those that are placed already (3 mrad of canting each), the surest first; a known dot
+    leaves no hypothesis but its own.
     """
     found = [[_of_turn(one, turn, _ROUGHLY) for turn in TURNS] for one in sights]
     for one, by_turn in zip(sights, found, strict=True):
@@ -119,6 +128,7 @@ def place_dots(sights: Sequence[Sight]) -> tuple[PlacedDots, ...]:
             f"two turns of the field of dots fit equally well ({share[first]:.2f} : {share[second]:.2f}); give "
             "[pattern.known_dot], outline_m and the pose of the screen"
         )
+    _refuse_contradicting_marks(found, frames, of_turn)
     turn = TURNS[int(np.argmax(share))]
     hypotheses = [_of_turn(one, turn, _EXCLUDED) for one in sights]
     gradient = np.mean(
@@ -145,6 +155,46 @@ def place_dots(sights: Sequence[Sight]) -> tuple[PlacedDots, ...]:
     return tuple(placed[k] for k in range(len(sights)))
 
 
+def _refuse_contradicting_marks(
+    found: Sequence[Sequence[Sequence["_Hypothesis"]]], frames: Sequence["_TiltFrame"], of_turn: FloatArray
+) -> None:
+    """Refuse sizes of dots that fit no place, or only one that no mirror can show.
+
+    found: Hypotheses of each lattice and turn.
+    of_turn: Log odds of the turns.
+    EstimationError: They do.
+    """
+    chosen = int(np.argmax(of_turn))
+    told = np.array([sum(max((k.mark_odds for k in one[turn]), default=0.0) for one in found) for turn in range(8)])
+    by_marks = int(np.argmax(told))
+    by_slopes = np.zeros(len(TURNS))
+    here = 0.0
+    for frame, by_turn in zip(frames, found, strict=True):
+        for turn, one in enumerate(by_turn):
+            odds = frame.log_odds(one) - [k.mark_odds for k in one] if one else np.array([-np.inf])
+            by_slopes[turn] += odds.max()
+        best = by_turn[chosen]
+        here += best[int(np.argmax(frame.log_odds(best)))].mark_odds
+    if here < -_TELLING and told[by_marks] < _TELLING:
+        raise EstimationError(
+            "the sizes of the dots fit no place in pattern.marks_file: it is the table of another pattern, or the dots "
+            "are not of its two sizes"
+        )
+    if told[by_marks] < _TELLING or by_slopes.max() - by_slopes[by_marks] < _ABSURD:
+        return
+    apart = TURNS[by_marks] @ np.linalg.inv(TURNS[int(np.argmax(by_slopes))])
+    if np.linalg.det(apart) < 0:
+        raise EstimationError(
+            "by the sizes of its dots the pattern is seen mirrored: it is printed or projected the wrong way round, or "
+            "the photo is; mirror the one that is, or write the table (column, x_m) as the wall shows it"
+        )
+    angle = round(np.degrees(np.arctan2(apart[1, 0], apart[0, 0]))) % 360
+    raise EstimationError(
+        f"by the sizes of its dots the pattern is seen turned by {angle} deg in its plane against what [screen] and "
+        "[mirror] say: correct rotation_vector_rad of [screen], mirror.roll_deg or the table"
+    )
+
+
 def doubt_of_places(placed: Sequence[PlacedDots], sights: Sequence[Sight]) -> Doubt | None:
     """Return a doubt where the place of dots in the pattern is open."""
     opened = [k for k, one in enumerate(placed) if one.probability < _SURE]
@@ -161,12 +211,17 @@ def doubt_of_places(placed: Sequence[PlacedDots], sights: Sequence[Sight]) -> Do
     turned = "its shape hardly"
     if several:
         turned = f"and the canting of these facets with it ({off_mrad:.2g} mrad beyond its sigma), their shape hardly"
+    remedy = "use dots of two sizes (pattern.marks_file), a light at dot (0, 0) (pattern.origin) or [pattern.known_dot]"
+    if sights[worst].marks is not None:
+        remedy = (
+            "the sizes of the dots are hardly told apart: check focus and whether the wall shows the pattern of "
+            "pattern.marks_file, or give [pattern.known_dot]"
+        )
     return Doubt(
         "dot_origin_open",
         f"which dots are seen{where} is not decided: the likeliest place has a probability of {probability:.2g}, the "
         f"others are {sigma[0]:.1f} columns and {sigma[1]:.1f} rows off it (RMS); the orientation of the mirror is "
-        f"as uncertain as that, {turned}; mark dot (0, 0) (origin of [pattern]) or give [pattern.known_dot]"
-        f"{' for each facet' if several else ''}",
+        f"as uncertain as that, {turned}; {remedy}{' for each facet' if several else ''}",
         {"place_probability": probability, "columns_off_count": float(sigma[0]), "rows_off_count": float(sigma[1])},
     )
 
@@ -180,13 +235,15 @@ def _shares(log_odds: FloatArray) -> FloatArray:
 class _Hypothesis:
     """Numbers in the table = turn @ numbers in the photo + shift; the slopes that it gives, linear over the facet.
 
-    log_odds: Of their gradients alone.
+    log_odds: Of their gradients and of the sizes of dots.
     fit (3, 2): Mean tilt off the design, and its change along x and y, in the facet's frame [rad, rad/m].
+    mark_odds: The part of the odds that the sizes of dots give, against chance.
     """
 
     shift: IntArray
     log_odds: float
     fit: FloatArray
+    mark_odds: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -247,7 +304,9 @@ class _TiltFrame:
             mean = weight @ told / weight.sum()
             covariance = (1.0 / weight.sum() + _MOUNTING_RAD**2) * np.eye(2)
         off = np.array([self.tilt(one.fit) for one in hypotheses]) - mean
-        return np.asarray(odds - 0.5 * np.einsum("ni,ni->n", off, np.linalg.solve(covariance, off.T).T))
+        tilted = 0.5 * np.einsum("ni,ni->n", off, np.linalg.solve(covariance, off.T).T)
+        # A mirror that hangs anyhow is rare, and there: sure marks outweigh its tilt.
+        return np.asarray(odds - np.minimum(tilted, _TELLING))
 
 
 def _of_turn(sight: Sight, turn: IntArray, within: float) -> list[_Hypothesis]:
@@ -263,20 +322,35 @@ def _of_turn(sight: Sight, turn: IntArray, within: float) -> list[_Hypothesis]:
     slopes = _Slopes.of(dots.centers_px[chosen], sight)
     if sight.known is not None:
         shifts = np.array([sight.known[0] - turn @ number_at(dots, sight.known[1])])
+        told = _told_by_marks(sight, turn, shifts[0], shifts[0])
     else:
         # A line of the lattice that is beyond the table is of specks; more than a few are none.
         slack = 2
-        ranges = [np.arange(first[k] - low[k] - slack, last[k] - high[k] + slack + 1) for k in range(2)]
+        lowest, highest = first - low - slack, last - high + slack
+        ranges = [np.arange(lowest[k], highest[k] + 1) for k in range(2)]
         shifts = np.stack(np.meshgrid(*ranges, indexing="ij"), axis=-1).reshape(-1, 2)
-        shifts = shifts[slopes.may_be(sight, number[chosen], shifts, within)]
+        if not len(shifts):
+            return []
+        told = _told_by_marks(sight, turn, lowest, highest)
+        may_be = slopes.may_be(sight, number[chosen], shifts, within)
+        # What the marks say for certain no tilt excludes.
+        may_be |= told > max(_TELLING, told.max() - _TELLING)
+        shifts, told = shifts[may_be], told[may_be]
     found = []
-    for shift in shifts:
+    for shift, mark_odds in zip(shifts, told.tolist(), strict=True):
         there = sight.screen.has(*(number + shift).T)
         if np.count_nonzero(there) > 0.5 * len(number):
             odds, fit = slopes.judged(sight.screen.places_m(*(number[chosen] + shift).T))
-            odds += np.count_nonzero(~there) * float(np.log(_FALSE_DOT))
-            found.append(_Hypothesis(shift, odds, fit))
+            odds += np.count_nonzero(~there) * float(np.log(_FALSE_DOT)) + mark_odds
+            found.append(_Hypothesis(shift, odds, fit, mark_odds))
     return found
+
+
+def _told_by_marks(sight: Sight, turn: IntArray, low: IntArray, high: IntArray) -> FloatArray:
+    """Return the log odds that the sizes of dots give to the shifts from low to high, flat; 0 without marks."""
+    if sight.marks is None:
+        return np.zeros(int(np.prod(high - low + 1)))
+    return sight.marks.of_shifts(turn, low, high).ravel()
 
 
 def number_at(dots: FoundDots, place_px: FloatArray) -> IntArray:

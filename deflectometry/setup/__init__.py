@@ -6,6 +6,7 @@ from heliogauge.faces import lazy_face
 
 if TYPE_CHECKING:
     from deflectometry.setup.camera_and_screen import Setup as Setup
+    from deflectometry.setup.dot_marks import marked_radii as marked_radii
     from deflectometry.setup.patterns import Axis as Axis
     from deflectometry.setup.patterns import FringePattern as FringePattern
     from deflectometry.setup.patterns import FringeSet as FringeSet

@@ -12,6 +12,7 @@ from deflectometry.dots.facet_lattices import FacetLattice, lattices_of_facets
 from deflectometry.dots.found_dots import FoundDots, find_dots, find_lattices
 from deflectometry.dots.ground import POLARITIES, ground_of_dots, without_dots
 from deflectometry.dots.keys import DotPatternSection, DotsMeasurement
+from deflectometry.dots.mark_evidence import MarkEvidence
 from deflectometry.dots.origin import KnownDot, PlacedDots, Sight, doubt_of_places, find_lights, place_dots
 from deflectometry.dots.rim_dots import edges_without_dots, find_rim, with_rim_dots
 from deflectometry.frames.image_file_checks import check_compression, check_size
@@ -23,11 +24,13 @@ from deflectometry.pipeline.result import Result
 from deflectometry.pose.find_pose import find_pose
 from deflectometry.pose.mirror_outline import mirror_masks
 from deflectometry.setup.camera_and_screen import FacetShift
+from deflectometry.setup.dot_marks import DotMarks
 from deflectometry.setup.dot_screen import DotScreen
 from heliogauge.doubts import Doubt, gather_doubts
 from heliogauge.errors import FailurePicture, InputError, showing
 from heliogauge.images.photos import read_frames
 from heliogauge.measurement.load import MEASUREMENT_FILE
+from heliogauge.results.tables import read_number_columns
 from heliogauge.running.progress import Progress, SilentProgress
 from heliogauge.validate import BoolArray, Float32Array
 from photogrammetry.targets import Polarity
@@ -107,6 +110,7 @@ def run(measurement: DotsMeasurement, options: Options | None = None, progress: 
             lattices = lattices_of_facets(found, masks.facet_index, located.margin_px)
         else:
             lattices = (FacetLattice(found[0], (0,), np.ones(len(found[0].number), dtype=np.bool_)),)
+        marks = _marks(measurement)
         known = _known_dots(pattern, photo, ground, lattices, masks.facet_index)
         sights = [
             Sight(
@@ -118,6 +122,7 @@ def run(measurement: DotsMeasurement, options: Options | None = None, progress: 
                 dot,
                 one.on_first,
                 ", ".join(f"facet {located.facets[k].name}" for k in one.facets) if several else "",
+                None if marks is None else MarkEvidence.of(one.dots, marks),
             )
             for one, dot in zip(lattices, known, strict=True)
         ]
@@ -156,6 +161,21 @@ def run(measurement: DotsMeasurement, options: Options | None = None, progress: 
     return measure_source(ready, progress)
 
 
+def _marks(measurement: DotsMeasurement) -> DotMarks | None:
+    """Return the sizes of the pattern's dots, where they are marks.
+
+    InputError: A table without them.
+    """
+    name = measurement.model.pattern.marks_file
+    if name is None:
+        return None
+    file = measurement.path(name)
+    try:
+        return DotMarks.from_table(*read_number_columns(file, ("column", "row", "radius_m")))
+    except InputError as error:
+        raise InputError(f"{file}: {error}") from None
+
+
 def _known_dots(
     pattern: DotPatternSection,
     photo: npt.NDArray[Any],
@@ -190,7 +210,8 @@ def _words(placed: Sequence[PlacedDots], pattern: DotPatternSection, screen: Dot
     by = "known dot" if pattern.known_dot else "light at dot (0, 0)"
     probability = min(one.probability for one in placed)
     if not pattern.known_dot and pattern.origin != "light":
-        by = f"likeliest place, probability {probability:.3g}"
+        by = "slopes and the sizes of the dots" if pattern.marks_file else "slopes"
+        by = f"likeliest place by {by}, probability {probability:.3g}"
     elif probability < 1.0:
         by += f" and, where a facet shows none, by the likeliest place, probability {probability:.3g}"
     several = "" if len(placed) == 1 else f" in {len(placed)} lattices"

@@ -100,7 +100,7 @@ def test_half_of_the_dots_hidden_leaves_the_others(scene: DotScene, tmp_path: Pa
 
 
 def test_a_light_that_is_not_there_is_missed(scene: DotScene, tmp_path: Path) -> None:
-    write_dot_dataset(tmp_path / "dark", replace(scene, marked=False))
+    write_dot_dataset(tmp_path / "dark", replace(scene, told_by="unmarked"))
     with pytest.raises(EstimationError, match="light at dot"):
         run(load_dots(_changed(tmp_path / "dark", tmp_path / "said", origin="light")))
 

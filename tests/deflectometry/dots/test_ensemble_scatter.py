@@ -39,7 +39,7 @@ def _scene() -> DotScene:
     """Return three facets of the ensemble, two beside each other and one across a corner."""
     drawn = dot_scene("ensemble", "light")
     facets = tuple(drawn.scene.facets[k] for k in (0, 1, 5))
-    return replace(drawn, marked=False, scene=replace(drawn.scene, facets=facets))
+    return replace(drawn, told_by="unmarked", scene=replace(drawn.scene, facets=facets))
 
 
 def _errors(result: Result, scene: DotScene, without: str = "") -> tuple[FloatArray, FloatArray, FloatArray]:
