@@ -40,8 +40,6 @@ _SAME_LIGHT = 3.0
 _SPREAD = 500
 #: Odds of marks against chance, as logarithm, that decide whatever the tilt: 5e8 (of some 3e4 places and turns).
 _TELLING = 20.0
-#: Odds of slopes, as logarithm, by which no mirror is as the marks say: 10 sigmas.
-_ABSURD = 50.0
 #: Dots in the middle of a facet that tell its tilt in advance, and sigmas of the tilt beyond which a place is none
 #: (at 8 its odds are 1e-14), or adds nothing to the odds of a turn (a hundredth at 3).
 _MIDDLE, _EXCLUDED, _ROUGHLY = 5, 8.0, 3.0
@@ -164,25 +162,29 @@ def _refuse_contradicting_marks(
     of_turn: Log odds of the turns.
     EstimationError: They do.
     """
-    chosen = int(np.argmax(of_turn))
-    told = np.array([sum(max((k.mark_odds for k in one[turn]), default=0.0) for one in found) for turn in range(8)])
+    told = np.array(
+        [sum(max((k.mark_odds for k in one[turn]), default=0.0) for one in found) for turn in range(len(TURNS))]
+    )
     by_marks = int(np.argmax(told))
-    by_slopes = np.zeros(len(TURNS))
-    here = 0.0
-    for frame, by_turn in zip(frames, found, strict=True):
-        for turn, one in enumerate(by_turn):
-            odds = frame.log_odds(one) - [k.mark_odds for k in one] if one else np.array([-np.inf])
-            by_slopes[turn] += odds.max()
-        best = by_turn[chosen]
-        here += best[int(np.argmax(frame.log_odds(best)))].mark_odds
-    if here < -_TELLING and told[by_marks] < _TELLING:
-        raise EstimationError(
-            "the sizes of the dots fit no place in pattern.marks_file: it is the table of another pattern, or the dots "
-            "are not of its two sizes"
-        )
-    if told[by_marks] < _TELLING or by_slopes.max() - by_slopes[by_marks] < _ABSURD:
+    if told[by_marks] < _TELLING:
+        chosen = [by_turn[int(np.argmax(of_turn))] for by_turn in found]
+        here = [one[int(np.argmax(frame.log_odds(one)))].mark_odds for frame, one in zip(frames, chosen, strict=True)]
+        if sum(here) < -_TELLING:
+            raise EstimationError(
+                "the sizes of the dots fit no place in pattern.marks_file: it is the table of another pattern, or the "
+                "dots are not of its two sizes"
+            )
         return
-    apart = TURNS[by_marks] @ np.linalg.inv(TURNS[int(np.argmax(by_slopes))])
+    # The mirror may hang anyhow, but its shape does not turn over: what the slopes' gradients say is sure.
+    by_shape = np.array(
+        [
+            sum(max((k.log_odds - k.mark_odds for k in one[turn]), default=-np.inf) for one in found)
+            for turn in range(len(TURNS))
+        ]
+    )
+    if by_shape.max() - by_shape[by_marks] < -np.log(1.0 - _SURE):
+        return
+    apart = TURNS[by_marks] @ np.linalg.inv(TURNS[int(np.argmax(by_shape))])
     if np.linalg.det(apart) < 0:
         raise EstimationError(
             "by the sizes of its dots the pattern is seen mirrored: it is printed or projected the wrong way round, or "
