@@ -92,6 +92,9 @@ def deflectometry(
             "sizes, or all alike."
         ),
     ] = None,
+    frames: Annotated[
+        int, typer.Option(min=1, help="With --dots: so many photos of a mirror that sways in wind, 10 in a second.")
+    ] = 1,
     pose_known: Annotated[bool, typer.Option("--pose-known", help="State the mirror's pose exactly.")] = False,
     poses: Annotated[
         int,
@@ -160,7 +163,7 @@ def deflectometry(
         return
     knowledge = Knowledge(pose_known=pose_known, response=gamma != 1.0)
     if dots is not None:
-        from data_synth.dots import dot_scene, write_dot_dataset
+        from data_synth.dots import dot_scene, wind_turns, write_dot_dataset, write_dot_series
 
         if poses > 1 or gamma != 1.0 or fault:
             raise InputError("--dots: one photo has neither poses nor a display, nor the faults of frames")
@@ -168,10 +171,16 @@ def deflectometry(
         sensor = replace(drawn.scene.sensor, bits=bits, read_noise_dn=noise_dn, shot_gain_dn=shot_gain_dn)
         drawn = replace(drawn, scene=replace(drawn.scene, sensor=sensor))
         drawn = drawn if blur_px is None else replace(drawn, blur_sigma_px=blur_px)
-        write_dot_dataset(folder, drawn, DatasetOptions(seed, knowledge, force=force))
+        options = DatasetOptions(seed, knowledge, force=force)
+        if frames > 1:
+            write_dot_series(folder, drawn, wind_turns(frames, 10.0), 10.0, options)
+        else:
+            write_dot_dataset(folder, drawn, options)
         if not quiet:
             print(folder)
         return
+    if frames > 1:
+        raise InputError("--frames: goes with --dots")
     numbers = parse_periods(periods)
     scene = preset_scene(preset)
     scene = replace(

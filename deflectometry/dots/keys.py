@@ -9,6 +9,7 @@ from pydantic import Field, field_validator, model_validator
 
 from deflectometry.keys import BenchMeasurement, BenchModel, DotFieldSection
 from heliogauge.errors import InputError
+from heliogauge.images.video_names import video_of
 from heliogauge.measurement.load import MEASUREMENT_FILE, read_measurement
 from heliogauge.measurement.models import Section, Text, Vector2
 
@@ -79,7 +80,7 @@ class DotsMeasurement(BenchMeasurement):
     @property
     def input_files(self) -> tuple[Path, ...]:
         """All files the measurement consists of, measurement.toml first."""
-        return (self.folder / MEASUREMENT_FILE, *(self.path(text) for _, text in self.model.named_files()))
+        return (self.folder / MEASUREMENT_FILE, *(video_of(self.path(text)) for _, text in self.model.named_files()))
 
 
 def load_dots(folder: Path) -> DotsMeasurement:

@@ -60,12 +60,14 @@ class PlacedDots(ShortRepr):
     probability: Of the place that was chosen.
     sigma_shift (2,): Standard deviations of column and row that all dots share, over all hypotheses.
     own_shift (2,): The part of them that this lattice does not share with the one that was placed first.
+    turn (2, 2): Numbers in the table are turn @ numbers in the photo, but for a shift.
     """
 
     dots: FoundDots
     probability: float
     sigma_shift: FloatArray
     own_shift: FloatArray
+    turn: IntArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -77,6 +79,7 @@ class Sight(ShortRepr):
     on_facet (n,): Which of the dots the facet shows; None for all.
     name: What the lattice is called in words.
     marks: Which of the dots are large, where the pattern has dots of two sizes.
+    mounting_rad: How far the mirror's normal may be off that of its pose, beside the pose's own sigma [rad].
     """
 
     dots: FoundDots
@@ -88,12 +91,14 @@ class Sight(ShortRepr):
     on_facet: BoolArray | None = None
     name: str = ""
     marks: MarkEvidence | None = None
+    mounting_rad: float = _MOUNTING_RAD
 
 
-def place_dots(sights: Sequence[Sight]) -> tuple[PlacedDots, ...]:
+def place_dots(sights: Sequence[Sight], turns: Sequence[IntArray] = TURNS) -> tuple[PlacedDots, ...]:
     """Decide which dots of the pattern these are, lattice by lattice.
 
     sights: The lattices; facets may show one of their own each.
+    turns: Those that the lattices may have.
     Returns: The dots, numbered as in the table. An open place is a doubt with a share in the sigmas, not an error: it
         turns the mirror's normal, which the alignment takes out.
     EstimationError: No hypothesis shows dots that there are, two turns of the lattice are equally likely, or marks
@@ -106,7 +111,7 @@ def place_dots(sights: Sequence[Sight]) -> tuple[PlacedDots, ...]:
     Facets are judged against those that are placed already (3 mrad of canting each), the surest first; a known dot
     leaves no hypothesis but its own.
     """
-    found = [[_of_turn(one, turn, _ROUGHLY) for turn in TURNS] for one in sights]
+    found = [[_of_turn(one, turn, _ROUGHLY) for turn in turns] for one in sights]
     for one, by_turn in zip(sights, found, strict=True):
         if not any(by_turn):
             raise EstimationError(
@@ -114,7 +119,7 @@ def place_dots(sights: Sequence[Sight]) -> tuple[PlacedDots, ...]:
                 "shows more columns or rows than it has, or [pattern.known_dot] is none of them; check screen.file"
             )
     frames = [_TiltFrame.of(one) for one in sights]
-    of_turn = np.zeros(len(TURNS))
+    of_turn = np.zeros(len(turns))
     for frame, by_turn in zip(frames, found, strict=True):
         of_turn += [np.logaddexp.reduce(frame.log_odds(one)) if one else -np.inf for one in by_turn]
     if not np.isfinite(of_turn).any():
@@ -126,8 +131,8 @@ def place_dots(sights: Sequence[Sight]) -> tuple[PlacedDots, ...]:
             f"two turns of the field of dots fit equally well ({share[first]:.2f} : {share[second]:.2f}); give "
             "[pattern.known_dot], outline_m and the pose of the screen"
         )
-    _refuse_contradicting_marks(found, frames, of_turn)
-    turn = TURNS[int(np.argmax(share))]
+    _refuse_contradicting_marks(found, frames, of_turn, turns)
+    turn = turns[int(np.argmax(share))]
     hypotheses = [_of_turn(one, turn, _EXCLUDED) for one in sights]
     gradient = np.mean(
         [frame.gradient(max(one, key=lambda k: k.log_odds).fit) for frame, one in zip(frames, hypotheses, strict=True)],
@@ -149,21 +154,25 @@ def place_dots(sights: Sequence[Sight]) -> tuple[PlacedDots, ...]:
         before.append((frames[k].place_m, frames[k].tilt(best.fit)))
         numbers = sights[k].dots.number @ turn.T + best.shift
         apart = np.zeros(2) if is_first else own
-        placed[k] = PlacedDots(sights[k].dots.renumbered(numbers), float(weight.max()), sigma, apart)
+        placed[k] = PlacedDots(sights[k].dots.renumbered(numbers), float(weight.max()), sigma, apart, turn)
     return tuple(placed[k] for k in range(len(sights)))
 
 
 def _refuse_contradicting_marks(
-    found: Sequence[Sequence[Sequence["_Hypothesis"]]], frames: Sequence["_TiltFrame"], of_turn: FloatArray
+    found: Sequence[Sequence[Sequence["_Hypothesis"]]],
+    frames: Sequence["_TiltFrame"],
+    of_turn: FloatArray,
+    turns: Sequence[IntArray],
 ) -> None:
     """Refuse sizes of dots that fit no place, or only one that no mirror can show.
 
     found: Hypotheses of each lattice and turn.
     of_turn: Log odds of the turns.
+    turns: What they are.
     EstimationError: They do.
     """
     told = np.array(
-        [sum(max((k.mark_odds for k in one[turn]), default=0.0) for one in found) for turn in range(len(TURNS))]
+        [sum(max((k.mark_odds for k in one[turn]), default=0.0) for one in found) for turn in range(len(turns))]
     )
     by_marks = int(np.argmax(told))
     if told[by_marks] < _TELLING:
@@ -179,12 +188,12 @@ def _refuse_contradicting_marks(
     by_shape = np.array(
         [
             sum(max((k.log_odds - k.mark_odds for k in one[turn]), default=-np.inf) for one in found)
-            for turn in range(len(TURNS))
+            for turn in range(len(turns))
         ]
     )
     if by_shape.max() - by_shape[by_marks] < -np.log(1.0 - _SURE):
         return
-    apart = TURNS[by_marks] @ np.linalg.inv(TURNS[int(np.argmax(by_shape))])
+    apart = turns[by_marks] @ np.linalg.inv(turns[int(np.argmax(by_shape))])
     if np.linalg.det(apart) < 0:
         raise EstimationError(
             "by the sizes of its dots the pattern is seen mirrored: it is printed or projected the wrong way round, or "
@@ -256,21 +265,23 @@ class _TiltFrame:
     turn (2, 2): Turns slopes of the facet into those of the mirror.
     covariance (2, 2): Of its tilt, by the pose and the mounting, in the mirror's frame [rad^2].
     is_known: Whether a dot is known: then the tilt follows, whatever it is.
+    mounting_rad: How far one facet may be off the others [rad].
     """
 
     place_m: FloatArray
     turn: FloatArray
     covariance: FloatArray
     is_known: bool
+    mounting_rad: float
 
     @classmethod
     def of(cls, sight: Sight) -> "_TiltFrame":
         own = sight.facet.ensemble_from_facet
         # A turn of the mirror about its y axis by a changes dz/dx by -a, about its x axis dz/dy by a.
         by_turn = np.array([[0.0, -1.0], [1.0, 0.0]]) @ sight.pose.cam_from_mirror.rotation.T[:2]
-        covariance = by_turn @ sight.pose.covariance[:3, :3] @ by_turn.T + _MOUNTING_RAD**2 * np.eye(2)
+        covariance = by_turn @ sight.pose.covariance[:3, :3] @ by_turn.T + sight.mounting_rad**2 * np.eye(2)
         middle = own.apply(np.append(sight.facet.reference_point_m, 0.0))[:2]
-        return cls(middle, own.rotation[:2, :2], covariance, sight.known is not None)
+        return cls(middle, own.rotation[:2, :2], covariance, sight.known is not None, sight.mounting_rad)
 
     def tilt(self, fit: FloatArray) -> FloatArray:
         """Return a mean tilt (2,) in the mirror's frame."""
@@ -302,9 +313,9 @@ class _TiltFrame:
             setup = (_SETUP_OF_CURL * 0.5 * (gradient[0, 1] - gradient[1, 0])) ** 2
             share = setup / (setup + _SHAPE_PER_M**2)
             told = np.array([tilt for _, tilt in before]) + share * apart @ gradient.T
-            weight = 1.0 / (_MOUNTING_RAD**2 + share * _SHAPE_PER_M**2 * np.sum(apart**2, axis=1))
+            weight = 1.0 / (self.mounting_rad**2 + share * _SHAPE_PER_M**2 * np.sum(apart**2, axis=1))
             mean = weight @ told / weight.sum()
-            covariance = (1.0 / weight.sum() + _MOUNTING_RAD**2) * np.eye(2)
+            covariance = (1.0 / weight.sum() + self.mounting_rad**2) * np.eye(2)
         off = np.array([self.tilt(one.fit) for one in hypotheses]) - mean
         tilted = 0.5 * np.einsum("ni,ni->n", off, np.linalg.solve(covariance, off.T).T)
         # A mirror that hangs anyhow is rare, and there: sure marks outweigh its tilt.
@@ -415,7 +426,7 @@ class _Slopes:
         tilt = np.full((len(shifts), 2), np.inf)
         tilt[known] = np.nanmedian(np.array(tilts)[:, known], axis=0)
         size = np.linalg.norm(tilt, axis=1)
-        turn_rad = float(np.sqrt(_MOUNTING_RAD**2 + np.linalg.eigvalsh(sight.pose.covariance[:3, :3]).max()))
+        turn_rad = float(np.sqrt(sight.mounting_rad**2 + np.linalg.eigvalsh(sight.pose.covariance[:3, :3]).max()))
         return np.asarray(size < size.min() + within * turn_rad)
 
     def judged(self, places_m: FloatArray) -> tuple[float, FloatArray]:

@@ -7,21 +7,20 @@ import numpy.typing as npt
 
 from deflectometry.frames.image_file_checks import check_size
 from deflectometry.pipeline.choices import Choices
+from deflectometry.pipeline.source_slopes import MirrorPixels, poses_of_facets, slopes_of_facets, solve_source
 from deflectometry.pose.find_pose import LocatedMirror, MirrorInput, find_pose
-from deflectometry.pose.mirror_outline import mirror_masks
 from deflectometry.pose.mirrors_in_image import find_mirrors
 from deflectometry.setup.camera_and_screen import Setup
 from deflectometry.shape.common_modes import common_modes, moved_inputs
-from deflectometry.shape.facet_pixels import UsableFacets, solve_shape_of_pixels, thinned, usable_facets
+from deflectometry.shape.facet_pixels import UsableFacets, thinned
 from deflectometry.shape.fine_structure import fine_responses, fine_share
 from deflectometry.shape.gridding import grid_slopes, plan_grid
-from deflectometry.shape.pixel_slopes import SlopeImage, measure_slopes
+from deflectometry.shape.pixel_slopes import SlopeImage
 from deflectometry.shape.smooth_shape import Align, ShapeSolution
 from deflectometry.sources.screen_map import ScreenMap
 from deflectometry.sources.source import Source
 from heliogauge.doubts import Doubt, gather_doubts
 from heliogauge.errors import EstimationError
-from heliogauge.flags import SampleFlag
 from heliogauge.running.progress import Progress
 from heliogauge.short_repr import ShortRepr
 from heliogauge.slopes.map import SlopeMap
@@ -119,30 +118,19 @@ def solve_reflection(
             located = find_pose(source, setup, mirror)
         except EstimationError as error:
             raise _at_display_edge(source, error) from error
-        margin_px = located.margin_px if source.mixes_edges else 0.0
-        masks = mirror_masks(setup.camera, located.outline_pose, located.facets, margin_px=margin_px)
-    with progress.stage("screen points"):
-        screen_map = source.screen_map(masks.facet_index >= 0)
-        grid = screen_map.grid
-        facet_index = grid.of_image(masks.facet_index, -1)
-        beside = grid.of_image(masks.flags, np.uint32(SampleFlag.OUTSIDE_MIRROR))
-        screen_map = replace(screen_map, flags=np.where(beside != 0, beside, screen_map.flags))
-        edge = source.display_edge(screen_map, facet_index >= 0, located.margin_px)
-        screen_map = edge.screen_map
-    with progress.stage("slopes"):
-        usable = usable_facets(located.facets, screen_map, facet_index)
-        samples, align = usable.samples, choices.align is Align.NORMAL
-        solution = solve_shape_of_pixels(setup, samples, located.pose.cam_from_mirror, align=align)
-    past = edge.doubt if mirror.known_pose is None else None
+        pixels = MirrorPixels.of(source, setup, located)
+    found = solve_source(source, setup, located, pixels, progress, align=choices.align is Align.NORMAL)
+    solution, count = found.solution, len(found.usable.samples)
+    past = found.edge.doubt if mirror.known_pose is None else None
     # A screen point that is off by s turns the normal by half of s over the distance.
     square = setup.sigma_shift**2
     for one in setup.facet_shifts:
         # The mean of all facets turns by the share of those that do.
-        square = square + (one.sigma * len(one.facets) / len(samples)) ** 2
+        square = square + (one.sigma * len(one.facets) / count) ** 2
     off_m = np.sqrt(square) * setup.size_m
     mirror_m = (setup.cam_from_screen.inverse() @ solution.cam_from_mirror).translation_m
     sigma_turn = 0.5 * float(np.linalg.norm(off_m) / np.linalg.norm(mirror_m))
-    return Reflection(located, screen_map, facet_index, solution, usable, choices, past, sigma_turn)
+    return Reflection(located, found.screen_map, found.facet_index, solution, found.usable, choices, past, sigma_turn)
 
 
 def map_slopes(reflection: Reflection, setup: Setup, progress: Progress) -> Evaluation:
@@ -152,11 +140,8 @@ def map_slopes(reflection: Reflection, setup: Setup, progress: Progress) -> Eval
     samples, align = usable.samples, choices.align is Align.NORMAL
     with progress.stage("slopes"):
         surfaces = {sample.facet.name: surface for sample, surface in zip(samples, solution.surfaces, strict=True)}
-        poses = {sample.facet.name: solution.cam_from_mirror @ sample.facet.ensemble_from_facet for sample in samples}
-        images = {
-            name: measure_slopes(setup, screen_map, facet_index == index, poses[name], surfaces[name])
-            for name, index in zip(surfaces, usable.numbers, strict=True)
-        }
+        poses = poses_of_facets(usable, solution)
+        images = slopes_of_facets(setup, screen_map, facet_index, usable, solution)
     with progress.stage("uncertainty"):
         few = [thinned(sample, max(MODE_PIXELS // len(samples), 60)) for sample in samples]
         modes = common_modes(setup, few, solution, located.pose, align=align, places=located.places)

@@ -11,6 +11,7 @@ from deflectometry.pipeline.stated_inputs import StatedInput
 from deflectometry.setup.camera_and_screen import Setup
 from deflectometry.shape.common_modes import MovedInput, moved_inputs
 from deflectometry.shape.smooth_shape import Align
+from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.validate import FloatArray
 
 #: Parts of the variance below this are not worth a word.
@@ -60,7 +61,12 @@ def mean_normal(setup: Setup, evaluation: Evaluation) -> MeanNormal | None:
     moved = tuple(moved_inputs(setup, evaluation.solution.cam_from_mirror, evaluation.located.pose))
     shares = np.array([middle.share(one) * (middle.angles(one) - here) for one in moved]).reshape(-1, 2)
     screen_from_mirror = setup.cam_from_screen.inverse() @ evaluation.solution.cam_from_mirror
-    return MeanNormal(_angles(screen_from_mirror.rotation[:, 2]), shares, tuple(one.source for one in moved))
+    return MeanNormal(normal_angles_of(screen_from_mirror), shares, tuple(one.source for one in moved))
+
+
+def normal_angles_of(screen_from_mirror: RigidTransform) -> FloatArray:
+    """Return the angles of a mirror's normal as in `MeanNormal`, shape (2,) [rad]."""
+    return _angles(screen_from_mirror.rotation[:, 2])
 
 
 def turns_by_inputs(setup: Setup, evaluation: Evaluation, inputs: Iterable[StatedInput]) -> dict[str, FloatArray]:

@@ -1,7 +1,7 @@
 """A photo of dots seen in a mirror to results: the stages follow each other in `run`."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -21,7 +21,7 @@ from deflectometry.pipeline.choices import Options, build_choices
 from deflectometry.pipeline.inputs import build_setup, describe_mirror
 from deflectometry.pipeline.plausibility import refuse_impossible
 from deflectometry.pipeline.result import Result
-from deflectometry.pose.find_pose import find_pose
+from deflectometry.pose.find_pose import LocatedMirror, find_pose
 from deflectometry.pose.mirror_outline import mirror_masks
 from deflectometry.setup.camera_and_screen import FacetShift
 from deflectometry.setup.dot_marks import DotMarks
@@ -32,12 +32,30 @@ from heliogauge.images.photos import read_frames
 from heliogauge.measurement.load import MEASUREMENT_FILE
 from heliogauge.results.tables import read_number_columns
 from heliogauge.running.progress import Progress, SilentProgress
+from heliogauge.short_repr import ShortRepr
 from heliogauge.validate import BoolArray, Float32Array
 from photogrammetry.targets import Polarity
 
 #: Share of the mirror with dots below which a part of it has none: around a mirror with 40 dots across, half a
 #: dot's distance along the edges is 5 %, and as much may be lost to clips.
 _DOTTED_SHARE = 0.9
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlacedPhoto(ShortRepr):
+    """A photo whose dots have their places in the pattern.
+
+    ready: What is evaluated.
+    source: Its dots.
+    located: Where the mirror is.
+    lattices, placed: The lattice of each surface, and the places of its dots.
+    """
+
+    ready: SourceMeasurement
+    source: DotSource
+    located: LocatedMirror
+    lattices: tuple[FacetLattice, ...]
+    placed: tuple[PlacedDots, ...]
 
 
 def run(measurement: DotsMeasurement, options: Options | None = None, progress: Progress | None = None) -> Result:
@@ -65,6 +83,14 @@ def run(measurement: DotsMeasurement, options: Options | None = None, progress: 
         No mirror, too few dots, no lattice, or slopes that contradict themselves.
     """
     options, progress = options or Options(), progress or SilentProgress()
+    return measure_source(place_photo(measurement, options, progress).ready, progress)
+
+
+def place_photo(measurement: DotsMeasurement, options: Options, progress: Progress) -> PlacedPhoto:
+    """Find the dots of a photo, the mirror in it, and the places of the dots in the pattern.
+
+    InputError, EstimationError: As for `run`.
+    """
     setup = build_setup(measurement)
     screen = setup.screen
     if not isinstance(screen, DotScreen):
@@ -110,7 +136,7 @@ def run(measurement: DotsMeasurement, options: Options | None = None, progress: 
             lattices = lattices_of_facets(found, masks.facet_index, located.margin_px)
         else:
             lattices = (FacetLattice(found[0], (0,), np.ones(len(found[0].number), dtype=np.bool_)),)
-        marks = _marks(measurement)
+        marks = build_marks(measurement)
         known = _known_dots(pattern, photo, ground, lattices, masks.facet_index)
         sights = [
             Sight(
@@ -141,9 +167,10 @@ def run(measurement: DotsMeasurement, options: Options | None = None, progress: 
         ),
     )
     dots = tuple(one.dots for one in placed)
+    source = replace(source, dots=dots)
     ready = SourceMeasurement(
         measurement,
-        replace(source, dots=dots),
+        source,
         setup,
         mirror,
         build_choices(measurement, options),
@@ -158,10 +185,10 @@ def run(measurement: DotsMeasurement, options: Options | None = None, progress: 
             _missing(dots, masks.facet_index >= 0),
         ),
     )
-    return measure_source(ready, progress)
+    return PlacedPhoto(ready, source, located, lattices, placed)
 
 
-def _marks(measurement: DotsMeasurement) -> DotMarks | None:
+def build_marks(measurement: DotsMeasurement) -> DotMarks | None:
     """Return the sizes of the pattern's dots, where they are marks.
 
     InputError: A table without them.

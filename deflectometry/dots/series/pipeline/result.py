@@ -1,0 +1,250 @@
+"""What a series of photos of dots gave: a row for each frame, and the first frame's own result."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+
+from deflectometry.dots.series.frame_slopes import FacetMotion, FrameSlopes
+from deflectometry.pipeline.result import Result
+from heliogauge.geometry.rigid import RigidTransform
+from heliogauge.results.folder import Summary, write_table_csv
+from heliogauge.results.frame import InstrumentResult
+from heliogauge.short_repr import ShortRepr
+from heliogauge.validate import FloatArray
+
+SERIES_FILE, FACETS_FILE = "series.csv", "facet_tilts.csv"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FacetRow(ShortRepr):
+    """One facet in one frame.
+
+    tilt_rad, sigma_tilt_rad (2,): Slope of its mean normal against the first frame, in the mirror's frame there [rad].
+    rms_rad, sigma_rms_rad (2,): RMS of the angles from the design in x and y [rad].
+    count: Dots.
+    """
+
+    tilt_rad: FloatArray
+    sigma_tilt_rad: FloatArray
+    rms_rad: FloatArray
+    sigma_rms_rad: FloatArray
+    count: int
+
+    @classmethod
+    def missing(cls) -> "FacetRow":
+        """Return that of a facet that was not measured."""
+        nothing = np.full(2, np.nan)
+        return cls(nothing, nothing, nothing, nothing, 0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FrameRow(ShortRepr):
+    """One frame of a series.
+
+    frame: Its name.
+    time_s: When it was taken [s].
+    normal_rad (2,): Angles of the mirror's mean normal in the screen's frame, as mean_normal of the first frame [rad].
+    turn_rad, sigma_turn_rad (2,): Slope of the mean normal against the first frame, in the mirror's frame there; the
+        sigma is that of dots and surface, errors of the set-up are the same in both [rad].
+    rms_rad, sigma_rms_rad (2,): RMS of the angles from the design in x and y [rad].
+    count: Dots.
+    probability: Of the place in the pattern.
+    flag: Why it is not measured, or open; empty where all is well.
+    facets: Each facet.
+    """
+
+    frame: str
+    time_s: float
+    normal_rad: FloatArray
+    turn_rad: FloatArray
+    sigma_turn_rad: FloatArray
+    rms_rad: FloatArray
+    sigma_rms_rad: FloatArray
+    count: int
+    probability: float
+    flag: str
+    facets: Mapping[str, FacetRow]
+
+    @classmethod
+    def missing(cls, frame: str, time_s: float, flag: str, facets: Sequence[str]) -> "FrameRow":
+        """Return the row of a frame that was not measured."""
+        nothing = np.full(2, np.nan)
+        rows = dict.fromkeys(facets, FacetRow.missing())
+        return cls(frame, time_s, nothing, nothing, nothing, nothing, nothing, 0, float("nan"), flag, rows)
+
+    def measured(self, one: FrameSlopes, start: FrameSlopes, mirror_from_cam: RigidTransform) -> "FrameRow":
+        """Return the row with what was measured.
+
+        start: The first frame.
+        mirror_from_cam: The mirror's frame there.
+        """
+        facets = dict(self.facets)
+        for name, motion in one.facets.items():
+            if name in start.facets:
+                facets[name] = _facet_row(motion, start.facets[name], mirror_from_cam, one.step_rad)
+        weight = np.array([motion.count for motion in one.facets.values()], dtype=np.float64)
+        share = weight / weight.sum()
+        squares = share @ np.array([motion.mean_squares_rad2 for motion in one.facets.values()])
+        slope = _slope(mirror_from_cam.rotate(one.pose.rotation[:, 2]))
+        moved = _moved(slope, one.step_rad)
+        sigmas = np.array([_sigma(one.facets[name], start.facets.get(name), moved) for name in one.facets])
+        sigma = np.linalg.norm(share[:, None] * sigmas, axis=0)
+        of_rms = np.array([_sigma_of_rms(motion, moved) for motion in one.facets.values()])
+        return replace(
+            self,
+            normal_rad=one.normal_rad,
+            turn_rad=slope,
+            sigma_turn_rad=sigma,
+            rms_rad=np.sqrt(squares),
+            sigma_rms_rad=np.linalg.norm(share[:, None] * of_rms, axis=0),
+            count=int(weight.sum()),
+            probability=one.probability,
+            facets=facets,
+        )
+
+
+def _moved(slope: FloatArray, step_rad: float) -> float:
+    """Return by how many dots the pattern has moved on the mirror, 1 at most: beyond, dots show other places anyhow."""
+    return min(float(np.linalg.norm(slope)) / step_rad, 1.0)
+
+
+def _sigma(motion: FacetMotion, start: FacetMotion | None, moved: float) -> FloatArray:
+    """Return the standard deviation of a turn against the first frame, (2,) [rad].
+
+    moved: By how many dots the pattern has moved.
+    """
+    before = motion.sigma_noise_rad if start is None else start.sigma_noise_rad
+    return np.asarray(np.sqrt(motion.sigma_noise_rad**2 + before**2 + (moved * motion.sigma_waves_rad) ** 2))
+
+
+def _sigma_of_rms(motion: FacetMotion, moved: float) -> FloatArray:
+    """Return the standard deviation of the RMS, (2,) [rad].
+
+    Where the pattern moves by a dot, one line of dots is seen no longer at each edge and another one at the other.
+    """
+    exchanged = 2.0 * moved / np.sqrt(motion.count)
+    rms = np.sqrt(motion.mean_squares_rad2)
+    return np.asarray(np.hypot(motion.noise_rad / np.sqrt(motion.count), 0.5 * exchanged * motion.spread_rad2 / rms))
+
+
+def _slope(normal: FloatArray) -> FloatArray:
+    return np.asarray(-normal[:2] / normal[2])
+
+
+def _facet_row(motion: FacetMotion, start: FacetMotion, mirror_from_cam: RigidTransform, step_rad: float) -> FacetRow:
+    tilt = _slope(mirror_from_cam.rotate(motion.normal)) - _slope(mirror_from_cam.rotate(start.normal))
+    moved = _moved(tilt, step_rad)
+    rms = np.sqrt(motion.mean_squares_rad2)
+    return FacetRow(tilt, _sigma(motion, start, moved), rms, _sigma_of_rms(motion, moved), motion.count)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SeriesResult(InstrumentResult):
+    """A series of frames, ready to be written.
+
+    Parameters
+    ----------
+    first : Result
+        The first frame, measured as a photo of its own.
+    rows : tuple of FrameRow
+        Each frame, the first one included.
+    name : str
+        Name of the mirror.
+    doubts : tuple of Doubt
+        What makes the result doubtful.
+    durations_s : dict of str to float
+        Wall time of each stage [s].
+    input_sha256 : dict of str to str
+        Hash of each file read.
+    """
+
+    kind: ClassVar[str] = "deflectometry-dots-series"
+    first: Result
+    rows: tuple[FrameRow, ...]
+
+    def summarise(self) -> Summary:
+        """Collect how far the mirror turns, how its shape varies, and the first frame's numbers."""
+        measured = [one for one in self.rows if np.isfinite(one.turn_rad).all()]
+        turns = np.array([one.turn_rad for one in measured])
+        rms = np.array([one.rms_rad for one in measured])
+        sigma = np.array([one.sigma_turn_rad for one in measured])
+        numbers: dict[str, float | int | None] = {
+            "frames_count": len(self.rows),
+            "measured_frames_count": len(measured),
+            "flagged_frames_count": sum(bool(one.flag) for one in self.rows),
+            "duration_s": self.rows[-1].time_s - self.rows[0].time_s,
+        }
+        for k, axis in enumerate("xy"):
+            numbers |= {
+                f"turn_{axis}_range_rad": float(np.ptp(turns[:, k])),
+                f"turn_{axis}_rms_rad": float(np.std(turns[:, k])),
+                f"sigma_turn_{axis}_rad": float(np.sqrt(np.mean(sigma[:, k] ** 2))),
+                f"sd{axis}_median_rad": float(np.median(rms[:, k])),
+                f"sd{axis}_range_rad": float(np.ptp(rms[:, k])),
+            }
+        start = self.first.summarise()
+        texts = dict(start.texts) | {
+            "series": "turns are slopes of the mean normal against the first frame; their sigmas are those of dots and "
+            "surface, errors of the set-up are shared by all frames and stand in the first frame's numbers"
+        }
+        return self._summary(dict(start.numbers) | numbers, texts, start.not_determined, start.facets, start.geometry_m)
+
+    def write_files(self, folder: Path) -> None:
+        """Write the rows, and the files of the first frame."""
+        self.first.write_files(folder)
+        write_table_csv(folder / SERIES_FILE, _series_columns(self.rows))
+        write_table_csv(folder / FACETS_FILE, _facet_columns(self.rows))
+
+    def headline(self) -> str:
+        """Return how many frames were measured and how far the mirror turns."""
+        numbers = self.summarise().numbers
+        turns = "   ".join(
+            f"{axis} {1e3 * float(numbers[f'turn_{axis}_range_rad'] or 0.0):.3f} mrad "
+            f"(sigma of one {1e3 * float(numbers[f'sigma_turn_{axis}_rad'] or 0.0):.3f})"
+            for axis in "xy"
+        )
+        medians = "   ".join(
+            f"SD{axis} {1e3 * float(numbers[f'sd{axis}_median_rad'] or 0.0):.3f} mrad" for axis in "xy"
+        )
+        return (
+            f"{self.name}: {numbers['measured_frames_count']} of {numbers['frames_count']} frames measured, "
+            f"{numbers['flagged_frames_count']} flagged, {float(numbers['duration_s'] or 0.0):.3g} s\n"
+            f"  range of turns   {turns}\n  median           {medians}\n  first frame:\n{self.first.headline()}"
+        )
+
+
+def _pairs(name: str, values: Sequence[FloatArray], unit: str = "rad") -> dict[str, Any]:
+    columns = np.array(values)
+    return {f"{name.format(axis)}_{unit}": columns[:, k] for k, axis in enumerate("xy")}
+
+
+def _series_columns(rows: Sequence[FrameRow]) -> dict[str, Any]:
+    return {
+        "frame": [one.frame for one in rows],
+        "time_s": [one.time_s for one in rows],
+        **_pairs("mean_normal_{}", [one.normal_rad for one in rows]),
+        **_pairs("turn_{}", [one.turn_rad for one in rows]),
+        **_pairs("sigma_turn_{}", [one.sigma_turn_rad for one in rows]),
+        **_pairs("sd{}", [one.rms_rad for one in rows]),
+        **_pairs("sigma_sd{}", [one.sigma_rms_rad for one in rows]),
+        "dots": [one.count for one in rows],
+        "place_probability": [one.probability for one in rows],
+        "flag": [one.flag for one in rows],
+    }
+
+
+def _facet_columns(rows: Sequence[FrameRow]) -> dict[str, Any]:
+    each = [(row, name, facet) for row in rows for name, facet in row.facets.items()]
+    return {
+        "frame": [row.frame for row, _, _ in each],
+        "time_s": [row.time_s for row, _, _ in each],
+        "facet": [name for _, name, _ in each],
+        **_pairs("tilt_{}", [one.tilt_rad for _, _, one in each]),
+        **_pairs("sigma_tilt_{}", [one.sigma_tilt_rad for _, _, one in each]),
+        **_pairs("sd{}", [one.rms_rad for _, _, one in each]),
+        **_pairs("sigma_sd{}", [one.sigma_rms_rad for _, _, one in each]),
+        "dots": [one.count for _, _, one in each],
+    }

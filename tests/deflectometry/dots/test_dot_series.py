@@ -1,0 +1,88 @@
+"""Photos of marked dots in a mirror that moves: a row for each, turns within their sigmas, faults named."""
+
+import csv
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from data_synth.dots import DotScene, write_dot_series
+from data_synth.fringes.presets import FULL_CAMERA, facet_scene, rectangle, standard_errors
+from data_synth.optics.mirror import Design, SyntheticFacet
+from deflectometry.dots.series.keys import load_series
+from deflectometry.dots.series.motion import Motion
+from deflectometry.dots.series.pipeline.measure import run
+from heliogauge.errors import InputError
+from heliogauge.geometry.rigid import RigidTransform
+from heliogauge.measurement.writer import write_measurement
+from heliogauge.validate import FloatArray
+
+#: Turns about x and y [rad]; the fourth frame jumps by more than half of a dot's distance.
+TURNS = 1e-3 * np.array([[0.0, 0.0], [0.15, -0.1], [0.35, -0.15], [3.0, 2.1], [2.9, 2.3], [0.4, 0.3]])
+
+
+def test_a_steady_turn_is_predicted_and_a_jump_makes_the_next_less_sure():
+    motion = Motion(3e-3)
+    poses = [RigidTransform.from_rotation_vector([1e-3 * k, 0.0, 0.0], [0.0, 0.0, 9.0]) for k in range(8)]
+    misses = [motion.add(float(k), pose) for k, pose in enumerate(poses)]
+    assert misses[1] == pytest.approx(1e-3, rel=1e-3)
+    assert max(misses[2:]) < 1e-9
+    calm = motion.sigma_rad
+    motion.lose()
+    assert motion.sigma_rad == pytest.approx(2.0 * calm)
+    assert motion.add(8.0, RigidTransform.from_rotation_vector([0.02, 0.0, 0.0], [0.0, 0.0, 9.0])) > 0.01
+    assert motion.sigma_rad > 2.0 * calm
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return six frames of a facet that shows 16 x 16 dots, the last but one dark."""
+    design = Design("paraboloid", {"focal_length_m": 60.0})
+    facet = SyntheticFacet("facet", rectangle(0.5, 0.5), design, standard_errors(0.5, 0.5))
+    scene = DotScene(facet_scene("facet", (facet,), camera=FULL_CAMERA.scaled(0.5)), told_by="marked")
+    folder = tmp_path_factory.mktemp("series") / "in"
+    write_dot_series(folder, scene, TURNS, 10.0)
+    dark = folder / "frame_0004.png"
+    cv2.imwrite(str(dark), cv2.imread(str(dark), cv2.IMREAD_UNCHANGED) // 20)
+    return folder
+
+
+@pytest.mark.slow
+def test_each_frame_has_its_turn_or_a_reason(folder: Path, tmp_path: Path) -> None:
+    result = run(load_series(folder))
+    result.write(tmp_path)
+    with (tmp_path / "series.csv").open(encoding="utf-8") as file:
+        rows = list(csv.DictReader(line for line in file if not line.startswith("#")))
+    assert [float(one["time_s"]) for one in rows] == pytest.approx(np.arange(6) / 10.0)
+    assert rows[4]["flag"].startswith("not measured")
+    assert not rows[4]["turn_x_rad"]
+    assert {one.code for one in result.doubts} >= {"frames_not_measured"}
+    # A turn about y by a lowers dz/dx by a; one about x raises dz/dy.
+    truth: FloatArray = np.stack([-np.tan(TURNS[:, 1]), np.tan(TURNS[:, 0])], axis=1)
+    good = [0, 1, 2, 3, 5]
+    found = np.array([result.rows[k].turn_rad for k in good])
+    sigma = np.array([result.rows[k].sigma_turn_rad for k in good])
+    # Four turns in two directions: beyond four sigmas once in two thousand.
+    assert (np.abs(found - truth[good])[1:] < 4.0 * sigma[1:]).all()
+    assert sigma.max() < 0.02e-3
+    assert min(result.rows[k].probability for k in good) > 0.999
+
+
+def _changed(folder: Path, out: Path, frames: dict[str, object]) -> Path:
+    out.mkdir()
+    for one in (*folder.glob("*.png"), folder / "dots.csv"):
+        (out / one.name).write_bytes(one.read_bytes())
+    content = load_series(folder).model.model_dump(mode="json", exclude_unset=True)
+    write_measurement(out, content | {"frames": frames}, comment="changed")
+    return out
+
+
+@pytest.mark.slow
+def test_one_frame_and_times_that_are_not_there_are_refused(folder: Path, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="1 frame is no series"):
+        run(load_series(_changed(folder, tmp_path / "one", {"photos": ["frame_0000.png"]})))
+    wrong = _changed(folder, tmp_path / "times", {"photos": "frame_*.png", "times_file": "times.csv"})
+    (wrong / "times.csv").write_text("image,time_s\nframe_0000.png,0.0\n", encoding="utf-8")
+    with pytest.raises(InputError, match=r"no time of 'frame_0001.png'"):
+        run(load_series(wrong))
