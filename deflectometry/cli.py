@@ -123,18 +123,27 @@ def import_opencsp_command(
         bool,
         typer.Option("--correct-principal-point", help="Move the principal point to where averaging pixels put it."),
     ] = False,
+    known_dot: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="X,Y,COLUMN,ROW",
+            help="Dot whose place in the photo is known [px], one for each facet of an ensemble; may be given again.",
+            show_default=False,
+        ),
+    ] = None,
     force: ForceMeasurement = False,
     quiet: Quiet = False,
     verbose: Verbose = False,
 ) -> None:
     """Write a measurement folder from files made with OpenCSP (SOFAST)."""
-    from deflectometry.exchange.opencsp_import import OpencspOptions, import_opencsp
+    from deflectometry.exchange.opencsp_import import OpencspOptions, import_opencsp, parse_known_dot
 
     options = OpencspOptions(
         pose_from=pose_from,
         correct_principal_point=correct_principal_point,
         focal_length_m=focal_length_m,
         sigma_distance_mm=sigma_distance_mm,
+        known_dots=tuple(parse_known_dot(text) for text in known_dot or ()),
     )
     imported = import_opencsp(files, out, options, force=force)
     say_doubts(imported.doubts)

@@ -51,12 +51,30 @@ class OpencspOptions:
     focal_length_m: Focal length of the design paraboloid [m]; otherwise the start value of a result file, otherwise
         a plane.
     sigma_distance_mm: Standard deviation of the measured distance, which the files do not hold [mm].
+    known_dots: Dots whose places in the photo someone knows, one for each facet: x and y [px], column and row; empty:
+        a point light tells.
     """
 
     pose_from: Path | None = None
     correct_principal_point: bool = False
     focal_length_m: float | None = None
     sigma_distance_mm: float = 10.0
+    known_dots: tuple[tuple[float, float, int, int], ...] = ()
+
+
+def parse_known_dot(text: str) -> tuple[float, float, int, int]:
+    """Return a known dot from its text.
+
+    InputError: It is not of that form.
+
+    >>> parse_known_dot("853,680,0,0")
+    (853.0, 680.0, 0, 0)
+    """
+    try:
+        x, y, column, row = text.split(",")
+        return float(x), float(y), int(column), int(row)
+    except ValueError:
+        raise InputError(f"known dot {text!r}: x and y in the photo, column and row are needed: 853,680,0,0") from None
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,7 +112,10 @@ def import_opencsp(
     with WholeFolder(folder, IMPORTED, force=force) as working:
         parts = _Parts([read_opencsp_file(Path(path)) for path in files])
         chosen = options or OpencspOptions()
-        if parts.holds(DotPhotoRecord) and not parts.holds(FringeRecord):
+        of_dots = parts.holds(DotPhotoRecord) and not parts.holds(FringeRecord)
+        if chosen.known_dots and not of_dots:
+            raise InputError("known dots: no file given holds a photo of dots (MeasurementSofastFixed); leave them out")
+        if of_dots:
             _write_dots(working, parts, chosen)
         elif parts.holds(CalculationRecord) and not parts.holds(FringeRecord):
             _write_slopes(working, parts, chosen)
@@ -156,6 +177,9 @@ def _write_dots(working: Path, parts: "_Parts", options: OpencspOptions) -> None
     pose = parts.needed(RigidTransform, "the camera's orientation to the screen (SpatialOrientation)")
     content["screen"] = {"shape": "dots", "file": "dots.csv"} | _pose_keys(pose)
     content["pattern"] = {"dots": "dark", "origin": "light"}
+    if options.known_dots:
+        known = [{"image_px": [x, y], "column": column, "row": row} for x, y, column, row in options.known_dots]
+        content["pattern"] = {"dots": "dark", "known_dot": known}
     content["mirror"] = _mirror_section(parts, photo.distance_m, photo.measure_point_m, options)
     images = _storable([("photo.png", photo.photo_dn)])
     parse_measurement(content, Path("measurement.toml"))
