@@ -36,13 +36,14 @@ from heliogauge.measurement.load import parse_measurement
 from heliogauge.measurement.writer import write_measurement
 from heliogauge.results.tables import write_table_csv
 from heliogauge.results.whole_folder import WholeFolder
+from heliogauge.short_repr import ShortRepr
 from heliogauge.validate import FloatArray, positive
 
 _T = TypeVar("_T")
 
 
 @dataclass(frozen=True, slots=True)
-class OpencspOptions:
+class OpencspOptions(ShortRepr):
     """What the files leave open.
 
     pose_from: SOFAST result file whose pose of the mirror is taken over; otherwise the pose is found from the
