@@ -19,6 +19,7 @@ PIPELINES = {
     "deflectometry.pipeline.measure": "deflectometry",
     "deflectometry.poses.pipeline.measure": "deflectometry",
     "deflectometry.dots.pipeline.measure": "deflectometry",
+    "deflectometry.dots.series.pipeline.measure": "deflectometry",
     "deflectometry.scans.pipeline.measure": "deflectometry",
     "deflectometry.laser.pipeline.measure": "deflectometry",
     "deflectometry.gazing.pipeline.measure": "deflectometry",
