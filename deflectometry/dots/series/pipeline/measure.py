@@ -205,11 +205,9 @@ def _checked(
     first: Result,
 ) -> Doubt | None:
     """Measure the frame that is turned farthest by itself, outline and all, and compare."""
-    turns = [-1.0 if one is None else float(np.linalg.norm(row.turn_rad)) for one, row in zip(found, rows, strict=True)]
-    far = int(np.argmax(turns))
-    tracked = found[far]
-    assert tracked is not None
-    file = measurement.folder / rows[far].frame
+    measured = [(row, one) for row, one in zip(rows, found, strict=True) if one is not None]
+    far, tracked = max(measured, key=lambda pair: float(np.linalg.norm(pair[0].turn_rad)))
+    file = measurement.folder / far.frame
     try:
         alone = measure_source(
             place_photo(measurement.of_frame(file), options, SilentProgress()).ready, SilentProgress()
