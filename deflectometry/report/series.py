@@ -7,7 +7,7 @@ import numpy as np
 
 from deflectometry.dots.series.pipeline.result import FACETS_FILE, SERIES_FILE
 from heliogauge.reporting import page
-from heliogauge.reporting.html import FirstScreen, Html, join
+from heliogauge.reporting.html import FirstScreen, Html, beside, join
 from heliogauge.reporting.look import LINE_X, LINE_Y
 from heliogauge.reporting.notation import number_text
 from heliogauge.reporting.verdict import verdict_of
@@ -80,23 +80,30 @@ def shape(folder: Path) -> ChartView:
 
 
 def facets(folder: Path) -> Html:
-    """Return the tilt of each facet over time; nothing for a single one, which is the mirror."""
+    """Return the tilt of each facet over time, with its title; nothing for a single one, which is the mirror."""
     table = read_table_csv(folder / FACETS_FILE, ("frame", "time_s", "facet"))
     names = list(dict.fromkeys(table["facet"]))
+    if len(names) < 2:
+        return Html("")
     charts = []
-    for name in names if len(names) > 1 else []:
+    for name in names:
         own = [row for row, facet in enumerate(table["facet"]) if facet == name]
         part = {key: [cells[row] for row in own] for key, cells in table.items()}
         charts.append(_chart(part, "tilt_{}_rad", f"Facet {name}", "tilt [mrad]"))
-    return join(*charts)
+    head = (
+        "<h2>Facets</h2><p>Slope of the mean normal of each against the first frame, in the mirror's frame there.</p>"
+    )
+    return join(Html(head), beside(*charts))
 
 
-def flagged(folder: Path) -> TableView:
-    """Return the frames that are not measured, or open, with the reason."""
+def flagged(folder: Path) -> Html:
+    """Return the frames that are not measured, or open, with the reason and a title; nothing where all are well."""
     table = read_table_csv(folder / SERIES_FILE, ("frame", "time_s", "flag"))
     rows = [row for row, flag in enumerate(table["flag"]) if flag]
+    if not rows:
+        return Html("")
     columns = [TableColumn(label, [table[key][row] for row in rows]) for key, label in _FLAGGED]
-    return TableView("Flagged frames", tuple(columns))
+    return join(Html("<h2>Flagged frames</h2>"), TableView("Flagged frames", tuple(columns)))
 
 
 #: Columns of `flagged`: key and label.

@@ -222,6 +222,8 @@ def _read_bytes(path: Path) -> bytes:
 
 
 def _read_with_orientation(path: Path) -> tuple[npt.NDArray[Any], int]:
+    if video_of(path) != path:
+        return read_image(path), 1
     content = _read_bytes(path)
     return _decode(path, content), orientation_tag(content)
 

@@ -86,3 +86,22 @@ def test_one_frame_and_times_that_are_not_there_are_refused(folder: Path, tmp_pa
     (wrong / "times.csv").write_text("image,time_s\nframe_0000.png,0.0\n", encoding="utf-8")
     with pytest.raises(InputError, match=r"no time of 'frame_0001.png'"):
         run(load_series(wrong))
+
+
+@pytest.mark.slow
+def test_a_video_gives_what_its_frames_give(folder: Path, tmp_path: Path) -> None:
+    video = tmp_path / "mirror.avi"
+    frames = [cv2.imread(str(folder / f"frame_{number:04}.png")) for number in range(3)]
+    height, width = frames[0].shape[:2]
+    writer = cv2.VideoWriter(str(video), cv2.VideoWriter.fourcc(*"FFV1"), 10.0, (width, height))
+    for one in frames:
+        writer.write(one)
+    writer.release()
+    changed = _changed(folder, tmp_path / "video", {"video": "mirror.avi"})
+    video.rename(changed / video.name)
+    rows = run(load_series(changed)).rows
+    assert [one.frame for one in rows] == [f"mirror.avi#{number:05}" for number in range(3)]
+    assert [one.time_s for one in rows] == pytest.approx([0.0, 0.1, 0.2])
+    truth = np.stack([-np.tan(TURNS[:3, 1]), np.tan(TURNS[:3, 0])], axis=1)
+    for row, true in zip(rows[1:], truth[1:], strict=True):
+        assert (np.abs(row.turn_rad - true) < 4.0 * row.sigma_turn_rad).all()

@@ -96,7 +96,7 @@ def run(
     rows = _rows(files, times_s, found, flags, known)
     doubts = gather_doubts(of_video, result.doubts, _doubts_of_rows(rows, known, is_marked=marks is not None))
     with progress.stage("farthest frame by itself"):
-        doubts = gather_doubts(doubts, _checked(measurement, options, rows, found, result))
+        doubts = gather_doubts(doubts, _checked(measurement, options, files, rows, found, result))
     with progress.stage("hash inputs"):
         hashes = hash_files(measurement.input_files, measurement.folder)
     return SeriesResult(
@@ -200,14 +200,14 @@ def _doubts_of_rows(rows: Sequence[FrameRow], known: KnownMirror, *, is_marked: 
 def _checked(
     measurement: DotSeriesMeasurement,
     options: Options,
+    files: Sequence[Path],
     rows: Sequence[FrameRow],
     found: Sequence[FrameSlopes | None],
     first: Result,
 ) -> Doubt | None:
     """Measure the frame that is turned farthest by itself, outline and all, and compare."""
-    measured = [(row, one) for row, one in zip(rows, found, strict=True) if one is not None]
-    far, tracked = max(measured, key=lambda pair: float(np.linalg.norm(pair[0].turn_rad)))
-    file = measurement.folder / far.frame
+    measured = [(row, file, one) for row, file, one in zip(rows, files, found, strict=True) if one is not None]
+    _, file, tracked = max(measured, key=lambda each: float(np.linalg.norm(each[0].turn_rad)))
     try:
         alone = measure_source(
             place_photo(measurement.of_frame(file), options, SilentProgress()).ready, SilentProgress()
