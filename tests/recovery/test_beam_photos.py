@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from calibration.beam.light import measure_beam
+from calibration.beam.light import BeamFlag, measure_beam
 from calibration.beam.light.background import empty_target
 from calibration.beam.target import Rectifier, view_from_points
 from calibration.beam.target.marks import dark_corners
@@ -57,7 +57,9 @@ def test_centroids_of_drawn_photos(plant: TargetCamera) -> None:
         photo = rectifier.rectify(plant.take(beam, np.random.default_rng(5)), full_scale_dn=FULL_SCALE_DN)
         for pattern in (None, empty):
             found = measure_beam(photo, empty=pattern)
-            assert found.flags == 0
+            # Panels of a per cent and a lens that darkens the corners may pass for panels of three without frames of
+            # the empty target.
+            assert found.flags in ((0, BeamFlag.UNEVEN_TARGET) if pattern is None else (0,))
             error = found.spot.position_m - beam.centroid_m
             assert np.hypot(*error) < 0.12 * PIXEL_M
             assert (np.abs(error) < 4 * np.maximum(found.spot.sigma_m, 0.05 * PIXEL_M)).all()
