@@ -251,7 +251,7 @@ def _adjust(
 ) -> Lean:
     """Least squares of lean and bows over all points that are a star, stars chosen again after each step."""
     count = light.photo.size
-    star, residual = np.full(count, -1, dtype=np.intp), np.full(count, np.nan)
+    star, residual, distance = np.full(count, -1, dtype=np.intp), np.full(count, np.nan), np.full(count, np.inf)
     # The hypothesis knows the lean much better than the prior does.
     normal = np.diag(1 / known**2)
     for _ in range(_ROUNDS):
@@ -263,25 +263,32 @@ def _adjust(
         wide = cover + np.einsum("nik,kl,njl->nij", by_values, unknown, by_values)
         wide_inverse, inverse = np.linalg.inv(wide), np.linalg.inv(cover)
         normal, right = np.diag(1 / prior**2), (start - values) / prior**2
-        star[:], residual[:] = -1, np.nan
+        star[:], residual[:], distance[:] = -1, np.nan, np.inf
+        misses = np.zeros((count, 2))
         for n, photo in enumerate(light.photo):
             if not len(sky.directions[photo]):
                 continue
             miss = np.einsum("ij,mj->mi", across[n], sky.directions[photo] - seen[n])
             ahead = sky.directions[photo] @ seen[n] > 0
-            distance = np.where(ahead, np.einsum("mi,ij,mj->m", miss, wide_inverse[n], miss), np.inf)
-            nearest = int(np.argmin(distance))
-            if distance[nearest] > _TOO_FAR**2:
-                continue
-            star[n] = sky.number[photo][nearest]
-            residual[n] = float(np.sqrt(miss[nearest] @ inverse[n] @ miss[nearest]))
+            off = np.where(ahead, np.einsum("mi,ij,mj->m", miss, wide_inverse[n], miss), np.inf)
+            nearest = int(np.argmin(off))
+            if off[nearest] <= _TOO_FAR**2:
+                star[n], distance[n], misses[n] = sky.number[photo][nearest], off[nearest], miss[nearest]
+        # A star is one point of light of a photo: of several that are near it the nearest.
+        same = (star[:, None] == star) & (light.photo[:, None] == light.photo)
+        star[(same & (distance < distance[:, None])).any(axis=1)] = -1
+        for n in np.flatnonzero(star >= 0):
+            residual[n] = float(np.sqrt(misses[n] @ inverse[n] @ misses[n]))
             weighted = by_values[n].T @ inverse[n]
             normal += weighted @ by_values[n]
-            right += weighted @ miss[nearest]
+            right += weighted @ misses[n]
         step = np.linalg.solve(normal, right)
         values = values + step
         if np.abs(step[:2]).max() < 1e-8:
             break
+    else:
+        # Stars that change with every step are not known, however likely the hypothesis was.
+        probability = 0.0
     return Lean(values, np.asarray(np.linalg.inv(normal), dtype=np.float64), star, residual, probability)
 
 
