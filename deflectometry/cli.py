@@ -90,7 +90,14 @@ def plan_command(
     folder: MeasurementFolder,
     out: OutFolder,
 ) -> Job:
-    """Plan a measurement by backward gazing: spacings of the cameras compared; spacings.csv, report.html."""
+    """Plan a measurement by backward gazing (spacings of the cameras) or by stars (times of the night); report.html."""
+    from heliogauge.measurement.load import kind_of
+
+    if kind_of(folder).name == "stars":
+        from deflectometry.stars.keys import load_stars_plan
+        from deflectometry.stars.planning.plan import run as run_stars
+
+        return Job(out, lambda progress: run_stars(load_stars_plan(folder), progress))
     from deflectometry.gazing.planning.keys import load_gazing_plan
     from deflectometry.gazing.planning.plan import run
 

@@ -151,6 +151,7 @@ INSTRUMENT = Instrument(
         "screen-geometry": "deflectometry.screen_geometry:report.ipynb",
         "stars": "deflectometry.report:report_stars.ipynb",
         "overlay": "deflectometry.report:report_overlay.ipynb",
+        "stars-plan": "deflectometry.report:report_stars_plan.ipynb",
         "backward-gazing-plan": "deflectometry.report:report_gazing_plan.ipynb",
     },
 )

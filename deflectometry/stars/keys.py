@@ -56,6 +56,21 @@ class StarsEvaluationSection(Section):
     sigma_time_s: Sigma = Field(1.0, description="Standard deviation of the times; UT1 - UTC alone is up to 0.9 s [s].")
 
 
+class StarsPlanSection(Section):
+    """What `heliogauge deflectometry plan` compares; measuring does not read it."""
+
+    times: tuple[Text, ...] = Field(
+        (),
+        description="When a photo might be taken, ISO 8601 with zone; default: every half hour with the sun 12 degrees "
+        "and more below the horizon, of the night of the first photo's time.",
+    )
+    sigma_faintest_px: Positive = Field(
+        0.1,
+        description="Each image coordinate of a star of faintest_magnitude, one standard deviation; brighter ones are "
+        "better by the root of their light [px].",
+    )
+
+
 class StarsModel(MeasurementModel):
     """The whole measurement.toml of ``kind = "stars"``."""
 
@@ -67,6 +82,7 @@ class StarsModel(MeasurementModel):
     )
     mirror: HeliostatSection = Field(description="The heliostat; it stood still.")
     evaluation: StarsEvaluationSection = Field(StarsEvaluationSection(), description="Choices of the evaluation.")
+    plan: StarsPlanSection = Field(StarsPlanSection(), description="What a plan compares.")
 
     @model_validator(mode="after")
     def _no_sun(self) -> Self:
@@ -86,8 +102,13 @@ class StarsMeasurement:
     def input_files(self) -> tuple[Path, ...]:
         """All files the measurement consists of, measurement.toml first."""
         photos = tuple(self.folder / one.file for one in self.model.photo)
+        return (*self.files_before, *photos)
+
+    @property
+    def files_before(self) -> tuple[Path, ...]:
+        """Those that are there before any photo is taken, measurement.toml first."""
         camera = getattr(self.model.camera.camera, "file", None)
-        return (self.folder / MEASUREMENT_FILE, *photos, *(() if camera is None else (self.folder / camera,)))
+        return (self.folder / MEASUREMENT_FILE, *(() if camera is None else (self.folder / camera,)))
 
 
 def load_stars(folder: Path) -> StarsMeasurement:
@@ -96,7 +117,17 @@ def load_stars(folder: Path) -> StarsMeasurement:
     Returns: The measurement; its photos exist.
     InputError: As for `heliogauge.measurement.load.read_measurement`.
     """
+    found = load_stars_plan(folder)
+    refuse_missing(folder / MEASUREMENT_FILE, found.input_files)
+    return found
+
+
+def load_stars_plan(folder: Path) -> StarsMeasurement:
+    """Read and check the folder of a measurement by stars whose photos need not be there yet.
+
+    InputError: As for `heliogauge.measurement.load.read_measurement`.
+    """
     file, model = read_measurement(folder, StarsModel)
     found = StarsMeasurement(folder, model)
-    refuse_missing(file, found.input_files)
+    refuse_missing(file, found.files_before)
     return found

@@ -14,7 +14,7 @@ _GROUND_PX = 25
 #: Beyond so many times the size of its bright part a star has no light that matters.
 _WINDOW_PX = 5
 #: Centres of light are no better than this, whatever the noise: pixels are no points [px].
-_FLOOR_PX = 0.03
+FLOOR_PX = 0.03
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -72,7 +72,7 @@ def find_spots(image_dn: FloatArray, region: BoolArray, saturation_dn: float) ->
         sigma = 2 * np.sqrt(float((weight**2 * variance * (x - centre[0]) ** 2).sum())) / (flux / 2)
         full = bool((image_dn[y, x] >= saturation_dn).any())
         places.append(centre)
-        sigmas.append(0.5 if full else float(np.hypot(sigma, _FLOOR_PX)))
+        sigmas.append(0.5 if full else float(np.hypot(sigma, FLOOR_PX)))
         fluxes.append(flux)
     order = np.argsort(fluxes)[::-1]
     return Spots(

@@ -16,7 +16,7 @@ from deflectometry.field.placement import field_from_mirror
 from deflectometry.pipeline.choices import Options
 from deflectometry.shape.smooth_shape import Align
 from deflectometry.stars.keys import load_stars
-from deflectometry.stars.pipeline import measure as pipeline
+from deflectometry.stars.pipeline import night as night_of_stars
 from deflectometry.stars.pipeline.measure import StarsResult, run
 from heliogauge.errors import EstimationError
 from tests.deflectometry.command import refusal
@@ -104,7 +104,7 @@ def test_points_that_are_no_stars_are_refused_in_seconds(drawn: Path, tmp_path: 
 def leans_with_covariance(folder: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[StarsResult, list[np.ndarray]]:
     """Measure, and return with the result what one sigma of each common input does to lean and bows, each (f, 5)."""
     modes: list[np.ndarray] = []
-    original = pipeline._moved_leans
+    original = night_of_stars.moved_leans
 
     def listen(*arguments: Any) -> list[tuple[str, np.ndarray]]:
         found = original(*arguments)
@@ -112,7 +112,7 @@ def leans_with_covariance(folder: Path, monkeypatch: pytest.MonkeyPatch) -> tupl
         return found
 
     with monkeypatch.context() as patched:
-        patched.setattr(pipeline, "_moved_leans", listen)
+        patched.setattr(night_of_stars, "moved_leans", listen)
         return run(load_stars(folder), Options(align=Align.OUTLINE)), modes
 
 
