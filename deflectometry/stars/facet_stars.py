@@ -277,7 +277,7 @@ def _adjust(
         # A star is one point of light of a photo: of several that are near it the nearest.
         same = (star[:, None] == star) & (light.photo[:, None] == light.photo)
         star[(same & (distance < distance[:, None])).any(axis=1)] = -1
-        for n in np.flatnonzero(star >= 0):
+        for n in np.flatnonzero(star >= 0).tolist():
             residual[n] = float(np.sqrt(misses[n] @ inverse[n] @ misses[n]))
             weighted = by_values[n].T @ inverse[n]
             normal += weighted @ by_values[n]
