@@ -241,5 +241,5 @@ def _doubts(together: Sequence[PlannedTime]) -> Iterator[Doubt]:
             "plan_depends_on_lean",
             f"if the mirror leans by sigma_normal_mrad, {best.unknown_mean:.1f} facets of {len(best.stars)} stay "
             "unknown on average at the best time: take several photos over the night",
-            {"facets_mean": best.unknown_mean},
+            {"unknown_share": best.unknown_mean / len(best.stars)},
         )
