@@ -125,8 +125,11 @@ def test_a_drawn_tube_is_found_where_it_is(tones: tuple[float, float]) -> None:
     x, z = axis(STATIONS_M)
     assert (solution.fate == StationFate.MEASURED).all()
     np.testing.assert_allclose(solution.path.x_m, x, atol=1e-4)
-    # A sag of 4 mm within 2 m is more than the prior likes: it straightens the ends by 0.1 mm.
-    np.testing.assert_allclose(solution.path.z_m, z, atol=1.5e-4)
+    # A sag of 4 mm within 2 m is more than the prior likes: it straightens the ends by 0.3 mm, within the sigma of two
+    # photos (0.3 mm in the middle, 0.4 mm at the ends): what is behind may change beside the tube.
+    np.testing.assert_allclose(solution.path.z_m, z, atol=3e-4)
+    sigma_z_m = np.sqrt(np.diag(solution.path.covariance_m2))[len(z) :]
+    assert (np.abs(solution.path.z_m - z) < sigma_z_m).all()
     np.testing.assert_allclose(solution.diameter_m, 0.070, atol=4e-4)
 
 
