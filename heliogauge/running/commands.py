@@ -173,8 +173,8 @@ def say_ending(result: Ended, out: Path, *, quiet: bool, as_json: bool = False, 
         typer.echo(f"results: {out}{hint}")
 
 
-#: What stands before a doubt on the terminal.
-_SEVERITY_WORDS = {Severity.NOTE: "note", Severity.DOUBT: "warning", Severity.SERIOUS: "error"}
+#: What stands before a doubt on the terminal; "error" is kept for what ends a command with exit code 2.
+_SEVERITY_WORDS = {Severity.NOTE: "note", Severity.DOUBT: "warning", Severity.SERIOUS: "serious"}
 
 
 def say_doubts(doubts: Iterable[Doubt]) -> None:

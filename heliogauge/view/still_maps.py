@@ -13,8 +13,11 @@ from heliogauge.slopes.map import SlopeMap
 from heliogauge.validate import BoolArray, FloatArray
 from heliogauge.view.stills import WIDTH_PX, LegendEntry, Sheet, color_table, fitted_sheet
 
-# Qualitative colours that differ in lightness too; the first flag in the list wins where a node has several.
-_FLAG_COLORS = ("#d94f30", "#f0a23c", "#7b5ea7", "#2f8f83", "#b2336e", "#4d7ebf", "#8a6d3b", "#5b8c2a", "#111111")
+# Qualitative colours that differ in lightness too; with 13 no two reasons of one kind of map share one.
+_FLAG_COLORS = (
+    *("#d94f30", "#f0a23c", "#7b5ea7", "#2f8f83", "#b2336e", "#4d7ebf", "#8a6d3b", "#5b8c2a", "#111111"),
+    *("#d9a5c7", "#66788a", "#c7b942", "#0b5563"),
+)
 _MEASURED = "#e9f1ea"
 _SIDE = ", seen from the front"
 #: Words this far above each other do not touch [px].
@@ -115,12 +118,13 @@ def flag_still(slope_map: SlopeMap, lines: Sequence[FloatArray] = (), *, planned
     counts = count_flags(slope_map.flags, slope_map.aperture)
     counts.pop(SampleFlag.OUTSIDE_MIRROR, None)
     order = sorted(counts, key=lambda flag: counts[flag], reverse=True)[: len(_FLAG_COLORS)]
+    own_colors = _colors_of_flags(order)
     flags, aperture = thinned(slope_map.flags), thinned(slope_map.aperture)
     codes = np.where(thinned(slope_map.valid), 0, -1)
     # Rare reasons are painted last, over the common ones.
     for number, flag in enumerate(order, start=1):
         codes[(flags & np.uint32(flag)) != 0] = number
-    colors = [_MEASURED, *_FLAG_COLORS[: len(order)]]
+    colors = [_MEASURED, *own_colors]
     table = np.array([[int(one[place : place + 2], 16) for place in (1, 3, 5)] for one in colors], dtype=np.uint8)
     left, right, bottom, top = extent_of(slope_map)
     sheet = fitted_sheet((left, right), (bottom, top))
@@ -137,6 +141,19 @@ def flag_still(slope_map: SlopeMap, lines: Sequence[FloatArray] = (), *, planned
     entries = [LegendEntry(name, color, "box") for name, color in zip(names, colors, strict=True)]
     sheet.legend([*entries, LegendEntry("no value, no flag", FAINT, "hatched")])
     return sheet.html(f"{title}. {note}: {'; '.join(names)}")
+
+
+def _colors_of_flags(flags: Sequence[int]) -> list[str]:
+    """Return one colour for each flag: its own in every picture, another one only where two flags share it.
+
+    flags: The most frequent one first; it keeps its colour.
+    """
+    chosen: list[str] = []
+    for flag in flags:
+        own = int(flag).bit_length() % len(_FLAG_COLORS)
+        turns = (_FLAG_COLORS[(own + step) % len(_FLAG_COLORS)] for step in range(len(_FLAG_COLORS)))
+        chosen.append(next(color for color in turns if color not in chosen))
+    return chosen
 
 
 def correlation_still(names: Sequence[str], matrix: FloatArray, title: str, note: str) -> Html:

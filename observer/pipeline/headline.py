@@ -1,5 +1,6 @@
 """The numbers of a trough measurement: for summary.json and for the terminal."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -12,9 +13,11 @@ from heliogauge.slopes.removal import Removal
 from heliogauge.slopes.statistics import statistics
 from heliogauge.validate import FloatArray
 from observer.absorber.position import AbsorberSolution
+from observer.absorber.product import height_text
 from observer.light.panel_gains import PanelGains
 from observer.product.panel_alignment import move_of_outer_mount, panel_tilts
 from observer.product.panel_shapes import panel_shapes
+from observer.product.panel_turns import LEAST_GAIN_SHARE, light_text
 from observer.product.slope_map import AngleMaps
 from observer.selection.edge_refusal import EdgeFate
 from observer.selection.solve_and_refuse import Reflector
@@ -202,8 +205,13 @@ def turns_text(summary: Summary) -> str:
     if not sure:
         return f"turning none of {count} gains anything that is sure"
     key = "intercept_gain_panels_turned_ratio"
-    gain = number_text(float(numbers[key] or 0.0), float(numbers[f"sigma_{key}"] or 0.0), "", key)
-    return f"turning {sure} of {count} gains {gain}; `heliogauge observer align` gives the moves of their mounts"
+    gain = light_text(float(numbers[key] or 0.0), float(numbers[f"sigma_{key}"] or 0.0))
+    worth = int(numbers["panels_worth_turning_count"] or 0)
+    if not worth:
+        least = f"{100 * LEAST_GAIN_SHARE:g} % of its own light"
+        return f"turning {sure} of {count} gains {gain}: not worth a turn, each gains less than {least}"
+    which = "" if worth == sure else f", {worth} of them worth a turn"
+    return f"turning {sure} of {count} gains {gain}{which}; `heliogauge observer align` gives the moves of their mounts"
 
 
 def headline_text(summary: Summary) -> str:
@@ -218,6 +226,11 @@ def headline_text(summary: Summary) -> str:
         unit = "rad" if key.endswith("_rad") else "m" if key.endswith("_m") else ""
         return number_text(value, None if sigma is None else float(sigma), unit, key)
 
+    def with_sigma(text: Callable[[float, float | None], str], key: str) -> str:
+        sigma = numbers.get(f"sigma_{key}")
+        return text(float(numbers[key] or 0.0), None if sigma is None else float(sigma))
+
+    height = with_sigma(height_text, "absorber_mean_z_offset_m")
     return "\n".join(
         [
             f"{summary.name}: {numbers['photos_count']} photos, {numbers['edges_used_count']} edges of the reflection",
@@ -225,11 +238,11 @@ def headline_text(summary: Summary) -> str:
             f"  with the absorber theta_ra {said('rms_theta_ra_rad')} RMS",
             f"  sigma of a point {said('median_sigma_theta_r_rad')} of theta_r, {said('median_sigma_theta_ra_rad')} of "
             "theta_ra (median)",
-            f"  absorber         x {said('absorber_mean_x_m')}, z {said('absorber_mean_z_offset_m')} beside the focal "
-            "line",
+            f"  absorber         x {said('absorber_mean_x_m')}, {height}",
             f"  intercept factor {said('intercept_ratio')}; an aligned absorber gains "
-            f"{said('intercept_gain_absorber_aligned_ratio')}, perfect mirrors "
-            f"{said('intercept_gain_mirror_perfect_ratio')}",
+            f"{with_sigma(light_text, 'intercept_gain_absorber_aligned_ratio')}, perfect mirrors "
+            f"{with_sigma(light_text, 'intercept_gain_mirror_perfect_ratio')}",
+            f"  light            {summary.texts['light']}",
             f"  panels           {turns_text(summary)}",
             f"  measured         {said('measured_share')} of the mirror, {said('seeable_measured_share')} of what can "
             "show the tube",

@@ -29,6 +29,7 @@ from observer.light.panel_gains import PanelGains, panel_gains
 from observer.light.spread import BeamSpread, beam_spread, gaussian_short_form
 from observer.light.trace import Sunlight, TracedIntercept, trace_intercept
 from observer.product.panel_alignment import PanelTilts
+from observer.product.panel_turns import is_worth
 from observer.trough.absorber_path import AbsorberPath
 from observer.trough.collector import Collector
 
@@ -177,9 +178,16 @@ def evaluate_intercept(
         traced=traced,
         measured_share=trough.nodes.measured_share,
         measured_ratio=float(inside @ own.of_nodes()),
-        light=profile.words,
+        light=_words_of(light, profile),
         doubts=tuple(doubts),
     )
+
+
+def _words_of(light: Sunlight, profile: BeamProfile) -> str:
+    """Say in what light the intercept factor holds, and where nothing beside sun and measured errors spreads it."""
+    if light.specularity_rad or light.tracking_error_rad:
+        return profile.words
+    return f"{profile.words}: the sun and the measured errors alone; [optics] adds specularity and tracking"
 
 
 def _best(
@@ -230,6 +238,8 @@ def intercept_numbers(result: InterceptResult) -> tuple[Numbers, dict[str, str]]
     put("intercept_gain_mirror_perfect_ratio", *result.gains[Case.MIRROR_PERFECT])
     put("intercept_gain_panels_turned_ratio", result.panels.together_ratio, result.panels.sigma_together_ratio)
     numbers["panels_count"], numbers["panels_to_turn_count"] = result.panels.sure.size, int(result.panels.sure.sum())
+    worth = result.panels.sure & is_worth(result.panels.gain_ratio)
+    numbers["panels_worth_turning_count"] = int(worth.sum())
     put("intercept_traced_ratio", result.traced.ratio, result.traced.sampling_sigma)
     numbers["intercept_pooled_ratio"] = result.spread.ratio
     numbers["intercept_short_form_ratio"] = result.short_form

@@ -27,7 +27,7 @@ from observer.selection.edge_refusal import unchecked_doubt
 from observer.slopes.edge_gaps import gaps_doubt
 from observer.slopes.shape_share import shape_doubt
 from observer.trough.collector import Collector
-from observer.trough.visibility import coverage_doubt, seeable_shares
+from observer.trough.visibility import beyond_tube_doubt, coverage_doubt, seeable_shares
 
 #: A place, and two beside it across the optical axis, small against any distance [m].
 _SMALL_STEPS = (np.zeros(3), np.array([0.01, 0.0, 0.0]), np.array([0.0, 0.01, 0.0]))
@@ -67,6 +67,7 @@ def judge(
         design_doubts(cameras, mirror, inputs.collector, with_sizes=with_sizes, encoding_is_clear=not encodings.doubts),
         placed.doubts,
         coverage_doubt(mirror.visible, slope_map.x_m, slope_map.aperture, eyes),
+        beyond_tube_doubt(mirror.visible, slope_map.aperture, inputs.collector, eyes),
         incidence_doubt(slope_map, eyes, inputs.collector, along_rad),
         shape_doubt(reflector.shape, inputs.shape_from_slopes, usual_sigma),
         unchecked_doubt(reflector.fate),

@@ -12,11 +12,10 @@ from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.validate import FloatArray
 from observer.product.figures_of_merit import reach_needed_m
 from observer.trough.collector import Collector
+from observer.trough.visibility import WORTH_SAYING_SHARE, beyond_tube_text
 
 #: Where cameras look: between vertex and rim of a usual trough [m].
 _LOOK_AT_Z_M = 0.6
-#: What is missing is worth a sentence from this share of the mirror on.
-_WORTH_SAYING = 0.005
 #: Paths are flown to some centimetres [m].
 _CLOSE_M = 0.05
 #: Mirrors of a typical slope error have parts of three times that.
@@ -83,29 +82,17 @@ def advice(
                 {"reach_m": one.reach_m, "needed_m": needed},
             )
     share = shares.get(SampleFlag.BEYOND_TUBE, 0.0)
-    if share > _WORTH_SAYING:
-        half = collector.length_m / 2
-        yield Doubt(
-            "plan_beyond_tube",
-            f"{100 * share:.1f} % of the mirror shows what lies beyond the tube's ends or receiver supports; passes at "
-            f"y = {-half:.2f} and {half:.2f} m show the ends, and two passes "
-            f"{_beside_supports_m(collector, passes):.1f} m apart see beside the supports",
-            {"missing_share": share},
-        )
+    if share > WORTH_SAYING_SHARE:
+        text = beyond_tube_text(share, collector, min(one.height_m for one in passes))
+        yield Doubt("plan_beyond_tube", text, {"missing_share": share})
     share = shares.get(SampleFlag.BEHIND_TUBE, 0.0)
-    if share > _WORTH_SAYING:
+    if share > WORTH_SAYING_SHARE:
         yield Doubt(
             "plan_behind_receiver",
             f"{100 * share:.1f} % of the mirror lies behind the receiver whenever it would show the tube; no pass of a "
             "small camera changes that",
             {"missing_share": share},
         )
-
-
-def _beside_supports_m(collector: Collector, passes: tuple[Pass, ...]) -> float:
-    """Return how far a pass must move for a support's reflection to move by its width and a half."""
-    height = min(one.height_m for one in passes)
-    return 1.5 * collector.support_width_m * height / collector.focal_length_m
 
 
 def steps_too_wide(passes: tuple[Pass, ...]) -> Iterator[Doubt]:

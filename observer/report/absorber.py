@@ -18,7 +18,7 @@ from observer.trough.collector import Collector
 #: Numbers of the first screen and what they are called there.
 LABELS: dict[str, str] = {
     "absorber_mean_x_m": "Mean X_a, across, + towards +x",
-    "absorber_mean_z_offset_m": "Mean Z_a from the focal line, + away from the mirror",
+    "absorber_mean_z_offset_m": "Mean Z_a",
     "absorber_tilt_x_rad": "Tilt across",
     "absorber_tilt_z_rad": "Tilt along the optical axis",
     "absorber_sag_down_m": "Largest sag downward",

@@ -16,6 +16,7 @@ from heliogauge.validate import FloatArray
 from heliogauge.view.maps import MapLayer, MapView
 from heliogauge.view.stills import side_by_side
 from observer.files import ALIGNMENT_OVERLAY, COLLECTOR, OVERLAY_STEM, read_collector
+from observer.product.panel_turns import LEAST_GAIN_SHARE
 from observer.report.figures_alignment import moves_sheet
 from observer.report.lines import listed
 from observer.report.maps import panel_lines
@@ -115,12 +116,20 @@ def moves(results: AlignmentResults) -> Html:
         "theta_ra of each panel, positive where its normal is turned towards +x. Move to design is for the design's "
         "focal line instead of the absorber as it is."
     )
-    mounts = results.mounts
+    panels, mounts = results.panels, results.mounts
+    advice = panels.get("turn")
+    if advice is not None:
+        note += (
+            " Moves take the mean angle to zero, whether or not that gains light: a turn can lose where the panel is "
+            "bent, because the mean counts all of it alike and light is lost at its worst part. Under each number, and "
+            "in the column turn: what to do (gain: share of the trough's light; sure: angle and gain beyond three "
+            f"sigma; not worth it: below {100 * LEAST_GAIN_SHARE:g} % of the panel's own light)."
+        )
     places = np.stack([numbers(mounts, "x_m"), numbers(mounts, "y_m")], axis=1)
     moved, sigma = (1e-3 * numbers(mounts, name) for name in ("move_mm", "sigma_move_mm"))
-    sheet = moves_sheet(results.collector, numbers(results.panels, "theta_ra_rad"), places, (moved, sigma))
+    sheet = moves_sheet(results.collector, numbers(panels, "theta_ra_rad"), places, (moved, sigma), advice)
     picture = side_by_side([sheet.html("Panels with the move of each mount")], caption=note)
-    return join(picture, listed(results.panels, "panels"), listed(results.mounts, "mounts"))
+    return join(picture, listed(panels, "panels"), listed(mounts, "mounts"))
 
 
 def overlay(results: AlignmentResults) -> Html:

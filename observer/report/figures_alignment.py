@@ -48,7 +48,11 @@ def theory_sheet(
 
 
 def moves_sheet(
-    collector: Collector, tilts_rad: FloatArray, mounts_m: FloatArray, moves: tuple[FloatArray, FloatArray]
+    collector: Collector,
+    tilts_rad: FloatArray,
+    mounts_m: FloatArray,
+    moves: tuple[FloatArray, FloatArray],
+    advice: Sequence[str] | None = None,
 ) -> Sheet:
     """Draw each panel's mean angle to the absorber, and the move of each mount.
 
@@ -56,6 +60,7 @@ def moves_sheet(
     mounts_m (n, 2): x and y of the mounts [m].
     moves (n,): Their moves along the normal, positive towards the absorber, with standard deviations; NaN where
         none [m].
+    advice (k,): What to do with each panel, written below its number; None: nobody computed what turns gain.
     Returns: x to the right and y up, as seen from the front.
     """
     x, y = collector.panel_edges_x_m, collector.panel_edges_y_m
@@ -72,6 +77,8 @@ def moves_sheet(
         sheet.area([left, right, right, left], [low, low, high, high], color, edge=FAINT, opacity=0.75)
         middle = float(sheet.place_x((left + right) / 2)), float(sheet.place_y((low + high) / 2))
         sheet.write(middle[0], middle[1] + 5, f"{number + 1}", text_anchor="middle", font_size=15)
+        if advice is not None:
+            sheet.write(middle[0], middle[1] + 18, advice[number], text_anchor="middle", font_size=10)
     sheet.dots(mounts_m[:, 0], mounts_m[:, 1], [INK], size_px=5.0)
     middles = (x[1:] + x[:-1]) / 2
     for (mount_x, mount_y), move in zip(mounts_m, moves[0], strict=True):

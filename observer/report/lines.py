@@ -10,6 +10,7 @@ from heliogauge.reporting.notation import number_text
 from heliogauge.validate import FloatArray
 from heliogauge.view.charts import ChartSeries, ChartView, Mark
 from heliogauge.view.tables import TableColumn, TableView
+from observer.product.panel_turns import LEAST_GAIN_SHARE
 from observer.report.results import Columns, TroughResults, numbers
 from observer.selection.edge_refusal import FATE_TEXTS, EdgeFate
 from observer.trough.collector import Collector
@@ -160,11 +161,19 @@ def panels(results: TroughResults) -> Html:
     if columns is None:
         return Html("")
     # Short headings, and nothing where all cells are empty: the table must not be wider than the page.
-    shown = {name.replace("mean_", "").replace("centre_", ""): cells for name, cells in columns.items() if any(cells)}
+    shown = {
+        name.replace("mean_", "").replace("centre_", "").replace("mount_move_", "mount_move_at_larger_x_"): cells
+        for name, cells in columns.items()
+        if any(cells)
+    }
     text = (
         "Means of the angles; the middle of each panel. A positive angle is taken back by turning the panel to -x. "
         "<em>gain</em>: what the intercept factor gains by turning this panel until its mean theta_ra is zero, the sun "
-        "on the optical axis; it is sure where angle and gain are beyond three sigma. "
+        "on the optical axis; it is sure where angle and gain are beyond three sigma. A turn to mean angle zero can "
+        "lose light where the panel is bent: the mean counts all of it alike, the light is lost at its worst part. "
+        f"A gain below {100 * LEAST_GAIN_SHARE:g} % of the panel's own light is not worth a turn. "
+        "<em>mount move at larger x</em>: of the mount at the panel's edge of larger x, along the mirror's normal, "
+        "positive towards the absorber; the one at smaller x moves the other way. "
         "<code>heliogauge observer align</code> gives the moves of the mounts."
     )
     return join(Html(f"<h2>Panels</h2><p>{text}</p>"), listed(shown, "panels"))
@@ -192,6 +201,8 @@ def listed(columns: Columns | None, name: str = "numbers") -> Html:
 
 def _readable(name: str, largest: float) -> tuple[str, float]:
     """Return a column's heading with its unit, and the factor to that unit."""
+    if name == "gain_ratio":
+        return "gain [% of the light]", 100.0
     metres = ("_m", "mm", _MM) if largest < 0.1 else ("_m", "m", 1.0)
     for ending, unit, factor in (("_rad", "mrad", _MRAD), metres, ("_share", "%", 100.0), ("_ratio", "", 1.0)):
         if name.endswith(ending):

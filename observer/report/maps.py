@@ -7,7 +7,7 @@ from heliogauge.reporting.look import INK, LINE_X, LINE_Y, robust_limit
 from heliogauge.reporting.uncertainty import uncertainty_shares
 from heliogauge.validate import FloatArray
 from heliogauge.view.charts import ChartSeries, ChartView, Mark
-from heliogauge.view.maps import MapLayer, MapView, Removals, slope_removals
+from heliogauge.view.maps import MapLayer, MapMark, MapView, Removals, slope_removals
 from heliogauge.view.still_maps import flag_still
 from heliogauge.view.stills import side_by_side
 from observer.report.results import TroughResults
@@ -72,8 +72,9 @@ def mirror_view(results: TroughResults) -> MapView:
         slope_map.flags,
         slope_map.aperture,
         removals,
-        "Positive where the mirror's normal is turned towards +x. Grey: not measured.",
+        "Positive where the mirror's normal is turned towards +x. Grey: not measured. Numbers: panels.",
         lines=panel_lines(results.collector),
+        marks=panel_marks(results.collector),
         stills=[] if valid.any() else [_reasons(results)],
     )
 
@@ -140,6 +141,15 @@ def histogram(results: TroughResults) -> ChartView:
         tuple(series),
         f"theta_r: mean {mean:+.3f} mrad, standard deviation {width:.3f} mrad",
     )
+
+
+def panel_marks(collector: Collector) -> tuple[MapMark, ...]:
+    """Return the numbers of the panels, as tables have them; none for a mirror of one panel."""
+    x, y = collector.panel_edges_x_m, collector.panel_edges_y_m
+    middles = [(float(one), float(other)) for other in (y[1:] + y[:-1]) / 2 for one in (x[1:] + x[:-1]) / 2]
+    if len(middles) == 1:
+        return ()
+    return tuple(MapMark(place, f"{number}", f"panel {number}") for number, place in enumerate(middles, start=1))
 
 
 def panel_lines(collector: Collector) -> tuple[FloatArray, ...]:

@@ -18,6 +18,7 @@ from heliogauge.view.maps import MapLayer, MapView
 from heliogauge.view.stills import side_by_side
 from heliogauge.view.tables import TableColumn, TableView
 from observer.files import OVERVIEW_LOOPS, OVERVIEW_MAPS, OVERVIEW_TABLE, OVERVIEW_TURNS, ModuleMap, read_maps
+from observer.product.panel_turns import light_text, turn_text
 from observer.report.figures_modules import maps_sheet, module_angle
 from observer.report.sections import numbers_table
 
@@ -153,14 +154,15 @@ def _work(results: OverviewResults) -> list[tuple[str, str, str]]:
     sigma = float(np.sqrt(np.nansum(sigmas[known] ** 2))) / int(known.sum())
     turns, own = results.turns, len(set(results.turns["result"]))
     best = ", ".join(
-        f"{turns['result'][k]} panel {turns['panel'][k]} by {_number(turns, 'turn_rad', k, 'rad')}"
+        f"{turns['result'][k]} panel {turns['panel'][k]} by "
+        f"{turn_text(float(turns['turn_rad'][k]), float(turns['sigma_turn_rad'][k]))}"
         for k in range(min(count, _MOST_PANELS))
     )
     more = f" and {count - _MOST_PANELS} more" if count > _MOST_PANELS else ""
     return [
         (
             f"Gain by turning {count} panels of {own} modules",
-            number_text(float(gains[known].mean()), sigma, "", key),
+            light_text(float(gains[known].mean()), sigma),
             f"mean of all modules; most by {best}{more}: see Work list",
         )
     ]

@@ -11,12 +11,17 @@ from heliogauge.reporting.html import FirstScreen, Html, join, table
 from heliogauge.reporting.notation import number_text
 from heliogauge.reporting.verdict import Verdict, holes, verdict_of
 from heliogauge.results.folder import Summary, unit_of
+from heliogauge.validate import BoolArray
 from heliogauge.view.tables import TableColumn, TableView
+from observer.absorber.product import height_text
+from observer.photo_edges.tube_bearings import beside_support
+from observer.product.panel_turns import LEAST_GAIN_SHARE, is_worth, light_text, turn_text
 from observer.report.lines import absorber, intercept, panels, residuals
 from observer.report.maps import maps, mirror_view, spread
 from observer.report.pictures import photos, slices
 from observer.report.results import Columns, TroughResults, numbers, open_trough
 from observer.report.scene import network
+from observer.trough.collector import Collector
 
 __all__ = [
     "absorber",
@@ -49,19 +54,26 @@ LABELS: dict[str, str] = {
     "rms_theta_ra_rad": "theta_ra RMS, mirror and absorber",
     "median_sigma_theta_r_rad": "sigma of theta_r at a point (median)",
     "measured_share": "Share of the mirror measured",
+    "seeable_measured_share": "Share measured of what can show the tube",
     "absorber_mean_x_m": "Absorber, mean X_a",
-    "absorber_mean_z_offset_m": "Absorber, mean Z_a above the focal line",
+    "absorber_mean_z_offset_m": "Absorber, mean Z_a",
+    "absorber_sag_down_m": "Absorber, largest sag downward",
     "intercept_ratio": "Intercept factor",
     "intercept_absorber_aligned_ratio": "with the absorber aligned",
 }
 
 
 #: Panels that the first screen names.
-_MOST_PANELS = 3
+_MOST_PANELS = 6
 
 
 class HasTables(Protocol):
-    """Results with tables."""
+    """Results with tables of a collector."""
+
+    @property
+    def collector(self) -> Collector:
+        """The design."""
+        ...
 
     def table(self, name: str) -> Columns | None:
         """Return a table as text; None where there is none."""
@@ -72,7 +84,8 @@ def head(results: TroughResults) -> FirstScreen:
     """Return the first screen: verdict, headline numbers, the mirror."""
     summary, slope_map = results.base.summary, results.base.slope_map
     line = f"trough, observer; design: {slope_map.design}; heliogauge {summary.version}"
-    rows = [*headline_rows(summary, LABELS), *panels_to_turn(results)]
+    light = {"intercept_ratio": f"with {summary.texts['light']}"} if "light" in summary.texts else {}
+    rows = [*headline_rows(summary, LABELS, light), *panels_to_turn(results)]
     return page.first_screen(summary.name, line, _verdict(results), rows, mirror_view(results))
 
 
@@ -94,29 +107,47 @@ def panels_to_turn(results: TroughResults) -> list[tuple[str, ...]]:
     columns = results.table("panels.csv")
     if columns is None or "gain_is_sure" not in columns:
         return []
-    worth = numbers(columns, "gain_is_sure") == 1
-    if not worth.any():
-        return [("Panels that surely gain by a turn", f"none of {worth.size}")]
+    sure = numbers(columns, "gain_is_sure") == 1
+    if not sure.any():
+        return [("Panels that surely gain by a turn", f"none of {sure.size}")]
     gain = numbers(columns, "gain_ratio")
-    best = np.flatnonzero(worth)[np.argsort(-gain[worth])]
+    best = np.flatnonzero(sure)[np.argsort(-gain[sure])]
     turns, sigmas = -numbers(columns, "mean_theta_ra_rad"), numbers(columns, "sigma_mean_theta_ra_rad")
-    named = ", ".join(
-        f"{columns['panel'][one]} by {number_text(turns[one], sigmas[one], 'rad', 'turn_rad')}"
-        for one in best[:_MOST_PANELS]
-    )
+    named = ", ".join(f"{columns['panel'][one]} by {turn_text(turns[one], sigmas[one])}" for one in best[:_MOST_PANELS])
     more = f" and {best.size - _MOST_PANELS} more" if best.size > _MOST_PANELS else ""
-    gained = _text(results.base.summary, "intercept_gain_panels_turned_ratio")
-    return [(f"Gain by turning {best.size} of {worth.size} panels", gained, f"panel {named}{more}; see Panels below")]
+    counts, key = results.base.summary.numbers, "intercept_gain_panels_turned_ratio"
+    gained = light_text(float(counts[key] or 0.0), float(counts[f"sigma_{key}"] or 0.0))
+    label = f"Gain by turning {best.size} of {sure.size} panels"
+    return [(label, gained, f"{_worth_text(is_worth(gain)[best])}: panel {named}{more}; see Panels below")]
+
+
+def _worth_text(worth: BoolArray) -> str:
+    """Say which of the panels that surely gain, the largest gain first, are worth a turn."""
+    least = f"{100 * LEAST_GAIN_SHARE:g} % of the panel's own light"
+    if not worth.any():
+        return f"not worth a turn, each gains less than {least}"
+    return (
+        "each worth a turn" if worth.all() else f"the first {int(worth.sum())} worth a turn, the others below {least}"
+    )
 
 
 def stations_missing(results: HasTables) -> tuple[str, ...]:
-    """Say how many stations of the absorber have no value, as `verdict_of` takes it."""
+    """Say how many stations of the absorber have no value, as `verdict_of` takes it.
+
+    Stations that a stated support hides do not count: no photo can show them.
+    """
     columns = results.table("absorber.csv")
     if not columns:
         return ("the absorber is not measured",)
     places = numbers(columns, "x_a_m")
-    missing = int((~np.isfinite(places)).sum())
-    return (f"{missing} of {places.size} stations of the absorber not measured",) if missing else ()
+    design = results.collector
+    hidden = beside_support(numbers(columns, "y_m"), np.asarray(design.support_y_m), design.support_width_m)
+    missing = int((~np.isfinite(places) & ~hidden).sum())
+    return (
+        (f"{missing} of {int((np.isfinite(places) | ~hidden).sum())} stations of the absorber not measured",)
+        if missing
+        else ()
+    )
 
 
 def doubts(results: TroughResults) -> Html:
@@ -140,7 +171,7 @@ def in_words(summary: Summary) -> Html:
         f"{said('sdx_tilt_removed_rad')} without a mean tilt; this angle, theta_r, is known at one point to "
         f"{said('median_sigma_theta_r_rad')}. {said('measured_share')} of the mirror could be measured.",
         f"On average the absorber is {said('absorber_mean_x_m')} beside the plane of symmetry (+ towards +x) and "
-        f"{said('absorber_mean_z_offset_m')} above the focal line (+ away from the mirror).",
+        f"{said('absorber_mean_z_offset_m')}.",
         f"Mirror and absorber together, which is what the sun meets, are theta_ra, {said('rms_theta_ra_rad')} RMS, at "
         f"one point known to {said('median_sigma_theta_ra_rad')}.",
     ]
@@ -152,17 +183,24 @@ def in_words(summary: Summary) -> Html:
     return Html(f"<p>{html.escape(' '.join(sentences))}</p>")
 
 
-def headline_rows(summary: Summary, labels: Mapping[str, str]) -> list[tuple[str, ...]]:
+def headline_rows(
+    summary: Summary, labels: Mapping[str, str], notes: Mapping[str, str] | None = None
+) -> list[tuple[str, ...]]:
     """Return the headline numbers as `page.headline_numbers` takes them.
 
     labels: Keys of the numbers, and what they are called there.
+    notes: What stands below some labels, by the same keys.
     """
     rows: list[tuple[str, ...]] = []
     for key, label in labels.items():
         if key not in summary.numbers:
             continue
         reason = summary.not_determined.get(key, "")
-        rows.append((label, "not determined", reason) if summary.numbers[key] is None else (label, _text(summary, key)))
+        rows.append(
+            (label, "not determined", reason)
+            if summary.numbers[key] is None
+            else (label, _text(summary, key), (notes or {}).get(key, ""))
+        )
     return rows
 
 
@@ -183,6 +221,8 @@ def _text(summary: Summary, key: str) -> str:
     if value is None:
         return f"not determined: {summary.not_determined.get(key, '')}"
     sigma = summary.numbers.get(f"sigma_{key}")
+    if key == "absorber_mean_z_offset_m":
+        return height_text(value, None if sigma is None else float(sigma))
     return number_text(value, None if sigma is None else float(sigma), unit_of(key)[1], key)
 
 

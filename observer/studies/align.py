@@ -1,7 +1,9 @@
 """A result of the Observer to a prescription: how far each mount of each panel is to be moved."""
 
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -18,7 +20,7 @@ from heliogauge.results.slope_map_file import read_slope_map
 from heliogauge.results.tables import read_cameras_json, read_table_csv
 from heliogauge.slopes.map import SlopeMap
 from heliogauge.slopes.mounts import LEAST_SHARE
-from heliogauge.validate import FloatArray
+from heliogauge.validate import BoolArray, FloatArray, IntArray
 from heliogauge.view.contours import zero_lines
 from heliogauge.view.stills import Sheet
 from observer.files import (
@@ -35,6 +37,7 @@ from observer.files import (
     write_collector,
 )
 from observer.product.panel_alignment import MOUNT_INSET_M, PanelTilts, image_edges, mount_moves, panel_tilts
+from observer.product.panel_turns import TurnAdvice, light_text, turn_advice
 from observer.report.figures_alignment import moves_sheet, theory_sheet
 from observer.trough.absorber_path import AbsorberPath
 from observer.trough.collector import Collector
@@ -43,6 +46,33 @@ KIND = "observer-alignment"
 #: Number of the first panel in all files and texts, as in the panels.csv of the measurement: with a prescription that
 #: counted from 0 the neighbour of the panel that the report shows was shimmed.
 _FIRST_PANEL = 1
+
+
+@dataclass(frozen=True, eq=False)
+class TurnGains:
+    """What turning each panel to mean theta_ra zero gains.
+
+    gain_ratio, sigma_gain_ratio (k,): Share of the trough's light with its standard deviation; NaN where not known.
+    sure (k,): Which panels surely gain.
+    """
+
+    gain_ratio: FloatArray
+    sigma_gain_ratio: FloatArray
+    sure: BoolArray
+
+    @cached_property
+    def advice(self) -> tuple[TurnAdvice, ...]:
+        """What to do with each panel."""
+        return turn_advice(self.gain_ratio, self.sigma_gain_ratio, self.sure)
+
+    def columns(self, panel: IntArray) -> dict[str, Any]:
+        """Return columns of a table whose rows belong to these panels."""
+        return {
+            "gain_ratio": self.gain_ratio[panel],
+            "sigma_gain_ratio": self.sigma_gain_ratio[panel],
+            "gain_is_sure": self.sure[panel].astype(int),
+            "turn": [str(self.advice[one]) for one in panel],
+        }
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,6 +85,7 @@ class Result(InstrumentResult):
     mounts_m (n, 2): x and y of the mounts [m].
     absorber: The tube's axis.
     cameras: Photos on which the theoretical image is laid.
+    gains: What turning each panel gains, as the measurement has it; None where it did not compute that.
     picture: The theoretical image over the photo that the result holds; None where it holds none.
     pictures: The same over each photo, by its name, where the panels were measured in them alone.
     """
@@ -66,6 +97,7 @@ class Result(InstrumentResult):
     mounts_m: FloatArray
     absorber: AbsorberPath
     cameras: dict[str, tuple[Camera, PhotoPose]]
+    gains: TurnGains | None = None
     picture: Sheet | None = None
     pictures: Mapping[str, Sheet] = field(default_factory=dict)
 
@@ -101,6 +133,7 @@ class Result(InstrumentResult):
                 "theta_r_rad": design.tilt_rad,
                 "sigma_theta_r_rad": design.sigma_rad,
                 "measured_share": absorber.measured_share,
+                **({} if self.gains is None else self.gains.columns(np.arange(absorber.tilt_rad.size))),
             },
         )
         moves = mount_moves(absorber, self.mounts_m, self.collector)
@@ -115,6 +148,7 @@ class Result(InstrumentResult):
                 "sigma_move_mm": 1e3 * moves.sigma_m,
                 "move_to_design_mm": 1e3 * to_design.move_m,
                 "sigma_move_to_design_mm": 1e3 * to_design.sigma_m,
+                **({} if self.gains is None else self.gains.columns(moves.panel)),
             },
         )
         write_table_csv(folder / "overlay.csv", _overlay(self))
@@ -123,7 +157,13 @@ class Result(InstrumentResult):
             (folder / ALIGNMENT_OVERLAY).write_text(self.picture.svg(), encoding="utf-8")
         for name, sheet in self.pictures.items():
             (folder / f"{OVERLAY_STEM}{Path(name).stem}.svg").write_text(sheet.svg(), encoding="utf-8")
-        drawn = moves_sheet(self.collector, absorber.tilt_rad, self.mounts_m, (moves.move_m, moves.sigma_m))
+        drawn = moves_sheet(
+            self.collector,
+            absorber.tilt_rad,
+            self.mounts_m,
+            (moves.move_m, moves.sigma_m),
+            None if self.gains is None else self.gains.advice,
+        )
         (folder / ALIGNMENT_MOVES).write_text(drawn.svg(), encoding="utf-8")
 
     def headline(self) -> str:
@@ -141,7 +181,19 @@ class Result(InstrumentResult):
             f"{known.sum()} of {tilt.size} panels: mean angle to the absorber {rms:.2f} mrad RMS\n"
             f"  worst            panel {_FIRST_PANEL + worst}: {said:+.2f} +- {spread:.2f} mrad\n"
             f"  largest move     {largest:.2f} mm (mounts.csv; positive towards the absorber)"
+            + ("" if self.gains is None else f"\n  worth a turn     {_worth_text(self.gains)}")
         )
+
+
+def _worth_text(gains: TurnGains) -> str:
+    """Say which panels to turn, the largest gain first, and how many not."""
+    best = [int(k) for k in np.argsort(-np.nan_to_num(gains.gain_ratio)) if gains.advice[k] is TurnAdvice.TURN]
+    named = ", ".join(
+        f"{_FIRST_PANEL + k} ({light_text(float(gains.gain_ratio[k]), float(gains.sigma_gain_ratio[k]))})" for k in best
+    )
+    counts = Counter(gains.advice)
+    others = ", ".join(f"{counts[kind]} {kind}" for kind in list(TurnAdvice)[1:] if counts[kind])
+    return "; ".join(text for text in (f"panel {named}" if best else "no panel", others) if text)
 
 
 def run(folder: Path, mounts: Path | None = None) -> Result:
@@ -162,6 +214,7 @@ def run(folder: Path, mounts: Path | None = None) -> Result:
     angles, _ = read_arrays(files[1], ("theta_ra", "theta_r"))
     theta_ra, theta_r = (np.asarray(angles[name], dtype=np.float64) for name in ("theta_ra", "theta_r"))
     sigma_ra, sigma_r = _read_sigmas(files[5], collector.n_panels)
+    gains = _read_gains(files[5])
     cameras, poses = read_cameras_json(files[4])
     to_absorber = panel_tilts(theta_ra, slope_map, collector, sigma_ra)
     places = mount_places(collector, mounts)
@@ -176,6 +229,7 @@ def run(folder: Path, mounts: Path | None = None) -> Result:
         places,
         absorber,
         {name: (cameras[pose.camera], pose) for name, pose in poses.items()},
+        gains,
         picture,
         name="panel alignment",
         doubts=tuple(_doubts(slope_map, to_absorber, mounts is None)),
@@ -237,6 +291,18 @@ def _read_sigmas(path: Path, n_panels: int) -> tuple[FloatArray, FloatArray]:
     if first.size != n_panels:
         raise InputError(f"{path}: {first.size} panels, but {COLLECTOR} has {n_panels}; measure again")
     return first, second
+
+
+def _read_gains(path: Path) -> TurnGains | None:
+    """Return what turning panels gains; None where the measurement did not compute it."""
+    table = read_table_csv(path, ("panel",))
+    if "gain_is_sure" not in table:
+        return None
+    gain, sigma = (
+        np.array([float(cell) if cell else np.nan for cell in table[name]])
+        for name in ("gain_ratio", "sigma_gain_ratio")
+    )
+    return TurnGains(gain, sigma, np.array(table["gain_is_sure"]) == "1")
 
 
 def _read_mounts(path: Path) -> FloatArray:

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from heliogauge.doubts import Doubt
+from heliogauge.doubts import Doubt, Severity
 from heliogauge.flags import SampleFlag
 from heliogauge.validate import BoolArray, FlagArray, FloatArray
 from observer.trough.absorber_path import AbsorberPath
@@ -28,6 +28,8 @@ _SPACINGS = 1.5
 _LEAST_SPACING_RAD = 4e-3
 #: Columns further apart than this belong to different parts of the aperture; so many parts are named [m].
 _BETWEEN_M, _INTERVALS = 0.1, 3
+#: Less of the mirror is not worth a sentence.
+WORTH_SAYING_SHARE = 0.005
 #: A gap in the cameras' path is so many times as wide as usual.
 _GAP_TIMES = 2.5
 
@@ -178,6 +180,35 @@ def coverage_doubt(found: Visibility, x_m: FloatArray, aperture: BoolArray, eyes
             "fly_from_x_m": float(found.camera_from_x_m),
             "fly_to_x_m": float(found.camera_to_x_m),
         },
+    )
+
+
+def beyond_tube_doubt(found: Visibility, aperture: BoolArray, collector: Collector, eyes_m: FloatArray) -> Doubt | None:
+    """Say where to fly for what shows no tube because its reflection lies beyond the tube's ends or at supports.
+
+    Shapes: aperture (r, nx), eyes_m (n, 3).
+    """
+    missing = aperture & ((found.flags & np.uint32(SampleFlag.BEYOND_TUBE)) > 0)
+    share = int(np.count_nonzero(missing)) / max(int(np.count_nonzero(aperture)), 1)
+    if share <= WORTH_SAYING_SHARE:
+        return None
+    text = beyond_tube_text(share, collector, float(np.median(eyes_m[:, 2])))
+    return Doubt("mirror_beyond_tube", text, {"missing_share": share}, Severity.NOTE)
+
+
+def beyond_tube_text(share: float, collector: Collector, height_m: float) -> str:
+    """Say how much of the mirror shows what lies beyond the tube's ends or supports, and where to fly for it.
+
+    share: Of the mirror.
+    height_m: Of the cameras over the vertex [m].
+    """
+    half = collector.length_m / 2
+    # A pass moves so far for a support's reflection to move by its width and a half.
+    apart = 1.5 * collector.support_width_m * height_m / collector.focal_length_m
+    beside = f", and two passes {apart:.1f} m apart see beside the supports" if collector.support_y_m.size else ""
+    return (
+        f"{100 * share:.1f} % of the mirror shows what lies beyond the tube's ends or receiver supports; passes at "
+        f"y = {-half:.2f} and {half:.2f} m show the ends{beside}"
     )
 
 

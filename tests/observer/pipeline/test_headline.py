@@ -64,11 +64,13 @@ def test_mirror_alone_and_with_the_absorber_are_compared_as_angles():
             "sigma_intercept_gain_panels_turned_ratio",
         ),
         0.5,
-    ) | {"panels_count": 8, "panels_to_turn_count": 3}
-    said = headline_text(Summary("observer", "t", numbers | others, texts={"design": "d", "encoding": "e"}))
+    ) | {"panels_count": 8, "panels_to_turn_count": 3, "panels_worth_turning_count": 2}
+    said = headline_text(
+        Summary("observer", "t", numbers | others, texts={"design": "d", "encoding": "e", "light": "l"})
+    )
     assert re.search(r"SDx +2\.0\d* ± [\d.]+ mrad \(RMS of theta_r\)", said)
     assert re.search(r"with the absorber theta_ra 2\.0\d* ± [\d.]+ mrad RMS", said)
-    assert "turning 3 of 8 gains 0.50 ± 0.50;" in said
+    assert "turning 3 of 8 gains 50 ± 50 % of the light, 2 of them worth a turn;" in said
     # Independent nodes, and a tube whose place is held.
     assert numbers["sigma_rms_theta_r_rad"] == pytest.approx(1e-4 / np.sqrt(2000), rel=3e-3)
     assert numbers["median_sigma_theta_ra_rad"] == pytest.approx(numbers["median_sigma_theta_r_rad"], rel=1e-6)

@@ -160,8 +160,8 @@ def test_the_work_list_has_the_panels_of_all_modules_by_their_gains(tmp_path):
     first = report.head(results).text
     assert "Gain by turning 3 panels of 2 modules" in first
     # Mean of 0.011, 0 and 0.004; sigma 4e-4 over the root of three.
-    assert "0.00500 \u00b1 0.00023" in first
-    assert "most by a panel 2 by 2.00 \u00b1 0.10 mrad" in first
+    assert "0.500 \u00b1 0.023 % of the light" in first
+    assert "most by a panel 2 by 2.00 \u00b1 0.10 mrad towards +x" in first
     chart = report.field(results)
     assert [(one.name, list(one.names)) for one in chart.series] == [
         ("gains 1 % and more", ["a"]),
