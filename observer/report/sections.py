@@ -84,7 +84,7 @@ def head(results: TroughResults) -> FirstScreen:
     """Return the first screen: verdict, headline numbers, the mirror."""
     summary, slope_map = results.base.summary, results.base.slope_map
     line = f"trough, observer; design: {slope_map.design}; heliogauge {summary.version}"
-    light = {"intercept_ratio": f"with {summary.texts['light']}"} if "light" in summary.texts else {}
+    light = {"intercept_ratio": summary.texts.get("light", "")}
     rows = [*headline_rows(summary, LABELS, light), *panels_to_turn(results)]
     return page.first_screen(summary.name, line, _verdict(results), rows, mirror_view(results))
 
