@@ -43,3 +43,31 @@ def quantity_text(key: str, value: float, sigma: float | None) -> str:
     if name.endswith("_share"):
         return number_text(100 * value, None if sigma is None else 100 * sigma, "%")
     return number_text(value, sigma, unit, name)
+
+
+def light_text(gain_ratio: float, sigma_ratio: float | None) -> str:
+    """Print a share of the light.
+
+    >>> light_text(2.12e-5, 4.8e-6)
+    '0.00212 ± 0.00048 % of the light'
+    """
+    return number_text(100 * gain_ratio, None if sigma_ratio is None else 100 * sigma_ratio, "% of the light")
+
+
+def turn_text(turn_rad: float, sigma_rad: float) -> str:
+    """Print how far the normal of a panel is to be turned, and which way.
+
+    >>> turn_text(-1.651e-3, 8.8e-5)
+    '1.651 ± 0.088 mrad towards -x'
+    """
+    return f"{number_text(abs(turn_rad), sigma_rad, 'rad', 'turn_rad')} towards {'-' if turn_rad < 0 else '+'}x"
+
+
+def height_text(offset_m: float, sigma_m: float | None) -> str:
+    """Print how far the axis lies off the focal line along the optical axis.
+
+    >>> height_text(-3.96e-3, 4.3e-4)
+    '3.96 ± 0.43 mm below the focal line (towards the mirror)'
+    """
+    side = "below the focal line (towards the mirror)" if offset_m < 0 else "above the focal line (off the mirror)"
+    return f"{number_text(abs(offset_m), sigma_m, 'm')} {side}"

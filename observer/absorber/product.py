@@ -8,7 +8,6 @@ import numpy as np
 
 from heliogauge.doubts import Doubt
 from heliogauge.flags import SampleFlag
-from heliogauge.reporting.notation import number_text
 from heliogauge.validate import BoolArray
 from observer.absorber.forgotten_glass import glass_doubt
 from observer.absorber.position import STATION_TEXTS, AbsorberSolution, StationFate
@@ -80,16 +79,6 @@ def span_columns(found: tuple[Span, ...]) -> dict[str, Any]:
     """Return the columns of ``absorber_spans.csv``."""
     rows = [asdict(span) for span in found]
     return {name: [row[name] for row in rows] for name in Span.__slots__}
-
-
-def height_text(offset_m: float, sigma_m: float | None) -> str:
-    """Print how far the axis lies off the focal line along the optical axis.
-
-    >>> height_text(-3.96e-3, 4.3e-4)
-    '3.96 ± 0.43 mm below the focal line (towards the mirror)'
-    """
-    side = "below the focal line (towards the mirror)" if offset_m < 0 else "above the focal line (off the mirror)"
-    return f"{number_text(abs(offset_m), sigma_m, 'm')} {side}"
 
 
 def shape_numbers(

@@ -6,18 +6,17 @@ from typing import Any
 
 import numpy as np
 
-from heliogauge.reporting.notation import number_text
+from heliogauge.reporting.notation import height_text, light_text, number_text
 from heliogauge.results.folder import Summary
 from heliogauge.slopes.map import SlopeMap
 from heliogauge.slopes.removal import Removal
 from heliogauge.slopes.statistics import statistics
 from heliogauge.validate import FloatArray
 from observer.absorber.position import AbsorberSolution
-from observer.absorber.product import height_text
 from observer.light.panel_gains import PanelGains
 from observer.product.panel_alignment import move_of_outer_mount, panel_tilts
 from observer.product.panel_shapes import panel_shapes
-from observer.product.panel_turns import LEAST_GAIN_SHARE, light_text
+from observer.product.panel_turns import LEAST_GAIN_SHARE
 from observer.product.slope_map import AngleMaps
 from observer.selection.edge_refusal import EdgeFate
 from observer.selection.solve_and_refuse import Reflector

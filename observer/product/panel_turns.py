@@ -9,7 +9,6 @@ from enum import StrEnum
 
 import numpy as np
 
-from heliogauge.reporting.notation import number_text
 from heliogauge.validate import BoolArray, FloatArray
 
 #: Less of a panel's own light is not worth a turn. A convention, not a result: change it to what a turn costs.
@@ -60,21 +59,3 @@ def turn_advice(gain_ratio: FloatArray, sigma_gain_ratio: FloatArray, sure: Bool
     ]
     chosen = np.select([which for which, _ in kinds], [str(kind) for _, kind in kinds], str(TurnAdvice.NOT_SURE))
     return tuple(TurnAdvice(one) for one in chosen)
-
-
-def light_text(gain_ratio: float, sigma_ratio: float | None) -> str:
-    """Print a share of the light.
-
-    >>> light_text(2.12e-5, 4.8e-6)
-    '0.00212 ± 0.00048 % of the light'
-    """
-    return number_text(100 * gain_ratio, None if sigma_ratio is None else 100 * sigma_ratio, "% of the light")
-
-
-def turn_text(turn_rad: float, sigma_rad: float) -> str:
-    """Print how far the normal of a panel is to be turned, and which way.
-
-    >>> turn_text(-1.651e-3, 8.8e-5)
-    '1.651 ± 0.088 mrad towards -x'
-    """
-    return f"{number_text(abs(turn_rad), sigma_rad, 'rad', 'turn_rad')} towards {'-' if turn_rad < 0 else '+'}x"

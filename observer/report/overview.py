@@ -9,7 +9,7 @@ import numpy as np
 from heliogauge.reporting import page
 from heliogauge.reporting.html import FirstScreen, Html, beside, join
 from heliogauge.reporting.look import FAINT, LINE_X, robust_limit
-from heliogauge.reporting.notation import number_text
+from heliogauge.reporting.notation import light_text, number_text, turn_text
 from heliogauge.reporting.verdict import SMALLEST_HOLE_SHARE, verdict_of
 from heliogauge.results.folder import Summary, read_summary, read_table_csv
 from heliogauge.validate import FloatArray
@@ -18,7 +18,6 @@ from heliogauge.view.maps import MapLayer, MapView
 from heliogauge.view.stills import side_by_side
 from heliogauge.view.tables import TableColumn, TableView
 from observer.files import OVERVIEW_LOOPS, OVERVIEW_MAPS, OVERVIEW_TABLE, OVERVIEW_TURNS, ModuleMap, read_maps
-from observer.product.panel_turns import light_text, turn_text
 from observer.report.figures_modules import maps_sheet, module_angle
 from observer.report.sections import numbers_table
 

@@ -8,14 +8,13 @@ import numpy as np
 
 from heliogauge.reporting import page
 from heliogauge.reporting.html import FirstScreen, Html, join, table
-from heliogauge.reporting.notation import number_text
+from heliogauge.reporting.notation import height_text, light_text, number_text, turn_text
 from heliogauge.reporting.verdict import Verdict, holes, verdict_of
 from heliogauge.results.folder import Summary, unit_of
 from heliogauge.validate import BoolArray
 from heliogauge.view.tables import TableColumn, TableView
-from observer.absorber.product import height_text
 from observer.photo_edges.tube_bearings import beside_support
-from observer.product.panel_turns import LEAST_GAIN_SHARE, is_worth, light_text, turn_text
+from observer.product.panel_turns import LEAST_GAIN_SHARE, is_worth
 from observer.report.lines import absorber, intercept, panels, residuals
 from observer.report.maps import maps, mirror_view, spread
 from observer.report.pictures import photos, slices

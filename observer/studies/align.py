@@ -13,6 +13,7 @@ from heliogauge.camera.model import Camera
 from heliogauge.doubts import Doubt
 from heliogauge.errors import InputError
 from heliogauge.files.faults import explain_faults
+from heliogauge.reporting.notation import light_text
 from heliogauge.results.arrays import read_arrays
 from heliogauge.results.folder import PhotoPose, Summary, hash_files, write_table_csv
 from heliogauge.results.frame import InstrumentResult
@@ -37,7 +38,7 @@ from observer.files import (
     write_collector,
 )
 from observer.product.panel_alignment import MOUNT_INSET_M, PanelTilts, image_edges, mount_moves, panel_tilts
-from observer.product.panel_turns import TurnAdvice, light_text, turn_advice
+from observer.product.panel_turns import TurnAdvice, turn_advice
 from observer.report.figures_alignment import moves_sheet, theory_sheet
 from observer.trough.absorber_path import AbsorberPath
 from observer.trough.collector import Collector
