@@ -1,8 +1,11 @@
 """What can be found wrong with photos of a trough before they are evaluated."""
 
+from dataclasses import replace
+
 from heliogauge.measurement.findings import Findings
 from observer.keys import ObserverMeasurement
 from observer.pipeline.inputs import build_inputs, listed_coordinates, read_tables
+from observer.pipeline.target_list import other_size_doubt
 from photogrammetry.keys import CoordinateSection
 from photogrammetry.pipeline import find_faults as find_faults_of_network
 
@@ -31,4 +34,10 @@ def find_faults(measurement: ObserverMeasurement, findings: Findings) -> None:
         inputs = findings.attempt(build_inputs, measurement, tables, coordinates)
         if inputs is not None:
             findings.add(() if inputs.tilts is None else inputs.tilts.doubts)
-            find_faults_of_network(inputs.survey, findings)
+            survey = inputs.survey
+            other = other_size_doubt(findings.sizes_px(survey.photo_files), inputs.finder)
+            if other is not None:
+                findings.add(other[1])
+                files = tuple(file for file in survey.photo_files if file.name != other[0])
+                survey = replace(survey, photo_files=files)
+            find_faults_of_network(survey, findings)

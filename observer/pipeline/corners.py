@@ -37,10 +37,9 @@ from observer.corners.tie import SearchedCollector, SearchedPhoto, Tied, tie
 from observer.photo_edges.views import View
 from observer.pipeline.reading.photos import Finder, FirstLook
 from observer.product.pictures import empty_slices
-from observer.targets.module_targets import spans_an_area
 from photogrammetry.detection import Detections
 from photogrammetry.pipeline import OnePhoto
-from photogrammetry.start_values import LeftOut
+from photogrammetry.start_values import LeftOut, spans_an_area
 
 #: Photos in which the collectors are searched for everywhere: of one, and at most of several.
 _START_PHOTOS, _MOST_START_PHOTOS = 3, 7

@@ -1,5 +1,6 @@
 """The list of targets beside what the photos show: known places, photos and entries left out, lists refused."""
 
+from collections.abc import Container, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,16 +17,17 @@ from observer.targets.list_checks import (
     refuse_upside_down,
     stray_targets,
 )
-from observer.targets.module_targets import spans_an_area
 from observer.trough.collector import Collector
 from photogrammetry import pipeline as photogrammetry_pipeline
 from photogrammetry.bundle import constraints
 from photogrammetry.keys import CoordinateSection, PhotogrammetryMeasurement
 from photogrammetry.matching import KnownTargets
-from photogrammetry.start_values import LEAST_TARGETS
+from photogrammetry.start_values import LEAST_TARGETS, spans_an_area
 
 #: Where a target is in a photo before all are adjusted: pose and centre together [px].
 _POINT_PX = 0.3
+#: Of two photos either may be the one of another size.
+_LEAST_OF_SIZE = 3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,7 +49,9 @@ def check_list(survey: PhotogrammetryMeasurement, finder: Finder, file: str, fir
     first: What was found in the photos.
     InputError: The list is not that of the targets in the photos.
     """
-    found = leave_out_lines(survey, first, finder.known)
+    sized = leave_out_other_size(survey, first, finder)
+    found = leave_out_lines(sized.survey, sized.first, finder.known)
+    found = replace(found, doubts=(*sized.doubts, *found.doubts))
     refuse_strange_list(found.survey, found.first, file)
     found = leave_out_strays(found, finder)
     count = len(first.by_list)
@@ -89,15 +93,49 @@ def leave_out_lines(survey: PhotogrammetryMeasurement, first: FirstLook, known: 
             on_line.add(one.detections.photo)
     if not on_line:
         return CheckedList(survey, first)
-    targets = tuple(one for one in first.targets if one.detections.photo not in on_line)
-    poses = {name: pose for name, pose in first.poses.items() if name not in on_line}
-    files = tuple(file for file in survey.photo_files if file.name not in on_line)
     doubt = Doubt(
         "photos_with_targets_on_a_line",
         f"{len(on_line)} photos show targets along one line only, as those of one rim, which determine no pose, and "
         f"were left out: {', '.join(sorted(on_line)[:5])}{' ...' if len(on_line) > 5 else ''}",
         {"photos_count": len(on_line)},
     )
+    return _without(survey, first, on_line, doubt)
+
+
+def leave_out_other_size(survey: PhotogrammetryMeasurement, first: FirstLook, finder: Finder) -> CheckedList:
+    """Leave out the only photo that is not of the stated camera's size; where there are more the camera is refused.
+
+    first: What was found in the photos.
+    """
+    sizes = {one.detections.photo: one.size_px for one in first.targets}
+    doubt = other_size_doubt(sizes, finder)
+    return CheckedList(survey, first) if doubt is None else _without(survey, first, {doubt[0]}, doubt[1])
+
+
+def other_size_doubt(sizes_px: Mapping[str, tuple[int, int]], finder: Finder) -> tuple[str, Doubt] | None:
+    """Say which photo alone is not of the stated camera's size, by its name; None where none is, or several are.
+
+    sizes_px: Width and height of each photo.
+    """
+    cameras = {name: finder.camera_of[name] for name in sizes_px if name in finder.camera_of}
+    own = {name: (one.width_px, one.height_px) for name, one in cameras.items()}
+    odd = [name for name, size in own.items() if sizes_px[name] != size]
+    if len(odd) != 1 or len(own) < _LEAST_OF_SIZE:
+        return None
+    width, height = sizes_px[odd[0]]
+    text = (
+        f"photo {odd[0]} has another size than the others ({width} x {height} px against {own[odd[0]][0]} x "
+        f"{own[odd[0]][1]} px): not of this camera, and left out: remove it (or describe several cameras with "
+        "[[camera]] and photos)"
+    )
+    return odd[0], Doubt("photo_of_another_size", text, {"width_px": width, "height_px": height})
+
+
+def _without(survey: PhotogrammetryMeasurement, first: FirstLook, names: Container[str], doubt: Doubt) -> CheckedList:
+    """Leave out photos, and say so."""
+    targets = tuple(one for one in first.targets if one.detections.photo not in names)
+    poses = {name: pose for name, pose in first.poses.items() if name not in names}
+    files = tuple(file for file in survey.photo_files if file.name not in names)
     return CheckedList(replace(survey, photo_files=files), replace(first, targets=targets, poses=poses), (doubt,))
 
 

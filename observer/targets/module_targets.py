@@ -11,8 +11,6 @@ from observer.trough.collector import Collector
 #: A target belongs to a collector up to this far beside its outline: on its rims, at its ends, on a neighbour's end
 #: that is next to it [m].
 MARGIN_M = 0.6
-#: Targets of one rim lie within a thousandth of their distance on a line; square markers there within a twentieth.
-_LEAST_SPREAD = 0.02
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -25,19 +23,6 @@ class ListedPlaces:
     names: tuple[str, ...]
     places_m: FloatArray
     sigma_m: FloatArray
-
-
-def spans_an_area(places_m: FloatArray) -> bool:
-    """Return whether targets determine the pose of a photo that shows them.
-
-    Shapes: places_m (n, 3).
-    Returns: Whether they spread across the line that they lie along: those of one rim leave the camera's turn about
-        that rim open.
-    """
-    if len(places_m) < 3:
-        return False
-    spread = np.linalg.svd(places_m - places_m.mean(axis=0), compute_uv=False)
-    return bool(spread[1] > _LEAST_SPREAD * spread[0])
 
 
 def in_frame(listed: ListedPlaces, place_m: FloatArray, turn_rad: float) -> ListedPlaces:

@@ -1,6 +1,6 @@
 """From image points to an adjusted network: start values, eccentricity, outliers, sigmas."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
@@ -20,6 +20,7 @@ from photogrammetry.bundle.problem import BundleProblem, CameraModel
 from photogrammetry.bundle.state import INTRINSIC_NAMES, BundleState, intrinsics_of
 from photogrammetry.bundle.statistics import Rejected, adjust_and_reject, examine_image_points
 from photogrammetry.image_points import ImagePoints
+from photogrammetry.networks.foreign_photos import foreign_photos
 from photogrammetry.start_values.network import LeftOut, Network, StartValues, build_network
 
 #: Known lengths that differ from the network by this share, and by ten sigma, are mistakes and no measurements.
@@ -229,9 +230,12 @@ def solve_from(
         if waiting:
             back = np.isin(table.pair_keys[[one.row for one in waiting]], alone.problem.observations.pair_keys)
             rejected = (*(one for one, is_back in zip(waiting, back, strict=True) if not is_back), *rejected)
-        table, state = alone.problem.observations, alone.state
+        whole, table, state = table, alone.problem.observations, alone.state
         network = _without_innocent(network, table)
-        table, state = _without_empty(table, state)
+        foreign = tuple(_foreign(whole, alone, rejected, options))
+        network, rejected = _without_photos(network, whole, rejected, foreign)
+        keep = ~np.isin(np.array(table.photos)[table.photo_index], [one.name for one in foreign])
+        table, state = _without_empty(table.subset(keep), state)
     bundle, unused, weak = _adjust_determined(table, state, cameras, knowledge, chosen)
     factor = 1.0
     if options.rescale:
@@ -311,6 +315,35 @@ def _without_innocent(network: Network, table: ImagePoints) -> Network:
     """Take suspicions back of image points that turned out to agree."""
     used = {table.label(row) for row in range(table.n)} if network.suspicious else set()
     return replace(network, suspicious=tuple(one for one in network.suspicious if one.name not in used))
+
+
+def _foreign(
+    table: ImagePoints, alone: BundleResult, rejected: tuple[Rejected, ...], options: SolveOptions
+) -> Iterator[LeftOut]:
+    """Yield photos that contradict the others as a whole.
+
+    table: All image points.
+    alone: The adjustment of those that agree.
+    """
+    agreeing = alone.problem.observations
+    false = ~np.isin(table.pair_keys, agreeing.pair_keys)
+    false[[one.row for one in rejected if not one.is_outlier]] = False
+    return foreign_photos(
+        table, agreeing, alone.state.points_m, np.flatnonzero(false), significance=options.family_significance
+    )
+
+
+def _without_photos(
+    network: Network, table: ImagePoints, rejected: tuple[Rejected, ...], photos: tuple[LeftOut, ...]
+) -> tuple[Network, tuple[Rejected, ...]]:
+    """Note photos that are left out in place of their image points."""
+    if not photos:
+        return network, rejected
+    names = {one.name for one in photos}
+    before = tuple(one for one in network.photos_left_out if one.name not in names)
+    suspicious = tuple(one for one in network.suspicious if one.place is None or one.place.photo not in names)
+    network = replace(network, photos_left_out=(*before, *photos), suspicious=suspicious)
+    return network, tuple(one for one in rejected if table.photos[table.photo_index[one.row]] not in names)
 
 
 def _problem(

@@ -102,7 +102,7 @@ def _common_size(section: NetworkCameraSection, names: Sequence[str], sizes_px: 
     remedy = (
         "were they turned by a program? give the files as the camera wrote them, EXIF orientation is no matter"
         if turned
-        else "photos of one camera at one resolution are needed; describe several cameras with [[camera]] and photos"
+        else "they are not of this camera: remove them, or describe several cameras with [[camera]] and photos"
     )
     listed = ", ".join(odd[:5]) + (f" and {len(odd) - 5} more" if len(odd) > 5 else "")
     raise InputError(

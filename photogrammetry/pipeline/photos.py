@@ -387,12 +387,13 @@ def collect_photos(found: Sequence[OnePhoto]) -> MeasuredPhotos:
     photos, names, parts, shapes = [], [], [], []
     refused: list[LeftOut] = []
     empty: list[str] = []
-    doubled: Counter[str] = Counter()
+    doubled: dict[str, list[str]] = {}
     for seen in found:
         one = without_doubled(seen)
         refused += one.refused
-        doubled.update({name.split(".")[0] for name in set(seen.detections.names) - set(one.detections.names)})
         photo = one.detections.photo
+        for name in sorted({name.split(".")[0] for name in set(seen.detections.names) - set(one.detections.names)}):
+            doubled.setdefault(name, []).append(photo)
         keep = np.flatnonzero(one.detections.usable).tolist()
         if not keep:
             empty.append(photo)
@@ -458,14 +459,18 @@ def pictures_of_photos(found: Iterable[OnePhoto]) -> Iterator[FailurePicture]:
         yield FailurePicture(one.detections.photo, one.thumbnail, note, one.size_px, points, labels)
 
 
-def _count_doubts(photos: int, empty: Sequence[str], doubled: Counter[str]) -> Iterator[Doubt]:
+def _count_doubts(photos: int, empty: Sequence[str], doubled: Mapping[str, Sequence[str]]) -> Iterator[Doubt]:
     """Yield photos that show nothing, and targets that are twice in a photo."""
     if empty:
         listed = ", ".join(empty[:5]) + (", ..." if len(empty) > 5 else "")
         text = f"{len(empty)} of {photos} photos show no target that can be used: {listed}"
         yield Doubt("photos_without_target", text, {"empty_count": len(empty), "photos_count": photos})
     if doubled:
-        listed = ", ".join(f"{name} ({count} photos)" for name, count in doubled.most_common(5))
+        most = sorted(doubled.items(), key=lambda pair: -len(pair[1]))[:5]
+        listed = ", ".join(
+            f"{name} (in {photos[0]})" if len(photos) == 1 else f"{name} ({len(photos)} photos: {photos[0]}, ...)"
+            for name, photos in most
+        )
         text = f"targets that occur more than once in a photo were not used there: {listed}; two equal sheets?"
         yield Doubt("targets_twice_in_a_photo", text, {"targets_count": len(doubled)})
 

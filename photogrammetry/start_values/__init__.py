@@ -14,5 +14,6 @@ if TYPE_CHECKING:
     from photogrammetry.start_values.network import guessed_camera as guessed_camera
     from photogrammetry.start_values.resection import LEAST_TARGETS as LEAST_TARGETS
     from photogrammetry.start_values.resection import resect as resect
+    from photogrammetry.start_values.resection import spans_an_area as spans_an_area
 
 __getattr__, __dir__, __all__ = lazy_face(__name__)

@@ -15,8 +15,23 @@ from photogrammetry.bundle.state import rotations_from_vectors
 
 LEAST_TARGETS = 4
 _TRIALS = 60
+#: Targets of one rim lie within a thousandth of their distance on a line; square markers there within a twentieth.
+_LEAST_SPREAD = 0.02
 # A start value: a hundredth of its own sigma is enough.
 _QUICK = Options(tolerance=1e-2)
+
+
+def spans_an_area(places_m: FloatArray) -> bool:
+    """Return whether targets determine the pose of a photo that shows them.
+
+    Shapes: places_m (n, 3).
+    Returns: Whether they spread across the line that they lie along: those of one rim leave the camera's turn about
+        that rim open.
+    """
+    if len(places_m) < 3:
+        return False
+    spread = np.linalg.svd(places_m - places_m.mean(axis=0), compute_uv=False)
+    return bool(spread[1] > _LEAST_SPREAD * spread[0])
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from observer.targets.module_targets import ListedPlaces, beside, in_frame, spans_an_area
+from observer.targets.module_targets import ListedPlaces, beside, in_frame
 from observer.trough.collector import ls2
 
 
@@ -32,12 +32,3 @@ def test_targets_on_the_rims_belong_to_it_and_those_of_the_next_row_do_not() -> 
     assert beside(points, design) == [0, 1]
     unknown = ListedPlaces(points.names, points.places_m, np.full((4, 3), np.nan))
     assert beside(unknown, design) == [0, 1, 2, 3]
-
-
-def test_one_rim_tells_no_pose() -> None:
-    rng = np.random.default_rng(0)
-    y = np.linspace(-1.5, 1.5, 6)
-    rim = np.stack([np.full(6, 2.6), y, np.full(6, 1.0)], axis=1) + 1e-3 * rng.standard_normal((6, 3))
-    assert not spans_an_area(rim)
-    assert spans_an_area(np.concatenate([rim, rim[:1] * [-1, 1, 1]]))
-    assert not spans_an_area(rim[:2])

@@ -5,7 +5,7 @@ import pytest
 
 from heliogauge.errors import EstimationError
 from photogrammetry.start_values.relative_pose import SharedTargets, parallax_rad, relate
-from photogrammetry.start_values.resection import resect
+from photogrammetry.start_values.resection import resect, spans_an_area
 from photogrammetry.start_values.triangulation import intersect_lines
 from tests.photogrammetry.bundle_networks import camera_of, look_at, network
 
@@ -115,3 +115,12 @@ def test_lines_meet_and_false_lines_do_no_harm():
     np.testing.assert_allclose(again.points_m[0], points[0], atol=1e-3)
     one = intersect_lines(starts[:10], directions[:10], np.full(10, 1e-4), place[:10], 10)
     assert not one.found.any()
+
+
+def test_one_rim_tells_no_pose() -> None:
+    rng = np.random.default_rng(0)
+    y = np.linspace(-1.5, 1.5, 6)
+    rim = np.stack([np.full(6, 2.6), y, np.full(6, 1.0)], axis=1) + 1e-3 * rng.standard_normal((6, 3))
+    assert not spans_an_area(rim)
+    assert spans_an_area(np.concatenate([rim, rim[:1] * [-1, 1, 1]]))
+    assert not spans_an_area(rim[:2])

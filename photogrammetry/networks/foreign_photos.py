@@ -1,0 +1,47 @@
+"""Photos whose targets contradict the others: of another object with the same codes, or of one that moved."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from heliogauge.adjust.binomial_distribution import binomial_tail
+from heliogauge.validate import FloatArray, IntArray
+from photogrammetry.image_points import ImagePoints
+from photogrammetry.start_values.network import LeftOut
+from photogrammetry.start_values.resection import spans_an_area
+
+
+def foreign_photos(
+    every: ImagePoints, agreeing: ImagePoints, points_m: FloatArray, false_rows: IntArray, significance: float
+) -> Iterator[LeftOut]:
+    """Yield photos with false image points whose others do not confirm a pose.
+
+    every: All image points of the network.
+    agreeing: Those that agree with it.
+    points_m (n, 3): The targets of the agreeing ones [m].
+    false_rows: Rows of `every` that contradict the network.
+    significance: Probability of naming any sound photo of all.
+
+    Named are photos whose agreeing targets lie on one line, which determines no pose: those along the rim of another
+    trough may have the same distances. Named are also photos that more image points contradict than agree, and more
+    than chance explains; the share of false ones is that of the other photos.
+    """
+    shown = every.n_targets_in_photo
+    false = np.bincount(every.photo_index[false_rows], minlength=len(every.photos))
+    places = {
+        name: points_m[agreeing.target_index[agreeing.photo_index == k]] for k, name in enumerate(agreeing.photos)
+    }
+    for photo in np.flatnonzero(false).tolist():
+        name, hits, trials = every.photos[photo], int(false[photo]), int(shown[photo])
+        own = places.get(name, np.zeros((0, 3)))
+        own = own[np.isfinite(own).all(axis=1)]
+        # One false image point more than were found: a share of 0 cannot be known.
+        chance = (int(false.sum()) - hits + 1) / (every.n - trials + 2)
+        by_chance = binomial_tail(hits, trials, chance) > significance / len(every.photos)
+        if spans_an_area(own) and (hits < len(own) or by_chance):
+            continue
+        text = (
+            f"{hits} of its {trials} image points contradict the other photos, and the rest confirms no pose: does it "
+            "show another object with the same codes, or had this one moved?"
+        )
+        yield LeftOut(name, text)
