@@ -1,0 +1,61 @@
+"""Photos of another object with the same codes are left out by name, and sound ones are not."""
+
+import numpy as np
+import pytest
+
+from heliogauge.camera.model import Camera
+from heliogauge.geometry.rigid import RigidTransform
+from photogrammetry.bundle.constraints import KnownPlaces
+from photogrammetry.bundle.datum import Datum
+from photogrammetry.bundle.problem import CameraModel
+from photogrammetry.image_points import ImagePoints
+from photogrammetry.networks.solve_network import Knowledge, NetworkCameras, Solved, SolveOptions, solve_network
+from photogrammetry.start_values import StartValues
+
+CAMERA = Camera(940, 940, 1750.0, 1750.0, 469.5, 469.5)
+#: Six targets along each rim of a trough, listed to 1 mm.
+TARGETS = np.array([[side * 3.06, y, 1.21] for side in (-1, 1) for y in np.linspace(-3.28, 3.28, 6)])
+NAMES = tuple(str(k + 1) for k in range(len(TARGETS)))
+SIGMA_PX = 0.05
+
+
+def solved(shifted: range, shift_m: float, seed: int = 0) -> Solved:
+    """A flight of 20 photos; in the last one five targets of one rim and some others, which are elsewhere."""
+    rng = np.random.default_rng(seed)
+    places = TARGETS + rng.normal(0, 1e-3, TARGETS.shape)
+    poses, photos, names, pixels = {}, [], [], []
+    for number, x in enumerate(np.linspace(-2.5, 2.5, 20)):
+        tilt = np.arctan2(x, 14.0)
+        across = np.array([0.0, 1.0, 0.0]), np.array([np.cos(tilt), 0.0, np.sin(tilt)])
+        turn = np.array([*across, np.cross(*across)])
+        photo = f"photo{number}"
+        poses[photo] = RigidTransform(turn, -turn @ np.array([x, 0.1 * number % 0.3, 15.0]))
+        is_last = number == 19
+        own = [*range(5), *shifted] if is_last else range(12)
+        moved = places + np.array([shift_m, 0, 0]) * (is_last & (TARGETS[:, :1] > 0))
+        pixels.append(CAMERA.project(poses[photo].apply(moved[[*own]])) + rng.normal(0, SIGMA_PX, (len(own), 2)))
+        photos += [photo] * len(own)
+        names += [NAMES[k] for k in own]
+    covariance = np.tile(SIGMA_PX**2 * np.eye(2), (len(names), 1, 1))
+    points = ImagePoints.from_names(photos, names, np.concatenate(pixels), covariance)
+    cameras = NetworkCameras((CAMERA,), (CameraModel("camera"),), dict.fromkeys(points.photos, 0))
+    listed = KnownPlaces(NAMES, TARGETS, 1e-6 * np.eye(36))
+    knowledge = Knowledge((listed,), {}, Datum(), StartValues(poses))
+    return solve_network(points, np.full((len(names), 2, 2), np.nan), cameras, knowledge, SolveOptions())
+
+
+@pytest.mark.parametrize("shift_m", [-1.5, 0.5])
+@pytest.mark.parametrize("shifted", [range(6, 7), range(7, 11), range(6, 12)])
+def test_photo_of_another_object(shifted: range, shift_m: float) -> None:
+    """What agrees lies along one rim, and determines no pose."""
+    found = solved(shifted, shift_m)
+    left = {one.name: one.reason for one in found.network.photos_left_out}
+    assert list(left) == ["photo19"]
+    assert len(found.bundle.problem.observations.photos) == 19
+
+
+def test_sound_photos_stay() -> None:
+    for seed in range(4):
+        found = solved(range(6, 11), 0.0, seed)
+        assert found.network.photos_left_out == ()
+        assert len(found.bundle.problem.observations.photos) == 20
