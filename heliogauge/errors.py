@@ -45,16 +45,13 @@ class MetrologyError(Exception):
 def showing(pictures: Callable[[], Iterable[FailurePicture]]) -> Iterator[None]:
     """Let errors of the work within carry pictures that show why, unless they carry some already.
 
-    pictures: Called only after an error; the most telling first. A photo that the error names comes before all others.
+    pictures: Called only after an error; the most telling first.
     """
     try:
         yield
     except MetrologyError as error:
         if not error.pictures:
-            found = pictures()
-            if isinstance(error, NotConvergedError):
-                found = sorted(found, key=lambda one, worst=error.worst_photo: one.name != worst)
-            error.pictures = tuple(islice(found, MOST_PICTURES))
+            error.pictures = tuple(islice(pictures(), MOST_PICTURES))
         raise
 
 
@@ -75,9 +72,4 @@ class ReportWarning(UserWarning):
 
 
 class NotConvergedError(EstimationError):
-    """An adjustment ended where there is no minimum to the stated tolerance.
-
-    worst_photo: The one that fits worst; empty where no photos are adjusted.
-    """
-
-    worst_photo: str = ""
+    """An adjustment ended where there is no minimum to the stated tolerance."""

@@ -155,10 +155,10 @@ def explained() -> Iterator[None]:
         yield
     except NotConvergedError as error:
         raise EstimationError(
-            f"{error}: photos, camera and list of targets do not fit each other well enough to settle. Does that "
-            "photo show another place (remove it)? Else, did the camera fly fast with a rolling shutter (hover, or "
-            "fly more slowly), did zoom or focus change, did targets or the trough move between photos? Or "
-            'estimate the camera from the photos: under [camera] free = ["focal_px", "aspect"]'
+            f"{error}: photos, camera and list of targets do not fit each other well enough to settle. Did the camera "
+            "fly fast with a rolling shutter (hover, or fly more slowly), did zoom or focus change, did targets or the "
+            "trough move between photos? Or estimate the camera from the photos: under [camera] "
+            'free = ["focal_px", "aspect"]'
         ) from error
 
 

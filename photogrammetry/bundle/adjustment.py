@@ -142,22 +142,8 @@ class BundleResult(ShortRepr, VarianceFactorTests):
         if self.defects:
             raise EstimationError(f"{what}: " + "; ".join(one.text for one in self.defects))
         if not self.converged:
-            photo, rms, others = self.worst_photo
-            error = NotConvergedError(
-                f"{what}: {self.reason}; photo {photo} fits worst ({rms:.1f} sigma RMS, all photos {others:.1f})"
-            )
-            error.worst_photo = photo
-            raise error
+            raise NotConvergedError(f"{what}: {self.reason}")
         return self
-
-    @property
-    def worst_photo(self) -> tuple[str, float, float]:
-        """Name of the photo whose image points fit worst, the RMS of its whitened residuals, and that of all."""
-        table, squares = self.problem.observations, (self.whitened_residuals**2).mean(axis=1)
-        sums = np.bincount(table.photo_index, weights=squares, minlength=len(table.photos))
-        means = sums / np.maximum(table.n_targets_in_photo, 1)
-        place = int(np.argmax(means))
-        return table.photos[place], float(np.sqrt(means[place])), float(np.sqrt(squares.mean()))
 
 
 def adjust(problem: BundleProblem, start: BundleState, *, options: BundleOptions | None = None) -> BundleResult:
