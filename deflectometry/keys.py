@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import Discriminator, Field, Tag, model_validator
 
 from heliogauge.errors import InputError
-from heliogauge.measurement.files import image_files
+from heliogauge.measurement.files import image_files, refuse_missing_files
 from heliogauge.measurement.load import MEASUREMENT_FILE, read_measurement
 from heliogauge.measurement.models import (
     DESIGN_KEYS,
@@ -487,9 +487,7 @@ def load_deflectometry(folder: Path) -> DeflectometryMeasurement:
         range, a file that does not exist, or a number of frames that does not fit the pattern.
     """
     file, model = read_measurement(folder, DeflectometryModel)
-    missing = [f"{key} = {text!r}" for key, text in model.named_files() if not (folder / text).is_file()]
-    if missing:
-        raise InputError(f"{file}: {', '.join(missing)}: there is no such file in {folder}")
+    refuse_missing_files(folder, model.named_files())
     fringe_files = image_files(folder, "images.fringes", model.images.fringes)
     needed = model.pattern.n_frames
     if len(fringe_files) != needed:

@@ -3,13 +3,14 @@
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, Self
+from typing import Literal, Self, TypeVar
 
 from pydantic import Field, field_validator, model_validator
 
 from deflectometry.keys import BenchMeasurement, BenchModel, DotFieldSection
 from heliogauge.errors import InputError
 from heliogauge.images.video_names import video_of
+from heliogauge.measurement.files import refuse_missing_files
 from heliogauge.measurement.load import MEASUREMENT_FILE, read_measurement
 from heliogauge.measurement.models import Section, Text, Vector2
 
@@ -50,22 +51,34 @@ class DotPatternSection(Section):
         return self
 
 
-class DotsModel(BenchModel):
-    """The whole measurement.toml of ``kind = "deflectometry-dots"``."""
+class DotFieldModel(BenchModel):
+    """What every measurement before a field of dots has."""
 
-    kind: Literal["deflectometry-dots"] = Field(description="A photo of a field of dots seen in a mirror.")
     screen: DotFieldSection = Field(description="The field of dots: the place of each, and the pose of them all.")
-    photo: Text = Field(description="The photo in which the mirror shows the dots.")
     pattern: DotPatternSection = Field(DotPatternSection(), description="The pattern that the mirror shows.")
 
     def named_files(self) -> Iterator[tuple[str, str]]:
         """Yield the key path and the text of every file that is named."""
-        yield "photo", self.photo
         yield "screen.file", self.screen.file
         if self.pattern.marks_file not in (None, self.screen.file):
             yield "pattern.marks_file", str(self.pattern.marks_file)
         if (camera := getattr(self.camera, "file", None)) is not None:
             yield "camera.file", camera
+
+
+_Model = TypeVar("_Model", bound=DotFieldModel)
+
+
+class DotsModel(DotFieldModel):
+    """The whole measurement.toml of ``kind = "deflectometry-dots"``."""
+
+    kind: Literal["deflectometry-dots"] = Field(description="A photo of a field of dots seen in a mirror.")
+    photo: Text = Field(description="The photo in which the mirror shows the dots.")
+
+    def named_files(self) -> Iterator[tuple[str, str]]:
+        """Yield the key path and the text of every file that is named."""
+        yield "photo", self.photo
+        yield from super().named_files()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -101,10 +114,16 @@ def load_dots(folder: Path) -> DotsMeasurement:
     InputError
         No such folder or file, not TOML, another kind, an unknown or missing key, or a value that cannot be.
     """
-    file, model = read_measurement(folder, DotsModel)
-    missing = [f"{key} = {text!r}" for key, text in model.named_files() if not (folder / text).is_file()]
-    if missing:
-        raise InputError(f"{file}: {', '.join(missing)}: there is no such file in {folder}")
+    return DotsMeasurement(folder, read_dot_field(folder, DotsModel))
+
+
+def read_dot_field(folder: Path, kind: type[_Model]) -> _Model:
+    """Read and check the measurement.toml of a kind of measurement before a field of dots.
+
+    InputError: As `load_dots`.
+    """
+    file, model = read_measurement(folder, kind)
+    refuse_missing_files(folder, model.named_files())
     if model.screen.response_file is not None:
         raise InputError(f"{file}: screen.response_file is for fringes; leave it out")
-    return DotsMeasurement(folder, model)
+    return model

@@ -2,7 +2,7 @@
 
 import os
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from heliogauge.errors import InputError
@@ -47,3 +47,14 @@ def image_files(folder: Path, key: str, named: str | Sequence[str]) -> tuple[Pat
     files = tuple(folder / text for text in named)
     refuse_leading_out(folder, files)
     return files
+
+
+def refuse_missing_files(folder: Path, named: Iterable[tuple[str, str]]) -> None:
+    """Refuse a measurement.toml that names files which are not there.
+
+    named: Key and text of each.
+    InputError: Names all that are missing.
+    """
+    missing = [f"{key} = {text!r}" for key, text in named if not (folder / text).is_file()]
+    if missing:
+        raise InputError(f"{folder / 'measurement.toml'}: {', '.join(missing)}: there is no such file in {folder}")

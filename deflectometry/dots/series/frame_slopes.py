@@ -162,7 +162,9 @@ class KnownMirror(ShortRepr):
         found = []
         for one in lattices:
             moved = replace(one, centers_px=one.centers_px + (left, top))
-            column, row = np.rint(moved.centers_px).astype(np.intp).T
+            # A dot that the photo's border cuts may have its middle beyond.
+            last = np.array(self.inside_px.shape[::-1]) - 1
+            column, row = np.clip(np.rint(moved.centers_px).astype(np.intp), 0, last).T
             radius = np.sqrt(np.linalg.eigvalsh(moved.outlines_px2)[:, 1])
             clear = self.inside_px[row, column] > REACH * radius + BLURS * moved.blur_px
             if np.count_nonzero(clear):

@@ -7,11 +7,10 @@ from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
-from deflectometry.dots.keys import DotPatternSection, DotsMeasurement, DotsModel
-from deflectometry.keys import BenchMeasurement, BenchModel, DotFieldSection
-from heliogauge.errors import InputError
+from deflectometry.dots.keys import DotFieldModel, DotPatternSection, DotsMeasurement, DotsModel, read_dot_field
+from deflectometry.keys import BenchMeasurement
 from heliogauge.measurement.files import image_files
-from heliogauge.measurement.load import MEASUREMENT_FILE, read_measurement
+from heliogauge.measurement.load import MEASUREMENT_FILE
 from heliogauge.measurement.models import Count, ImageFiles, Positive, Section, Text
 
 
@@ -37,11 +36,10 @@ class FramesSection(Section):
         return self
 
 
-class DotSeriesModel(BenchModel):
+class DotSeriesModel(DotFieldModel):
     """The whole measurement.toml of ``kind = "deflectometry-dots-series"``."""
 
     kind: Literal["deflectometry-dots-series"] = Field(description="Photos of dots seen in a mirror that moves.")
-    screen: DotFieldSection = Field(description="The field of dots: the place of each, and the pose of them all.")
     frames: FramesSection = Field(description="The frames.")
     pattern: DotPatternSection = Field(
         DotPatternSection(), description="The pattern that the mirror shows; a known dot is one of the first frame."
@@ -49,13 +47,8 @@ class DotSeriesModel(BenchModel):
 
     def named_files(self) -> Iterator[tuple[str, str]]:
         """Yield the key path and the text of every single file that is named (photos are not among them)."""
-        candidates = (
-            ("screen.file", self.screen.file),
-            ("camera.file", getattr(self.camera, "file", None)),
-            ("pattern.marks_file", self.pattern.marks_file),
-            ("frames.video", self.frames.video),
-            ("frames.times_file", self.frames.times_file),
-        )
+        yield from super().named_files()
+        candidates = (("frames.video", self.frames.video), ("frames.times_file", self.frames.times_file))
         yield from ((key, text) for key, text in candidates if text is not None)
 
 
@@ -73,7 +66,7 @@ class DotSeriesMeasurement(BenchMeasurement):
     @property
     def input_files(self) -> tuple[Path, ...]:
         """All files the measurement consists of, measurement.toml first."""
-        named = dict.fromkeys(self.path(text) for _, text in self.model.named_files())
+        named = (self.path(text) for _, text in self.model.named_files())
         return (self.folder / MEASUREMENT_FILE, *named, *self.photo_files)
 
     def of_frame(self, frame: Path) -> DotsMeasurement:
@@ -101,12 +94,7 @@ def load_series(folder: Path) -> DotSeriesMeasurement:
     InputError
         No such folder or file, not TOML, another kind, an unknown or missing key, or a value that cannot be.
     """
-    file, model = read_measurement(folder, DotSeriesModel)
-    missing = [f"{key} = {text!r}" for key, text in model.named_files() if not (folder / text).is_file()]
-    if missing:
-        raise InputError(f"{file}: {', '.join(missing)}: there is no such file in {folder}")
-    if model.screen.response_file is not None:
-        raise InputError(f"{file}: screen.response_file is for fringes; leave it out")
+    model = read_dot_field(folder, DotSeriesModel)
     photos = model.frames.photos
     files = () if photos is None else image_files(folder, "frames.photos", photos)
     return DotSeriesMeasurement(folder, model, files)

@@ -10,7 +10,7 @@ import numpy as np
 from deflectometry.pipeline.inputs import build_facets
 from deflectometry.stars.keys import StarsMeasurement
 from deflectometry.stars.pipeline.catalogue import read_catalogue
-from deflectometry.stars.pipeline.night import site_of
+from deflectometry.stars.pipeline.night import first_orientation, site_of, stated_frame
 from deflectometry.stars.planning.predicted_night import PlannedTime, predicted_time
 from heliogauge.doubts import Doubt
 from heliogauge.errors import EstimationError, InputError
@@ -132,13 +132,15 @@ def run(measurement: StarsMeasurement, progress: Progress | None = None) -> Star
     """Compare times of a night and name the best.
 
     InputError: Times that cannot be read or are in daylight; pyerfa or the catalogue is not installed.
-    EstimationError: There is no darkness, or no time shows stars in every facet.
+    EstimationError: There is no darkness, no time shows stars in every facet, or corners contradict the camera's place.
     """
     progress, model = progress or SilentProgress(), measurement.model
     facets = build_facets(model.mirror, model.name)
     if not facets:
         raise InputError(f"{measurement.folder}: mirror.outline_m or [[mirror.facet]] is needed")
     times = _times(measurement)
+    # Refuses what the measurement will refuse.
+    first_orientation(measurement, stated_frame(measurement))
     with progress.stage("catalogue"):
         catalogue = read_catalogue().brighter(float(model.evaluation.faintest_magnitude))
     found = []

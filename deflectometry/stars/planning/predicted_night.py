@@ -11,7 +11,6 @@ from deflectometry.shape.smooth_shape import Align
 from deflectometry.stars.keys import StarsMeasurement
 from deflectometry.stars.pipeline.night import (
     Night,
-    first_orientation,
     light_of,
     named,
     region_of,
@@ -93,12 +92,7 @@ class PlannedTime(PlannedPhoto):
 def predicted_time(
     measurement: StarsMeasurement, catalogue: Catalogue, facets: Sequence[Facet], time: np.datetime64
 ) -> PlannedTime:
-    """Adjust the images that the catalogue's stars will have in facets as designed.
-
-    EstimationError: Corners that contradict the camera's place.
-    """
-    # Refuses what the measurement will refuse.
-    first_orientation(measurement, stated_frame(measurement))
+    """Adjust the images that the catalogue's stars will have in facets as designed."""
     lean = 1e-3 * measurement.model.evaluation.sigma_normal_mrad
     turns = lean * np.array([[0.0, 0.0, 0.0], [1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0]])
     stated, *leaning = (_leaning(measurement, catalogue, facets, time, turn) for turn in turns)
