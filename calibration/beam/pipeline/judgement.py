@@ -179,7 +179,8 @@ def _light_falls_off(result: "Result") -> list[Doubt]:
 
 def _labels_aside(result: "Result") -> list[Doubt]:
     """Say where labels stand aside of the beams by the same on a target: its stated place or theirs has moved."""
-    found = []
+    said: list[str] = []
+    farthest = 0.0
     used = ~result.beams.rejected & np.isfinite(result.offsets_m).all(axis=1)
     for target in dict.fromkeys(result.beams.targets):
         mine = used & np.array([name == target for name in result.beams.targets])
@@ -191,15 +192,15 @@ def _labels_aside(result: "Result") -> list[Doubt]:
         sigma = 1.25 * 1.4826 * np.median(np.abs(offsets - middle), axis=0) / np.sqrt(len(offsets))
         away = float(np.hypot(*middle))
         if away > _ASIDE * float(np.hypot(*sigma)) and away > float(np.median(result.beams.sigma_m[mine])) * 2:
-            found.append(
-                Doubt(
-                    "labels_aside",
-                    f"labels on target {target} stand {away:.3f} m aside of the beams, by the same in "
-                    f"{len(offsets)} photos "
-                    f"({-middle[0]:+.3f} m right, {-middle[1]:+.3f} m up): was the target's place or the labels' "
-                    f"moved between "
-                    "two releases?",
-                    {"away_m": away},
-                )
-            )
-    return found
+            farthest = max(farthest, away)
+            said.append(f"{target} {-middle[0]:+.3f} m right, {-middle[1]:+.3f} m up in {len(offsets)} photos")
+    if not said:
+        return []
+    return [
+        Doubt(
+            "labels_aside",
+            f"labels stand up to {farthest:.3f} m aside of the beams, by the same in all photos of a target "
+            f"({'; '.join(said)}): was the target's place or the labels' moved between two releases?",
+            {"away_m": farthest, "targets_count": len(said)},
+        )
+    ]

@@ -218,6 +218,8 @@ def test_crops_of_another_release_agree_with_its_labels(shared_data: Path) -> No
     assert all(reason for reason, bad in zip(result.beams.reasons, ~used, strict=True) if bad)
     assert np.count_nonzero(used) >= 125
     shift = np.radians(2.31243e-5) * 6.3906e6 * np.cos(np.radians(50.9134))
+    (aside,) = (one for one in result.doubts if one.code == "labels_aside")
+    assert aside.numbers == {"away_m": pytest.approx(1.629, abs=2e-3), "targets_count": 3}
     off = (result.offsets_m + [shift, 0.0])[used]
     assert np.hypot(*off.T).max() < 0.25
     assert 0.8 < np.sqrt(np.mean((off / result.beams.sigma_m[used]) ** 2)) < 1.25

@@ -50,6 +50,8 @@ from heliogauge.validate import FloatArray
 WASH_BELOW = 0.89
 #: Uncertainty by a gap beyond which the spectrum is doubted: what good reflectometers reach themselves (0.5 %).
 GAP_THAT_COUNTS = 0.005
+#: A gap with less of the sun's energy would be named with 0.00 %; it counts in the sigma all the same.
+_GAP_TO_NAME = 5e-5
 #: A disc of the sun less round than this is cut by a cloud or by the border.
 LEAST_ROUNDNESS = 0.9
 _SECOND = np.timedelta64(1, "s")
@@ -342,6 +344,7 @@ def _spectrum_doubts(path: Path, found: SolarWeighted) -> list[Doubt]:
             Severity.DOUBT if gap.share * gap.reach / np.sqrt(3) > GAP_THAT_COUNTS else Severity.NOTE,
         )
         for gap in found.gaps
+        if gap.share > _GAP_TO_NAME
     ]
 
 
