@@ -12,7 +12,7 @@ from heliogauge.validate import FloatArray
 #: Gauss-Newton steps of an orientation; from the closed solution three are enough.
 _STEPS = 10
 #: Whatever the distribution of errors, 10 sigma are exceeded at most once in 100 times (Chebyshev's inequality).
-_IMPOSSIBLE_SIGMAS = 10.0
+IMPOSSIBLE_SIGMAS = 10.0
 
 
 def normal_between(place_m: FloatArray, aim_m: FloatArray, sun: FloatArray) -> FloatArray:
@@ -47,12 +47,14 @@ class OrientedCamera:
 
     cam_from_mirror: Its pose to the mirror's frame.
     covariance_turn (3, 3): Of a small turn of the camera about its own axes, its place known [rad^2].
-    residual_rms_px: What its points leave.
+    residual_sigmas (n, 2): What its points leave, over their standard deviations.
+    residual_rms_px: The same in pixels, of all points.
     """
 
     camera: Camera
     cam_from_mirror: RigidTransform
     covariance_turn: FloatArray
+    residual_sigmas: FloatArray
     residual_rms_px: float
 
     @property
@@ -69,7 +71,7 @@ def orient_camera(
     pixels_px: FloatArray,
     sigma_px: FloatArray,
     *,
-    most_sigmas: float = _IMPOSSIBLE_SIGMAS,
+    most_sigmas: float = IMPOSSIBLE_SIGMAS,
 ) -> OrientedCamera:
     """Turn a camera of known place until points of the mirror lie where they were measured.
 
@@ -118,4 +120,5 @@ def orient_camera(
             f"(the mirror is {float(np.linalg.norm(points_m.mean(axis=0) - eye_m)):.4g} m away)"
         )
     covariance = np.asarray(np.linalg.inv(normal), dtype=np.float64)
-    return OrientedCamera(camera, pose, covariance, float(np.sqrt(np.mean(residual_px**2))))
+    over_sigma = residual_px / sigma_px[:, None]
+    return OrientedCamera(camera, pose, covariance, over_sigma, float(np.sqrt(np.mean(residual_px**2))))

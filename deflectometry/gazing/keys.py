@@ -36,7 +36,9 @@ class SunCameraSection(Section):
     )
     azimuth_deg: Number = Field(description="The sun's centre while frames were taken: from north, clockwise [deg].")
     elevation_deg: Number = Field(gt=0, lt=90, description="Its apparent elevation [deg].")
-    sigma_direction_mrad: Sigma = Field(0.0, description="Standard deviation of that direction, each way [mrad].")
+    sigma_direction_mrad: Sigma = Field(
+        0.0, description="Standard deviation of that direction, each way; a clock of 1 s is 0.07 [mrad]."
+    )
 
 
 class GazingCameraSection(FieldCameraSection):

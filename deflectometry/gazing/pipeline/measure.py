@@ -42,6 +42,7 @@ from deflectometry.gazing.pipeline.inputs import (
     read_sun,
     sun_direction,
 )
+from deflectometry.gazing.pipeline.pointing import mean_pointing, pointing_by_points, pointing_doubts
 from deflectometry.gazing.pipeline.result import CameraRow, GazingResult, Pointing
 from deflectometry.pipeline.choices import Options
 from deflectometry.pipeline.curl_test import CurlRemedies, curl_doubt
@@ -63,10 +64,6 @@ from heliogauge.validate import BoolArray, FloatArray
 
 #: Scatter beyond this many times the sigmas is said.
 _WORTH_SAYING = 1.3
-#: A lean beyond so many sigma is not its scatter: 1 of 270,000 in two directions.
-_WRONG_POINTING = 5.0
-#: The sun on the equator of the sky; elsewhere it is slower.
-_SUN_RAD_PER_S = 2 * np.pi / 86400
 _CURL_REMEDIES = CurlRemedies(
     "sigmas of single points are too small by that; check flat fields, focus, stray light and each camera's points",
     "check the names and places of the cameras, the points that orient them, flat fields, and whether the mirror or a "
@@ -95,6 +92,7 @@ def run(
     with progress.stage("sun"):
         of_sun = read_sun(measurement)
     with progress.stage("images", steps=len(model.camera)) as stage:
+        by_points = pointing_by_points(measurement, mirror_from_field.inverse())
         cameras = []
         for section in model.camera:
             cameras.append(read_camera(measurement, section, mirror_from_field))
@@ -150,7 +148,7 @@ def run(
                 "no point of the mirror is known well enough: "
                 + ("; ".join(one.text for one in doubts) or "every point contradicts the sun's profile")
             )
-        pointing = _pointing(as_nominal)
+        pointing = mean_pointing(as_nominal)
         align = options.align or Align(model.evaluation.align)
         as_measured = {
             name: replace(
@@ -183,7 +181,7 @@ def run(
             curl_doubt({name: curl_numbers(one) for name, one in as_measured.items()}, _CURL_REMEDIES),
             doubt_of_canting(cantings) if several else None,
             *_doubts(measurement, cameras, left_out, factor),
-            _doubt_of_pointing(measurement, pointing),
+            *pointing_doubts(model, pointing, by_points),
         ),
         durations_s=dict(progress.durations_s),
         input_sha256=hash_files(measurement.input_files, measurement.folder),
@@ -243,24 +241,6 @@ def _refuse_impossible_gains(names: Sequence[str], gains: Gains, prior: FloatArr
     )
 
 
-def _pointing(maps: dict[str, SlopeMap]) -> Pointing:
-    """Return how the mirror's mean normal leans against the nominal one, weighted by area."""
-    total, mean, random, sources = 0, np.zeros(2), np.zeros(2), np.zeros((0, 2))
-    for one in maps.values():
-        valid = one.valid
-        count = int(np.count_nonzero(valid))
-        x, y = (grid[valid] for grid in np.meshgrid(one.x_m, one.y_m))
-        modes = one.common.evaluate(x, y).sum(axis=2)
-        if not sources.size:
-            sources = np.zeros(modes.shape)
-        total += count
-        mean += [float(one.slope_error_x[valid].sum()), float(one.slope_error_y[valid].sum())]
-        random += [float((one.sigma_random_x[valid] ** 2).sum()), float((one.sigma_random_y[valid] ** 2).sum())]
-        sources = sources + modes
-    variance = random / total**2 + ((sources / total) ** 2).sum(axis=0)
-    return Pointing(mean / total, np.sqrt(variance), sources / total)
-
-
 def _turned(slope_map: SlopeMap, pointing: Pointing) -> SlopeMap:
     """Return a map whose frame is turned by the pointing; the modes lose what they do to the mean of all facets."""
     common = slope_map.common
@@ -307,26 +287,6 @@ def _contradiction(name: str, gain: float, sigma: float) -> str:
     return (
         f"{name} sees {gain:.3g} (sigma {sigma:.2g}) times the brightness that all others explain: a cloud "
         "before the sun while its frames were taken, another filter or another exposure than stated"
-    )
-
-
-def _doubt_of_pointing(measurement: GazingMeasurement, pointing: Pointing) -> Doubt | None:
-    """Say where the mirror leans against a stated normal by more than its sigma: the sun may not be where it was said.
-
-    A frame that aims the stated sun turns with it, so that nothing can show and nothing is wrong.
-    """
-    sigmas = float(np.hypot(*(pointing.angle_rad / pointing.sigma_rad)))
-    if measurement.model.mirror.aim_m is not None or sigmas < _WRONG_POINTING:
-        return None
-    lean = float(np.hypot(*pointing.angle_rad))
-    minutes = 2 * lean / _SUN_RAD_PER_S / 60
-    return Doubt(
-        "pointing_off_stated_normal",
-        f"the mean normal leans by {1e3 * lean:.3g} mrad ({sigmas:.0f} sigma) against mirror.normal: the heliostat "
-        "points so, its normal is not as stated, or the sun stood elsewhere than sun.azimuth_deg and elevation_deg say "
-        f"(a clock that is {minutes:.2g} minutes wrong or more moves it so far); slopes beside their mean stay",
-        {"lean_rad": lean, "lean_in_sigmas_ratio": sigmas},
-        Severity.NOTE,
     )
 
 

@@ -20,10 +20,12 @@ from data_synth.sky.gazing_scene import (
 )
 from data_synth.sky.heliostat import DrawnHeliostat
 from deflectometry.gazing import facet_maps
-from deflectometry.gazing.keys import load_gazing
+from deflectometry.gazing.keys import GazingMeasurement, load_gazing
 from deflectometry.gazing.node_slopes import Brightness, expected, solve_nodes
 from deflectometry.gazing.pipeline import measure as pipeline
+from deflectometry.gazing.pipeline.inputs import mirror_frame, sun_direction
 from deflectometry.gazing.pipeline.measure import run
+from deflectometry.gazing.pipeline.pointing import pointing_by_points
 from deflectometry.gazing.pipeline.result import GazingResult
 from deflectometry.gazing.planning.spacing import judge_spacing
 from deflectometry.gazing.sun_profile import SunProfile, measure_sun
@@ -147,6 +149,19 @@ def whitened(errors: np.ndarray, sigmas: np.ndarray, modes: np.ndarray) -> tuple
     return float((white @ white - parts @ parts + chi.sum()) / white.size), chi[size > 0.5]
 
 
+def chi_of_means(result: GazingResult, errors: np.ndarray, sigmas: np.ndarray, modes: np.ndarray) -> float:
+    """Return chi-square of the mean errors in x and y over their joint covariance, for each of both."""
+    counts = [int(np.count_nonzero(result.maps[facet.name].valid)) for facet in result.facets]
+    is_x = np.repeat(np.tile([True, False], len(counts)), np.repeat(counts, 2))
+    sums = np.stack([is_x, ~is_x]) / sum(counts)
+    common = modes @ sums.T
+    covariance = common.T @ common + (sums * sigmas) @ (sums * sigmas).T
+    stated = [result.numbers[f"sigma_pointing_{axis}_rad"] for axis in "xy"]
+    np.testing.assert_allclose(np.sqrt(np.diag(covariance)), stated, rtol=1e-6)
+    off = sums @ errors
+    return float(off @ np.linalg.solve(covariance, off)) / 2
+
+
 def test_slopes_of_a_drawn_heliostat(tmp_path: Path) -> None:
     result = measured(tmp_path / "drawn", replace(SMALL, known=no_errors(), noise_share=1e-3, pattern_share=0.0))
     errors, _, _ = errors_of(SMALL, result)
@@ -157,14 +172,18 @@ def test_slopes_of_a_drawn_heliostat(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_sigmas_are_the_scatter(tmp_path: Path) -> None:
-    """Chi-square over all nodes with the whole covariance, and along each of its common modes, over 20 seeds."""
-    whole, along = [], []
+    """Chi-square over all nodes with the whole covariance, along its common modes, and of both means, over 20 seeds."""
+    whole, along, means = [], [], []
     for seed in range(20):
         result = measured(tmp_path / "drawn", SMALL, seed)
-        mean, chi = whitened(*errors_of(SMALL, result))
+        found = errors_of(SMALL, result)
+        mean, chi = whitened(*found)
         whole.append(mean)
         along.append(chi)
+        means.append(chi_of_means(result, *found))
     together = np.concatenate(along)
+    # Two means of each seed, each chi-square scatters by sqrt(2); an error of sigma by 1.4 is seen.
+    assert np.mean(means) == pytest.approx(1.0, abs=3 * np.sqrt(2 / 40))
     assert np.mean(whole) == pytest.approx(1.0, abs=0.15)
     # The largest modes of all seeds: their mean chi-square scatters by sqrt(2 / n).
     assert together.mean() == pytest.approx(1.0, abs=3 * np.sqrt(2 / together.size))
@@ -281,6 +300,46 @@ def test_wrong_clock_is_named_where_the_normal_is_stated(tmp_path: Path) -> None
     # The normal turns by half of what the sun does on its circle, across the plane of incidence (21 degrees) by more.
     half = 0.5 * np.radians(0.5) * np.cos(np.radians(height))
     assert half - 9e-5 < doubt.numbers["lean_rad"] < half / np.cos(np.radians(21.1)) + 9e-5
+
+
+def stated_sun(folder: Path, turn_deg: float, *, is_aimed: bool) -> GazingMeasurement:
+    """State a sun that stands elsewhere in azimuth, and the aim or the normal."""
+    file = folder / "measurement.toml"
+    text = file.read_text()
+    azimuth = float(re.search(r"azimuth_deg = (.*)", text)[1])
+    text = text.replace(f"azimuth_deg = {azimuth}", f"azimuth_deg = {azimuth + turn_deg}")
+    file.write_text(re.sub(r"\nnormal = .*", "\naim_m = [0.0, 0.0, 75.0]", text, count=1) if is_aimed else text)
+    return load_gazing(folder)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("is_aimed", [True, False])
+def test_wrong_time_zone_is_named_by_the_mirrors_points(tmp_path: Path, *, is_aimed: bool) -> None:
+    """The sun an hour on: brightness alone turns the mirror with it; how narrow the mirror looks does not."""
+    write_gazing(tmp_path, SMALL, 3)
+    (doubt,) = [one for one in run(stated_sun(tmp_path, 15.0, is_aimed=is_aimed)).doubts if "points" in one.code]
+    assert doubt.code == "sun_contradicts_points"
+    assert "time zone" in doubt.text
+    # Half of the sun's way, across the plane of incidence by more: 5.4 to 5.8 degrees, the points' sigma is 0.8.
+    assert np.degrees(doubt.numbers["lean_rad"]) == pytest.approx(5.6, abs=2.5)
+
+
+def test_points_refuse_a_sun_that_no_frame_can_have(tmp_path: Path) -> None:
+    write_gazing(tmp_path, SMALL, 3)
+    with pytest.raises(EstimationError, match=r"points in the images of all cameras .* such as the wrong time zone"):
+        run(stated_sun(tmp_path, 30.0, is_aimed=True))
+
+
+@pytest.mark.slow
+def test_lean_by_points_scatters_as_its_covariance(tmp_path: Path) -> None:
+    scene, chi = replace(SMALL, pixels=40, focal_px=2000.0, known=GazingKnowledge(point_px=0.05)), []
+    for seed in range(12):
+        write_gazing(tmp_path, scene, seed, force=True)
+        measurement = load_gazing(tmp_path)
+        frame = mirror_frame(measurement.model.mirror, sun_direction(measurement.model.sun))
+        found = pointing_by_points(measurement, frame)
+        chi.append(found.lean_rad @ np.linalg.solve(found.covariance, found.lean_rad) / 2)
+    assert np.mean(chi) == pytest.approx(1.0, abs=3 / np.sqrt(12))
 
 
 @pytest.mark.slow
