@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import compress
 
 import numpy as np
 import numpy.typing as npt
@@ -67,10 +68,13 @@ class ImagePoints(ShortRepr):
             )
 
     def _check_duplicates(self) -> None:
-        _, first, counts = np.unique(self.pair_keys, return_index=True, return_counts=True)
-        if (counts > 1).any():
-            label = self.label(int(first[np.argmax(counts > 1)]))
-            raise InputError(f"{label}: measured {int(counts.max())} times; keep one (two sheets with the same codes?)")
+        keys = np.sort(self.pair_keys)
+        again = keys[1:][keys[1:] == keys[:-1]]
+        if again.size:
+            rows = np.flatnonzero(self.pair_keys == again[0])
+            raise InputError(
+                f"{self.label(int(rows[0]))}: measured {rows.size} times; keep one (two sheets with the same codes?)"
+            )
 
     @property
     def n(self) -> int:
@@ -109,13 +113,12 @@ class ImagePoints(ShortRepr):
 
     def compacted(self) -> "ImagePoints":
         """Return the same rows without the names of photos and targets that have none."""
-        photos, photo_index = np.unique(self.photo_index, return_inverse=True)
-        targets, target_index = np.unique(self.target_index, return_inverse=True)
+        photos, targets = self.n_targets_in_photo > 0, self.n_rays > 0
         return ImagePoints(
-            tuple(self.photos[i] for i in photos),
-            tuple(self.targets[i] for i in targets),
-            photo_index,
-            target_index,
+            tuple(compress(self.photos, photos)),
+            tuple(compress(self.targets, targets)),
+            (np.cumsum(photos) - 1)[self.photo_index],
+            (np.cumsum(targets) - 1)[self.target_index],
             self.pixels_px,
             self.covariance_px2,
         )

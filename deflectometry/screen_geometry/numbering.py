@@ -11,7 +11,7 @@ from heliogauge.camera.model import Camera
 from heliogauge.errors import EstimationError
 from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.slopes.map import monomials
-from heliogauge.validate import BoolArray, FloatArray, IntArray
+from heliogauge.validate import FloatArray, IntArray
 
 #: Chance that a dot that is on one photo's lattice, and in the sight of another, is missing there.
 _FALSE_DOT = 1e-3
@@ -120,24 +120,23 @@ class _Sight:
 
 def _of_missing(sights: Sequence[_Sight], numbers: Sequence[IntArray]) -> float:
     """Return the log of the odds of dots that a photo should show, by those around, and does not."""
+    every = np.concatenate(numbers)
+    low = every.min(axis=0)
+    seen = np.zeros((len(numbers), *(every.max(axis=0) - low + 1)), dtype=np.bool_)
+    for own, one in zip(seen, numbers, strict=True):
+        own[tuple((one - low).T)] = True
+    in_any = seen.any(axis=0)
     total = 0
-    for k, (sight, own) in enumerate(zip(sights, numbers, strict=True)):
-        others = np.concatenate([one for other, one in enumerate(numbers) if other != k])
-        missing = np.unique(others[~_among(others, own)], axis=0)
+    for sight, own, number in zip(sights, seen, numbers, strict=True):
+        missing = np.argwhere(in_any & ~own) + low
         if len(missing):
             # Numbers of the photo's own lattice: a quarter turn and a shift of these.
-            change = np.linalg.lstsq(np.column_stack([own, np.ones(len(own))]), sight.view.dots.number, rcond=None)[0]
+            turned = np.column_stack([number, np.ones(len(number))])
+            change = np.linalg.lstsq(turned, sight.view.dots.number, rcond=None)[0]
             total += sight.count_seen(
                 np.rint(np.column_stack([missing, np.ones(len(missing))]) @ change).astype(np.intp)
             )
     return total * float(np.log(_FALSE_DOT))
-
-
-def _among(number: IntArray, others: IntArray) -> BoolArray:
-    """Return which numbers are among others."""
-    low = np.minimum(number.min(axis=0), others.min(axis=0))
-    width = int(max(number[:, 1].max(), others[:, 1].max()) - low[1] + 1)
-    return np.isin((number - low) @ [width, 1], (others - low) @ [width, 1])
 
 
 @dataclass(frozen=True, slots=True, eq=False)

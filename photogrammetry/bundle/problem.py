@@ -177,7 +177,9 @@ def layout_of(problem: BundleProblem, state: BundleState) -> Layout:
         first += len(model.free)
     kept_column = np.full(n_targets, -1, dtype=np.intp)
     kept_column[kept] = first + 3 * np.arange(kept.size)
-    eliminated = np.setdiff1d(np.arange(n_targets), np.concatenate([kept, fixed])).astype(np.intp)
+    is_eliminated = np.ones(n_targets, dtype=np.bool_)
+    is_eliminated[kept] = is_eliminated[fixed] = False
+    eliminated = np.flatnonzero(is_eliminated)
     slot = np.full(n_targets, -1, dtype=np.intp)
     slot[eliminated] = np.arange(eliminated.size)
     return Layout(len(problem.observations.photos), tuple(columns), kept, eliminated, kept_column, slot)

@@ -79,15 +79,28 @@ def _examined(result: BundleResult) -> ImagePointTests:
     residuals = result.whitened_residuals
     own = np.einsum("mii->mi", redundancy)
     baarda = residuals / np.sqrt(np.where(own > _UNCONTROLLED, own, np.nan))
-    values, vectors = np.linalg.eigh(redundancy)
-    seen = values > _UNCONTROLLED
-    along = np.einsum("mij,mi->mj", vectors, residuals)
-    squared = np.where(seen, along**2 / np.where(seen, values, 1.0), 0.0).sum(axis=1)
+    squared = _length_squared(redundancy, residuals)
     probability = np.exp(-0.5 * squared)
     if result.options.covariance_scale is CovarianceScale.POSTERIOR and result.redundancy > 2:
         total = result.variance_factor * result.redundancy
         probability = np.maximum(1 - squared / total, 0.0) ** (0.5 * (result.redundancy - 2))
     return ImagePointTests(redundancy, baarda, squared, np.asarray(probability))
+
+
+def _length_squared(redundancy: FloatArray, residuals: FloatArray) -> FloatArray:
+    """Return ``r^T R^-1 r``, shape (m,), without the directions in which nothing controls an image point."""
+    a, b, c = redundancy[:, 0, 0], redundancy[:, 0, 1], redundancy[:, 1, 1]
+    x, y = residuals.T
+    determinant = a * c - b * b
+    # The smaller eigenvalue is at least the determinant over the trace.
+    weak = np.flatnonzero(~(determinant > _UNCONTROLLED * (a + c)) | (a <= 0))
+    squared = np.asarray((c * x * x - 2 * b * x * y + a * y * y) / np.where(determinant > 0, determinant, 1.0))
+    if weak.size:
+        values, vectors = np.linalg.eigh(redundancy[weak])
+        along = np.einsum("mij,mi->mj", vectors, residuals[weak])
+        seen = values > _UNCONTROLLED
+        squared[weak] = np.where(seen, along**2 / np.where(seen, values, 1.0), 0.0).sum(axis=1)
+    return squared
 
 
 def _leverages(result: BundleResult, rows: CameraRows) -> FloatArray:

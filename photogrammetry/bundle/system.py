@@ -226,7 +226,9 @@ class SchurSystem:
     def datum(self) -> DatumConstraints:
         """The datum on targets or photos that takes the free movements away."""
         problem, table = self._problem, self._problem.observations
-        free = np.setdiff1d(np.unique(table.target_index), problem.target_indices(problem.fixed)).astype(np.intp)
+        seen = table.n_rays > 0
+        seen[problem.target_indices(problem.fixed)] = False
+        free = np.flatnonzero(seen)
         chosen = problem.target_indices(problem.datum.targets) if problem.datum.targets else free
         names = [table.targets[i] for i in chosen]
         if problem.datum.kind is DatumKind.PHOTOS:

@@ -4,8 +4,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from heliogauge.adjust.gauss_newton import Options
 from heliogauge.validate import FloatArray, IntArray
-from photogrammetry.bundle.adjustment import BundleResult, adjust
+from photogrammetry.bundle.adjustment import BundleOptions, BundleResult, adjust
 from photogrammetry.bundle.statistics import examine_image_points
 from photogrammetry.image_points import ImagePoints
 from photogrammetry.networks.solve_network import (
@@ -13,6 +14,7 @@ from photogrammetry.networks.solve_network import (
     NetworkCameras,
     Solved,
     SolveOptions,
+    network_of,
     solve_from,
     solve_network,
 )
@@ -23,6 +25,8 @@ _LEAST_REDUNDANCY = 50
 _MOST_ROUNDS = 4
 #: Kinds are well weighed when their factors agree to this; the sigma of a factor is 4 % with 300 to spare.
 _CLOSE = 0.1
+#: Offset in sigmas to which the adjustment goes on that only compares kinds.
+_ROUGH = Options(tolerance=1e-3, initial_damping=1e-4)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -76,7 +80,11 @@ def solve_weighed(
     """
     count = int(kinds.max(initial=0)) + 1
     factors = np.ones(count)
-    solved = solve_network(points, ellipses_px2, cameras, knowledge, options)
+    start = network_of(points, cameras, knowledge)
+    if count > 1:
+        found = _by_medians(start, kinds, count, cameras)
+        factors, points = np.sqrt(found), _scaled(points, found[kinds])
+    solved = solve_from(start, points, ellipses_px2, cameras, knowledge, options)
     for _ in range(_MOST_ROUNDS if count > 1 else 0):
         own = _kinds_of(solved, points, kinds)
         found, redundancy = variance_factors(solved.bundle, own, count)
@@ -86,7 +94,7 @@ def solve_weighed(
             break
         found = change * _settled(solved.bundle, own, change) * solved.image_sigma_factor**2
         factors *= np.sqrt(found)
-        points = replace(points, covariance_px2=points.covariance_px2 * found[kinds][:, None, None])
+        points = _scaled(points, found[kinds])
         cameras = replace(cameras, cameras=solved.bundle.state.cameras)
         network = _from_result(solved)
         if network is None:
@@ -97,6 +105,28 @@ def solve_weighed(
     return Weighed(solved, points, factors)
 
 
+def _by_medians(network: Network, kinds: IntArray, count: int, cameras: NetworkCameras) -> FloatArray:
+    """Return what the variances of each kind have to be multiplied by, found before anything is rejected.
+
+    kinds (m,): Of all image points.
+
+    A kind whose stated sigmas are half of what they are would lose every fifth good image point to the search for
+    outliers, and each round that weighs again would bring some of them back. A squared length over its own variance
+    has the median 2 ln 2.
+    """
+    bundle = adjust(cameras.problem(network.observations), network.state, options=BundleOptions(descent=_ROUGH))
+    length_squared, own = examine_image_points(bundle).length_squared, kinds[network.rows]
+    enough = 2 * np.bincount(own, minlength=count) >= _LEAST_REDUNDANCY
+    medians = [np.median(length_squared[own == kind]) if enough[kind] else np.nan for kind in range(count)]
+    found = np.array(medians) / (2 * np.log(2))
+    return np.where(found > 0, found, 1.0)
+
+
+def _scaled(points: ImagePoints, factors: FloatArray) -> ImagePoints:
+    """Return the image points with their covariances times factors (m,)."""
+    return replace(points, covariance_px2=points.covariance_px2 * factors[:, None, None])
+
+
 def _settled(bundle: BundleResult, kinds: IntArray, change: FloatArray) -> FloatArray:
     """Return what the kinds' variances have to be multiplied by beyond a first change, with the same image points.
 
@@ -105,8 +135,8 @@ def _settled(bundle: BundleResult, kinds: IntArray, change: FloatArray) -> Float
     more = np.ones(change.size)
     for _ in range(_MOST_ROUNDS):
         table = bundle.problem.observations
-        scaled = replace(table, covariance_px2=table.covariance_px2 * change[kinds][:, None, None])
-        bundle = adjust(replace(bundle.problem, observations=scaled), bundle.state, options=bundle.options)
+        scaled = replace(bundle.problem, observations=_scaled(table, change[kinds]))
+        bundle = adjust(scaled, bundle.state, options=bundle.options)
         found, redundancy = variance_factors(bundle, kinds, change.size)
         change = np.where(redundancy >= _LEAST_REDUNDANCY, found, 1.0)
         if not bundle.converged or np.abs(change - 1).max() < _CLOSE:

@@ -11,7 +11,7 @@ from heliogauge.adjust.solution import CovarianceScale
 from heliogauge.camera.model import Camera
 from heliogauge.errors import EstimationError, InputError
 from heliogauge.validate import FloatArray, IntArray
-from photogrammetry.bundle.adjustment import BundleOptions, BundleResult, adjust
+from photogrammetry.bundle.adjustment import BundleOptions, BundleResult, adjust, descend
 from photogrammetry.bundle.alignment import aligned_to_constraints, aligned_to_control, best_fit, transformed
 from photogrammetry.bundle.constraints import Constraint, ControlPoint, Distance, KnownPlaces
 from photogrammetry.bundle.datum import Datum, DatumKind
@@ -169,14 +169,22 @@ def solve_network(
     knowledge: Scale bars, control points, constraints and datum.
     EstimationError: The photos do not hang together, or something is not determined; it is named.
     """
-    network = build_network(
+    network = network_of(points, cameras, knowledge)
+    return solve_from(network, points, ellipses_px2, cameras, knowledge, options)
+
+
+def network_of(points: ImagePoints, cameras: NetworkCameras, knowledge: Knowledge) -> Network:
+    """Find start values of a photo network.
+
+    EstimationError: The photos do not hang together.
+    """
+    return build_network(
         points,
         cameras.cameras,
         models=cameras.models,
         camera_of_photo=cameras.index(points.photos),
         start=knowledge.start,
     )
-    return solve_from(network, points, ellipses_px2, cameras, knowledge, options)
 
 
 def solve_from(
@@ -210,8 +218,8 @@ def solve_from(
     chosen = BundleOptions(covariance_scale=CovarianceScale.POSTERIOR if options.rescale else CovarianceScale.PRIOR)
     state, shift = network.state, np.zeros((table.n, 2))
     if np.isfinite(ellipses_px2[rows]).any():
-        clean = adjust(cameras.problem(table.subset(~suspects)), state, options=chosen)
-        state = clean.state
+        if before is None:
+            state = descend(cameras.problem(table.subset(~suspects)), state, chosen).state
         place = cameras.index(table.photos)
         discs = estimate_discs(table, ellipses_px2[rows], state, place, one_size=knowledge.one_target_size)
         shift = eccentricities_px(table, discs, state, place)
@@ -313,8 +321,13 @@ def _without_empty(table: ImagePoints, state: BundleState) -> tuple[ImagePoints,
 
 def _without_innocent(network: Network, table: ImagePoints) -> Network:
     """Take suspicions back of image points that turned out to agree."""
-    used = {table.label(row) for row in range(table.n)} if network.suspicious else set()
-    return replace(network, suspicious=tuple(one for one in network.suspicious if one.name not in used))
+    if not network.suspicious:
+        return network
+    names = {one.name for one in network.suspicious}
+    targets = {one.target for one in network.suspicious}
+    rows = np.flatnonzero(np.isin(table.target_index, [k for k, name in enumerate(table.targets) if name in targets]))
+    names -= {table.label(row) for row in rows.tolist()}
+    return replace(network, suspicious=tuple(one for one in network.suspicious if one.name in names))
 
 
 def _foreign(

@@ -5,6 +5,7 @@ import shutil
 import tomllib
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -25,6 +26,7 @@ from photogrammetry.detection.feature_tracks import Keypoints, PairMatch, TrackC
 from photogrammetry.keys.load import load_photogrammetry
 from photogrammetry.keys.natural import NaturalSection
 from photogrammetry.matching.uncertain_rays import Dots
+from photogrammetry.networks import solve_network as networks
 from photogrammetry.networks.group_sigmas import Weighed, solve_weighed
 from photogrammetry.networks.solve_network import Knowledge, NetworkCameras, SolveOptions
 from photogrammetry.networks.solve_uncoded import LooseDots
@@ -103,6 +105,28 @@ def test_kinds_get_their_own_sigmas() -> None:
     sigma = found.factors * found.solved.image_sigma_factor * [0.3, 0.05]
     # 300 to spare in each kind: a sigma is known to 4 %.
     np.testing.assert_allclose(sigma, 0.1, rtol=0.12)
+
+
+def test_kinds_are_weighed_before_anything_is_rejected(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A kind stated three times too sure does not lose good image points that later rounds would bring back."""
+    rng = np.random.default_rng(3)
+    truth, points = network(rng, 10, 60, sigma_px=0.1)
+    kinds = (points.target_index >= 50).astype(np.intp)
+    stated = np.where(kinds == 0, 0.1, 0.1 / 3)[:, None, None] ** 2 * np.eye(2)
+    points = replace(points, covariance_px2=stated)
+    cameras = NetworkCameras(truth.cameras, (CameraModel("c", ()),), dict.fromkeys(points.photos, 0))
+    start = StartValues({name: truth.cam_from_world(i) for i, name in enumerate(points.photos)})
+    reject, rejected = networks.adjust_and_reject, []
+
+    def rejecting(*given: Any, **more: Any) -> Any:
+        found = reject(*given, **more)
+        rejected.append(len(found[1]))
+        return found
+
+    monkeypatch.setattr(networks, "adjust_and_reject", rejecting)
+    shapes = np.full((points.n, 2, 2), np.nan)
+    solve_weighed(points, shapes, kinds, cameras, Knowledge((), {}, Datum(), start), SolveOptions(True, 0.05, True))
+    assert rejected[0] == 0
 
 
 def test_one_kind_is_left_alone() -> None:
