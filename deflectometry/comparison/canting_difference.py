@@ -1,11 +1,13 @@
 """The canting of single facets in two results of one mirror: differences against the mean of all, and their sigmas."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from deflectometry.comparison.moved_map import PlaneMotion
 from heliogauge.adjust.chi_square import chi_square_cdf
+from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.slopes.map import SlopeMap
 from heliogauge.slopes.mounts import LEAST_SHARE
 from heliogauge.slopes.statistics import canting
@@ -30,29 +32,106 @@ class CantingDifference:
     probability: float
 
 
-def canting_difference(first: Mapping[str, SlopeMap], second: Mapping[str, SlopeMap]) -> CantingDifference | None:
-    """Compare the canting of facets that two results have measured, by name.
+@dataclass(frozen=True, slots=True, eq=False)
+class FacetPartner:
+    """A facet of the first result, and the facet of the second that stands in its place.
+
+    turn (2, 2): From slopes in the second's facet frame to the first's.
+    offset_rad (2,): Slopes of the second's facet frame in the first's: both designs may cant it differently.
+    by_turn (2,): Derivative of its slopes in the first's frame after the turn of the second's map [rad per rad].
+    """
+
+    first: str
+    second: str
+    turn: FloatArray
+    offset_rad: FloatArray
+    by_turn: FloatArray
+
+    @classmethod
+    def of(cls, name: str) -> "FacetPartner":
+        """Return the facet of the same name, in the same frame."""
+        return cls(name, name, np.eye(2), np.zeros(2), np.zeros(2))
+
+
+def partners(
+    first: Mapping[str, RigidTransform], second: Mapping[str, RigidTransform], motion: PlaneMotion
+) -> tuple[FacetPartner, ...]:
+    """Find which facets of a map that was moved stand in the places of which others.
+
+    first, second: ``ensemble_from_facet`` of each facet.
+    motion: From the second's frame to the first's.
+    Returns: Those that are nearest to each other, and nearer than half of the way to the next facet of the first.
+    """
+    if len(first) < 2 or not second:
+        return ()
+    turn = np.eye(3)
+    turn[:2, :2] = motion.rotation
+    moved = RigidTransform(turn, np.append(motion.shift_m, 0.0))
+    names, others = list(first), list(second)
+    places = np.array([first[name].translation_m[:2] for name in names])
+    poses = [moved @ second[name] for name in others]
+    apart = np.linalg.norm(places[:, None] - [one.translation_m[:2] for one in poses], axis=2)
+    between = np.linalg.norm(places[:, None] - places, axis=2)
+    reach = 0.5 * np.where(between > 0, between, np.inf).min(axis=1)
+    found = []
+    for row, name in enumerate(names):
+        column = int(np.argmin(apart[row]))
+        if int(np.argmin(apart[:, column])) != row or not apart[row, column] < reach[row]:
+            continue
+        rotation = first[name].rotation.T @ poses[column].rotation
+        normal, in_ensemble = rotation[:, 2], poses[column].rotation[:, 2]
+        # A turn by a small angle moves a slope (s_x, s_y) by (-s_y, s_x).
+        across = np.array([in_ensemble[1], -in_ensemble[0]]) / in_ensemble[2]
+        found.append(
+            FacetPartner(
+                name,
+                others[column],
+                rotation[:2, :2],
+                -normal[:2] / normal[2],
+                first[name].rotation[:2, :2].T @ across,
+            )
+        )
+    return tuple(found)
+
+
+def canting_difference(
+    first: Mapping[str, SlopeMap],
+    second: Mapping[str, SlopeMap],
+    pairs: Sequence[FacetPartner] | None = None,
+    sigma_turn_rad: float = 0.0,
+) -> CantingDifference | None:
+    """Compare the canting of facets that two results have measured.
 
     first, second: The map of each facet, in the facet's own frame.
-    Returns: None where fewer than two facets of the same name and design are measured in both on half of their area.
+    pairs: Which facets belong together; default: those of the same name.
+    sigma_turn_rad: Of the turn between both frames [rad].
+    Returns: None where fewer than two facets of the same design are measured in both on half of their area.
 
     An error that all facets share, of the pose or of a camera, moves them alike and mostly cancels: the covariance is
     that of all facets together, random parts by themselves and each common mode through all of them.
     """
-    names = tuple(
-        name
-        for name, one in first.items()
-        if name in second
-        and one.design == second[name].design
-        and min(one.measured_share, second[name].measured_share) >= LEAST_SHARE
-    )
-    if len(names) < 2:
+    used = [
+        one
+        for one in ([FacetPartner.of(name) for name in first] if pairs is None else pairs)
+        if one.first in first
+        and one.second in second
+        and first[one.first].design == second[one.second].design
+        and min(first[one.first].measured_share, second[one.second].measured_share) >= LEAST_SHARE
+    ]
+    if len(used) < 2:
         return None
-    sides = [_cantings([maps[name] for name in names]) for maps in (first, second)]
-    count = len(names)
+    names, count = tuple(one.first for one in used), len(used)
+    values_a, covariance_a = _cantings([first[name] for name in names])
+    values_b, covariance_b = _cantings([second[one.second] for one in used])
+    turns = np.zeros((2 * count, 2 * count))
+    for number, one in enumerate(used):
+        turns[2 * number : 2 * number + 2, 2 * number : 2 * number + 2] = one.turn
+    in_first = turns @ values_b.ravel() + np.concatenate([one.offset_rad for one in used])
+    by_turn = sigma_turn_rad * np.concatenate([one.by_turn for one in used])
     centred = np.kron(np.eye(count) - 1.0 / count, np.eye(2))
-    covariance = centred @ (sides[0][1] + sides[1][1]) @ centred
-    own = [(centred @ values.ravel()).reshape(-1, 2) for values, _ in sides]
+    every = covariance_a + turns @ covariance_b @ turns.T + np.outer(by_turn, by_turn)
+    covariance = centred @ every @ centred
+    own = [(centred @ values).reshape(-1, 2) for values in (values_a.ravel(), in_first)]
     difference = own[0] - own[1]
     sigma = np.sqrt(np.maximum(np.diag(covariance), 0.0)).reshape(-1, 2)
     probability = float("nan")

@@ -11,6 +11,7 @@ from deflectometry.setup.camera_and_screen import Setup
 from deflectometry.shape.facet_canting import FacetCanting
 from heliogauge.flags import FLAG_TEXTS, count_flags
 from heliogauge.reporting.notation import number_text
+from heliogauge.results.facet_frames import facet_geometry
 from heliogauge.results.folder import Summary, unit_of
 from heliogauge.slopes.grid import curl_rms
 from heliogauge.slopes.map import SlopeMap
@@ -241,13 +242,14 @@ def geometry(setup: Setup, evaluation: Evaluation) -> Mapping[str, object]:
     border = setup.screen.points_m(
         np.concatenate([edge, high, edge[::-1], low]), np.concatenate([low, edge, high, edge[::-1]])
     )
-    outlines = [facet.ensemble_from_facet.apply(facet.corners_m) for facet in evaluation.located.facets]
+    facets = evaluation.located.facets
+    outlines = [facet.ensemble_from_facet.apply(facet.corners_m) for facet in facets]
     return {
         "camera": mirror_from_cam.translation_m.tolist(),
         "camera_axis": mirror_from_cam.rotate([0.0, 0.0, 1.0]).tolist(),
         "screen": (mirror_from_cam @ setup.cam_from_screen).apply(border).tolist(),
         "mirror": np.concatenate(outlines).tolist(),
-        "outlines": [one.tolist() for one in outlines],
+        **facet_geometry(facets),
     }
 
 

@@ -119,7 +119,8 @@ class Summary:
     not_determined: Why a number is None.
     facets: For several facets: numbers of each by the name of the facet.
     geometry_m: Points for the sketch of the setup, in the frame of the map [m]: ``camera`` (3,), ``camera_axis``
-        (3,), ``screen`` (n, 3) outline, ``mirror`` (n, 3) outline.
+        (3,), ``screen`` (n, 3) outline, ``mirror`` (n, 3) outline; ``facet_frames``: rotation vector and place of each
+        facet in the frame of the map, by its name.
     version: Version of the software that measured.
     """
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from deflectometry.comparison.canting_difference import CantingDifference, canting_difference
+from deflectometry.comparison.canting_difference import CantingDifference, canting_difference, partners
 from deflectometry.comparison.judgement import (
     SIGNIFICANCE,
     Agreement,
@@ -26,10 +26,11 @@ from deflectometry.comparison.linear_terms import (
 from deflectometry.comparison.map_difference import difference_of, fine_square, motion_square
 from deflectometry.comparison.moved_map import PlaneMotion, cell_area_m2, moved_map
 from deflectometry.comparison.pipeline.result import DIFFERENCE, FIRST, REST, SECOND, Comparison, Side
-from deflectometry.comparison.placing import place_maps
+from deflectometry.comparison.placing import Placed, place_maps
 from heliogauge.doubts import Doubt, Severity
 from heliogauge.errors import EstimationError, InputError
 from heliogauge.files.regular import read_regular
+from heliogauge.results.facet_frames import facet_frames
 from heliogauge.results.folder import SUMMARY_FILE, hash_files, read_summary
 from heliogauge.results.opened import SLOPE_MAP_FILE
 from heliogauge.results.slope_map_file import facet_names, read_slope_map
@@ -110,7 +111,7 @@ def compare_results(first: Path, second: Path, *, shared: Sequence[str] = (), as
         DIFFERENCE: change,
         REST: replace(change, slope_x=left[0], slope_y=left[1], removed="linear terms of the difference"),
     }
-    cantings = None if placed.is_moved else canting_difference(*(_facet_maps(one) for one in sides))
+    cantings = _canting_difference(sides, placed)
     every = (*doubts, *_doubts(sides, shared, judged, checks), *_doubts_of_canting(cantings))
     return Comparison(
         name=f"{sides[0].name} against {sides[1].name}",
@@ -156,6 +157,16 @@ def _facet_maps(side: Side) -> dict[str, SlopeMap]:
     """Return the map of each facet of an ensemble; empty for a mirror of one."""
     file = side.folder / SLOPE_MAP_FILE
     return {name: read_slope_map(file, name) for name in facet_names(file)}
+
+
+def _canting_difference(sides: tuple[Side, Side], placed: Placed) -> CantingDifference | None:
+    """Compare the canting of facets: by their names, or where one map was moved by their places."""
+    maps = [_facet_maps(one) for one in sides]
+    if not placed.is_moved:
+        return canting_difference(*maps)
+    frames = [facet_frames(one.summary) for one in sides]
+    sigma_turn_rad = 0.0 if placed.found is None else float(placed.found.sigmas[0])
+    return canting_difference(*maps, partners(*frames, placed.motion), sigma_turn_rad)
 
 
 def _doubts_of_canting(cantings: CantingDifference | None) -> Iterator[Doubt]:

@@ -13,6 +13,7 @@ from deflectometry.pipeline.result import write_canting
 from deflectometry.shape.facet_canting import CANTING_SIGN, FacetCanting
 from heliogauge.geometry.surfaces import Facet
 from heliogauge.reporting.notation import number_text
+from heliogauge.results.facet_frames import facet_geometry
 from heliogauge.results.folder import Summary, write_slope_map, write_table_csv
 from heliogauge.results.frame import InstrumentResult
 from heliogauge.results.slope_map_file import ASSEMBLED
@@ -111,7 +112,7 @@ class GazingResult(InstrumentResult):
             reasons(numbers, self.facet_numbers),
             facets=self.facet_numbers,
             geometry_m={
-                "outlines": [one.ensemble_from_facet.apply(one.corners_m).tolist() for one in self.facets],
+                **facet_geometry(self.facets),
                 "cameras": [one.eye_m.tolist() for one in self.cameras],
                 "sun": self.sun_direction.tolist(),
             },

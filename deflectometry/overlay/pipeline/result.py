@@ -12,6 +12,7 @@ from deflectometry.pipeline.headline import canting_numbers
 from deflectometry.pipeline.result import write_canting
 from deflectometry.shape.facet_canting import CANTING_SIGN, FacetCanting, moves_of_facet
 from heliogauge.geometry.surfaces import Facet
+from heliogauge.results.facet_frames import facet_geometry
 from heliogauge.results.folder import Summary, write_table_csv
 from heliogauge.results.frame import InstrumentResult
 from heliogauge.results.thumbnails import write_thumbnails
@@ -123,8 +124,7 @@ class OverlayResult(InstrumentResult):
             "difference_of_photos": "what one photo's turn of a facet is off beyond the noise of its pixels: waves of "
             "the facet along the edge of the image; it is in the sigmas",
         }
-        outlines = [one.ensemble_from_facet.apply(one.corners_m).tolist() for one in self.facets]
-        return self._summary(numbers, texts, geometry_m={"outlines": outlines})
+        return self._summary(numbers, texts, geometry_m=facet_geometry(self.facets))
 
     def write_files(self, folder: Path) -> None:
         """Write tables and small photos into an existing folder."""

@@ -55,6 +55,7 @@ from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.geometry.sun import sun_angles, utc_times
 from heliogauge.geometry.surfaces import Facet
 from heliogauge.images.photos import read_frames
+from heliogauge.results.facet_frames import facet_geometry
 from heliogauge.results.folder import Summary, hash_files, write_slope_map, write_table_csv
 from heliogauge.results.frame import InstrumentResult
 from heliogauge.results.slope_map_file import ASSEMBLED
@@ -110,7 +111,7 @@ class StarsResult(InstrumentResult):
             texts,
             reasons(self.numbers, self.facet_numbers),
             facets=self.facet_numbers,
-            geometry_m={"outlines": [one.ensemble_from_facet.apply(one.corners_m).tolist() for one in self.facets]},
+            geometry_m=facet_geometry(self.facets),
         )
 
     def write_files(self, folder: Path) -> None:

@@ -9,12 +9,14 @@ import pytest
 from typer.testing import CliRunner
 
 from deflectometry.cli import app
-from deflectometry.comparison.canting_difference import canting_difference
+from deflectometry.comparison.canting_difference import canting_difference, partners
 from deflectometry.comparison.judgement import Agreement
+from deflectometry.comparison.moved_map import PlaneMotion
 from deflectometry.comparison.pipeline.compare import compare_results
 from deflectometry.exchange.opencsp_import import OpencspOptions, import_opencsp
 from heliogauge.doubts import Doubt, Severity
 from heliogauge.errors import InputError
+from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.results.folder import Summary, write_slope_map, write_summary
 from heliogauge.results.slope_map_file import ASSEMBLED
 from heliogauge.running.verbs import measure
@@ -282,6 +284,85 @@ def test_canting_differs_as_its_sigmas_say() -> None:
         squares.append(np.mean((found.difference_rad / found.sigma_rad) ** 2))
     assert np.mean(squares) == pytest.approx(1.0, abs=3 * np.sqrt(2 / (24 * 8)))
     assert 0.3 < np.mean(chances) < 0.7
+
+
+def ring_of_facets(turn_rad: float) -> dict[str, RigidTransform]:
+    """Five facets on a ring, each canted towards its middle by 20 mrad and by 2 mrad of its own, in a turned frame."""
+    turned = RigidTransform.from_rotation_vector([0.0, 0.0, -turn_rad], np.zeros(3))
+    found = {}
+    for number in range(FACETS):
+        angle = 2 * np.pi * number / FACETS
+        place = 2.0 * np.array([np.cos(angle), np.sin(angle), 0.0])
+        lean = np.array([-0.02 * np.sin(angle), 0.02 * np.cos(angle), 0.0])
+        found[f"facet {number}"] = turned @ RigidTransform.from_rotation_vector(lean, place)
+    return found
+
+
+def drawn_in_frame(leans: FloatArray, turn_rad: float, moved: int) -> dict[str, SlopeMap]:
+    """Return maps of facets that lean (f, 2) in the ensemble, as seen in a turned frame by other names."""
+    own = leans @ _about_z(turn_rad)[:2, :2]
+    return drawn_ensemble(np.random.default_rng(moved), np.roll(own, moved, axis=0))
+
+
+@pytest.mark.parametrize("turn_rad", [0.5 * np.pi + 3e-3, np.pi, -0.01])
+def test_canting_is_compared_where_one_map_was_moved(turn_rad: float) -> None:
+    """Facets are known by their places, whatever their names and however their frames are turned."""
+    leans = 1e-3 * np.random.default_rng(5).normal(size=(FACETS, 2))
+    first = drawn_ensemble(np.random.default_rng(7), leans)
+    frames = ring_of_facets(0.0)
+    squares = []
+    for moved in range(FACETS):
+        second = drawn_in_frame(leans, turn_rad, moved)
+        # Their frames turn about z with the ensemble's, and facet n has the name of facet n + moved.
+        names = [f"facet {(number + moved) % FACETS}" for number in range(FACETS)]
+        frames_there = {
+            name: RigidTransform(one.rotation @ _about_z(turn_rad), one.translation_m)
+            for name, one in zip(names, ring_of_facets(turn_rad).values(), strict=True)
+        }
+        pairs = partners(frames, frames_there, PlaneMotion(turn_rad, np.zeros(2)))
+        assert {one.first: one.second for one in pairs} == dict(zip(frames, names, strict=True))
+        found = canting_difference(first, second, pairs)
+        assert found is not None
+        assert found.names == tuple(frames)
+        squares.append(np.mean((found.difference_rad / found.sigma_rad) ** 2))
+    # Half of the variance is that of the first, the same in all five: 8 numbers, and 40.
+    assert np.mean(squares) == pytest.approx(1.0, abs=3 * np.sqrt(0.25 * 2 / 8 + 0.25 * 2 / 40))
+    # 5 mrad between the frames move facets canted by 20 mrad by 0.1 mrad, half of it squared in x and half in y.
+    unsure = canting_difference(first, second, pairs, 5e-3)
+    assert unsure is not None
+    added = np.sum(unsure.sigma_rad**2 - found.sigma_rad**2, axis=0)
+    assert added == pytest.approx(0.5 * FACETS * 1e-4**2, rel=0.1)
+    by_name = canting_difference(first, second)
+    assert by_name is not None
+    assert np.abs(by_name.difference_rad / by_name.sigma_rad).max() > 10
+
+
+@pytest.mark.slow
+def test_results_in_turned_frames_have_their_canting_compared(tmp_path: Path) -> None:
+    turn_rad = 0.5 * np.pi + 3e-3
+    leans = 1e-3 * np.random.default_rng(5).normal(size=(FACETS, 2))
+    turned = _about_z(turn_rad)
+    maps = drawn_ensemble(np.random.default_rng(7), leans), drawn_in_frame(leans, turn_rad, 0)
+    roots = drawn_map(np.random.default_rng(1)), drawn_map(np.random.default_rng(2), turn_rad=turn_rad)
+    folders = []
+    for number, (of_facets, root, by) in enumerate(zip(maps, roots, (0.0, turn_rad), strict=True)):
+        folders.append(written(tmp_path / str(number), root))
+        write_slope_map(folders[-1] / "slope_map.nc", {**of_facets, ASSEMBLED: root})
+        frames = {
+            name: RigidTransform(one.rotation @ (turned if by else np.eye(3)), one.translation_m)
+            for name, one in ring_of_facets(by).items()
+        }
+        told = {k: [one.rotation_vector_rad.tolist(), one.translation_m.tolist()] for k, one in frames.items()}
+        summary = Summary("slopes", "facet", {"measured_share": 1.0}, geometry_m={"facet_frames": told})
+        write_summary(folders[-1] / "summary.json", summary)
+    found = compare_results(*folders)
+    assert found.placed.is_moved
+    assert found.cantings is not None
+    assert found.cantings.probability > 0.001
+
+
+def _about_z(turn_rad: float) -> FloatArray:
+    return RigidTransform.from_rotation_vector([0.0, 0.0, turn_rad], np.zeros(3)).rotation
 
 
 def test_a_facet_that_was_turned_is_named(tmp_path: Path) -> None:
