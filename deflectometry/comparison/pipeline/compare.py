@@ -161,12 +161,12 @@ def _facet_maps(side: Side) -> dict[str, SlopeMap]:
 
 def _canting_difference(sides: tuple[Side, Side], placed: Placed) -> CantingDifference | None:
     """Compare the canting of facets: by their names, or where one map was moved by their places."""
-    maps = [_facet_maps(one) for one in sides]
+    first, second = (_facet_maps(one) for one in sides)
     if not placed.is_moved:
-        return canting_difference(*maps)
-    frames = [facet_frames(one.summary) for one in sides]
+        return canting_difference(first, second)
+    frames_a, frames_b = (facet_frames(one.summary) for one in sides)
     sigma_turn_rad = 0.0 if placed.found is None else float(placed.found.sigmas[0])
-    return canting_difference(*maps, partners(*frames, placed.motion), sigma_turn_rad)
+    return canting_difference(first, second, partners(frames_a, frames_b, placed.motion), sigma_turn_rad)
 
 
 def _doubts_of_canting(cantings: CantingDifference | None) -> Iterator[Doubt]:
