@@ -9,7 +9,9 @@ Drawing a field would take hours. One piece of an LS-2 (the preset ``small``: 48
 photos of a pass. Each module of the field is that mirror with targets of its own: their codes (16 bits), places, turns
 and tilts are drawn anew into the light of the pass, with the lens's blur, and each photo has noise of its own. So every
 photo is another file, every target another one, and all are in one list in the frame of the field; the mirrors are
-alike and stand so far apart that no photo shows two. Smaller fields are the first modules of the largest one.
+alike and stand so far apart that no photo shows two. Targets are drawn less finely than in other photos, which no pixel
+shows by more than 1 DN. Smaller fields are the first modules of the largest one. With ``--scratch`` the photos stay
+for the next run.
 """
 
 import argparse
@@ -54,16 +56,17 @@ def main() -> None:
     parser.add_argument("--photos", type=int, default=50)
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--no-report", action="store_true")
-    parser.add_argument("--scratch", type=Path, help="where to draw; default: the system's folder for such files")
+    parser.add_argument("--scratch", type=Path, help="keeps the photos for the next run; default: a folder that goes")
     chosen = parser.parse_args()
     cv2.setNumThreads(1)
     title(f"A field through heliogauge measure, {chosen.photos} photos of each module, {chosen.jobs} job(s)")
     last, without = None, ["--no-report"] if chosen.no_report else []
     with tempfile.TemporaryDirectory(dir=chosen.scratch) as scratch:
-        field = Path(scratch) / "field"
-        # In a process of its own: what a process has taken is counted for those that it starts.
-        with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as drawing:
-            drawing.submit(write_wide_field, field, max(chosen.modules), chosen.photos).result()
+        field = (chosen.scratch or Path(scratch)) / f"field-{max(chosen.modules)}-{chosen.photos}"
+        if not field.exists():
+            # In a process of its own: what a process has taken is counted for those that it starts.
+            with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as drawing:
+                drawing.submit(write_wide_field, field, max(chosen.modules), chosen.photos).result()
         for modules in sorted(chosen.modules):
             folder, out = Path(scratch) / f"first-{modules}", Path(scratch) / f"results-{modules}"
             first_modules(field, folder, modules)

@@ -20,7 +20,7 @@ _TILE_PX = 128
 #: over a tile that spans 0.2 rad of a lens with k1 = -0.2 the polynomial of degree 9 is wrong by less than 1e-9 rad.
 _NODES = 10
 #: Edges are straight within a cell; the sagitta of the sharpest one may be so much of a pixel.
-_LARGEST_SAGITTA_PX = 5e-4
+LARGEST_SAGITTA_PX = 5e-4
 _MOST_CELLS = 16
 #: A Gaussian is represented by its samples within 1e-4 from this many cells per standard deviation on.
 _CELLS_PER_SIGMA = 1.2
@@ -86,27 +86,34 @@ class Focus:
         return float(np.hypot(self.blur_sigma_px, self.defocus_px_m * (1 / depth_m - 1 / self.distance_m)))
 
 
-def draw_sheets(light: Float32Array, view: View, sheets: Sequence[Sheet], blur: float | Focus = 0.0) -> None:
+def draw_sheets(
+    light: Float32Array,
+    view: View,
+    sheets: Sequence[Sheet],
+    blur: float | Focus = 0.0,
+    sagitta_px: float = LARGEST_SAGITTA_PX,
+) -> None:
     """Draw printed sheets over what is already in the image.
 
     light (height_px, width_px): Light on the pixels, changed in place; what it holds lies behind the sheets.
     view: Camera and pose.
     sheets: The sheets; nearer ones hide farther ones.
     blur: Gaussian blur of the lens, one for all sheets or by their depth [px].
+    sagitta_px: So much of a pixel may the sharpest curve be off a straight line within a cell.
     """
     focus = blur if isinstance(blur, Focus) else Focus(blur)
     depth = [view.cam_from_world.apply(sheet.world_from_sheet.translation_m)[2] for sheet in sheets]
     for index in np.argsort(depth)[::-1]:
         sheet = sheets[index]
         blur_sigma_px = focus.sigma_px(float(depth[index])) if depth[index] > 0 else 0.0
-        for tile in _tiles(view, sheet, blur_sigma_px):
+        for tile in _tiles(view, sheet, blur_sigma_px, sagitta_px):
             share, bright = _render(view, sheet, tile, blur_sigma_px)
             part = light[tile.top : tile.top + tile.height, tile.left : tile.left + tile.width]
             part *= 1 - share
             part += bright
 
 
-def _tiles(view: View, sheet: Sheet, blur_sigma_px: float) -> Iterator[_Tile]:
+def _tiles(view: View, sheet: Sheet, blur_sigma_px: float, sagitta_px: float) -> Iterator[_Tile]:
     """Cut the part of the image where the sheet may be seen into tiles."""
     if np.any(view.cam_from_world.apply(sheet.outline_m)[:, 2] <= 0) or view.tilt_rad(sheet.world_from_sheet) > 1.57:
         return
@@ -115,19 +122,19 @@ def _tiles(view: View, sheet: Sheet, blur_sigma_px: float) -> Iterator[_Tile]:
     size = np.array([view.camera.width_px, view.camera.height_px])
     low = np.maximum(np.floor(outline.min(axis=0)).astype(int) - border - 1, 0)
     high = np.minimum(np.ceil(outline.max(axis=0)).astype(int) + border + 2, size)
-    cells = _cells_per_pixel(view, sheet, blur_sigma_px)
+    cells = _cells_per_pixel(view, sheet, blur_sigma_px, sagitta_px)
     for top in range(low[1], high[1], _TILE_PX):
         for left in range(low[0], high[0], _TILE_PX):
             width, height = min(_TILE_PX, high[0] - left), min(_TILE_PX, high[1] - top)
             yield _Tile(left, top, width, height, cells, border)
 
 
-def _cells_per_pixel(view: View, sheet: Sheet, blur_sigma_px: float) -> int:
+def _cells_per_pixel(view: View, sheet: Sheet, blur_sigma_px: float, sagitta_px: float) -> int:
     center = view.cam_from_world.apply(sheet.world_from_sheet.translation_m)
     radius_px = sheet.figure.bends_m * view.camera.focal_x_px / center[2]
     # Foreshortening sharpens the curve: the radius of curvature at the ends of an ellipse is b^2 / a.
     radius_px *= max(np.cos(view.tilt_rad(sheet.world_from_sheet)), 0.2) ** 2
-    needed = sqrt(1 / (8 * _LARGEST_SAGITTA_PX * max(radius_px, 0.5)))
+    needed = sqrt(1 / (8 * sagitta_px * max(radius_px, 0.5)))
     if blur_sigma_px:
         needed = max(needed, _CELLS_PER_SIGMA / blur_sigma_px)
     return min(max(ceil(needed), 4), _MOST_CELLS)

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from data_synth.optics.photo import draw_sheets
+from data_synth.optics.photo import LARGEST_SAGITTA_PX, draw_sheets
 from data_synth.optics.pinhole import PinholeCamera
 from data_synth.optics.sensor import UnsignedArray
 from data_synth.optics.sheets import Sheet
@@ -57,6 +57,9 @@ class Photographer:
     dtype: Float type of the geometry; float64 is the reference in tests.
     """
 
+    #: How finely targets are drawn, as `data_synth.optics.photo.draw_sheets`.
+    sagitta_px = LARGEST_SAGITTA_PX
+
     def __init__(self, scene: TroughScene, dtype: type[np.float32] | type[np.float64] = np.float32) -> None:
         self._scene = scene
         self._dtype = dtype
@@ -83,7 +86,7 @@ class Photographer:
         for sheet in self._scene.sheets:
             if self._is_seen(view, sheet):
                 row = float(view.project(sheet.world_from_sheet.translation_m[None])[0, 1])
-                draw_sheets(light, view.at_row(row), (sheet,), optics.blur_sigma_px)
+                draw_sheets(light, view.at_row(row), (sheet,), optics.blur_sigma_px, self.sagitta_px)
         _shade(light, optics.vignetting)
         return optics.sensor.expose(light, rng, view.exposure)
 
