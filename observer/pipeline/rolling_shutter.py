@@ -12,6 +12,7 @@ import numpy as np
 
 from heliogauge.doubts import Doubt, Severity
 from heliogauge.errors import EstimationError, InputError
+from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.images.photo_times import photo_time_s
 from heliogauge.images.video_names import FRAME, video_of
 from heliogauge.validate import FloatArray, IntArray
@@ -127,72 +128,111 @@ def adjust_rolling(
     measured: Image points as they were measured.
     EstimationError: They do not settle, or nothing is determined.
     """
-    network = adjust(measured)
-    before: RowMotions | None = None
+    network, path = adjust(measured), _Path(shutter, measured.points.photos)
     moved: Mapping[str, FloatArray] = {}
+    before: tuple[str, ...] = ()
+    left, share = np.zeros(0), 1.0
     for _ in range(_MOST_ROUNDS):
-        found = motions_of(network, shutter, moved)[0]
-        network, motions = _adjusted(adjust, measured, network, found, moved)
-        moved = _of_all_photos(motions, measured.points.photos)
+        path.follow(network)
+        found = path.motions_of(network, moved)[0]
+        was_left, left = left, np.ravel(found.motions_m - [moved.get(name, np.zeros(3)) for name in found.photos])
+        is_alike = before == found.photos
+        settled = is_alike and _has_settled(left, found)
+        share = _part_of_the_way(share, was_left, left) if is_alike else 1.0
+        before = found.photos
+        network, moved = _adjusted(adjust, measured, network, path, path.of_all(found), moved, share)
         # A part of the way is no sign that it is short.
-        if before is not None and _has_settled(before, found):
-            return RolledNetwork(network, *motions_of(network, shutter, moved))
-        before = motions
+        if settled:
+            path.follow(network)
+            return RolledNetwork(network, *path.motions_of(network, moved))
     raise EstimationError(
         f"rolling_shutter: readout and poses do not settle in {_MOST_ROUNDS} rounds; are the photos in the order of "
         "the flight, and did the camera hold its direction while it read them?"
     )
 
 
+class _Path:
+    """Where photos were taken and how the camera flew past them; also those lost, where a network last had them.
+
+    A photo is lost while its points, not yet moved to a camera at rest, fit no pose. The way past its neighbours leads
+    over it, and its points are moved as its own part of the way says, else neither comes right.
+
+    photos: All photos in the order of the flight.
+    """
+
+    def __init__(self, shutter: Shutter, photos: Sequence[str]) -> None:
+        self._shutter = shutter
+        self._photos = photos
+        self.poses: dict[str, RigidTransform] = {}
+
+    def follow(self, network: photogrammetry_pipeline.Result) -> None:
+        """Take the poses of a network."""
+        bundle = network.solved.bundle
+        self.poses |= dict(zip(bundle.problem.observations.photos, bundle.cam_from_world, strict=True))
+
+    def motions_of(
+        self, network: photogrammetry_pipeline.Result, moved_to: Mapping[str, FloatArray]
+    ) -> tuple[RowMotions, RowMotions]:
+        """Estimate the motions over the frames, as the function of the same name."""
+        names, flight = self._flight()
+        kept = np.flatnonzero(np.isin(names, network.solved.bundle.problem.observations.photos))
+        return motions_of(network, self._shutter, flight.of(kept), moved_to)
+
+    def of_all(self, found: RowMotions) -> dict[str, FloatArray]:
+        """Return the motion of each photo that has a pose [m]; of one that is lost, by the path."""
+        names, flight = self._flight()
+        motions = dict(zip(names, found.readout * flight.velocity, strict=True))
+        return motions | dict(zip(found.photos, found.motions_m, strict=True))
+
+    def _flight(self) -> tuple[list[str], Flight]:
+        names = [name for name in self._photos if name in self.poses]
+        return names, self._shutter.flight(
+            names, np.array([self.poses[name].inverse().translation_m for name in names])
+        )
+
+
 def _adjusted(
     adjust: Callable[[MeasuredPhotos], photogrammetry_pipeline.Result],
     measured: MeasuredPhotos,
     network: photogrammetry_pipeline.Result,
-    found: RowMotions,
+    path: _Path,
+    wanted: Mapping[str, FloatArray],
     moved: Mapping[str, FloatArray],
-) -> tuple[photogrammetry_pipeline.Result, RowMotions]:
-    """Adjust to new motions, or to a part of the way to them where that cannot be adjusted.
+    whole: float,
+) -> tuple[photogrammetry_pipeline.Result, Mapping[str, FloatArray]]:
+    """Adjust to a part of the way to new motions, or to less of it where that cannot be adjusted.
 
+    whole: The part, at most 1.
+    Returns: The network, and the motions to which its image points were moved.
     EstimationError: Not even an eighth of the way.
     """
-    present = np.array([moved.get(name, np.zeros(3)) for name in found.photos])
-    for share in _SHARES:
-        motions = replace(found, motions_m=present + share * (found.motions_m - present))
+    for share in whole * np.array(_SHARES):
+        reached = {name: (1 - share) * moved.get(name, np.zeros(3)) + share * motion for name, motion in wanted.items()}
         try:
-            return adjust(_at_rest(measured, network, motions)), motions
+            return adjust(_at_rest(measured, network, path.poses, reached)), reached
         except EstimationError as error:
             refused = error
     raise refused
 
 
-def _of_all_photos(motions: RowMotions, photos: Sequence[str]) -> dict[str, FloatArray]:
-    """Return the motion to which the image points of each photo were moved; of a photo left out that of the nearest."""
-    own = dict(zip(motions.photos, motions.motions_m, strict=True))
-    return {name: own[near] for name, near in _nearest_kept(photos, motions.photos).items()}
-
-
-def _nearest_kept(photos: Sequence[str], kept: Sequence[str]) -> dict[str, str]:
-    """Return for each photo the nearest one in the order of the flight that the network has: itself, if it has it.
-
-    A photo can be lost before the motion is known, when its points fit no pose: moved as those of the photo beside it,
-    they do.
-    """
+def _nearest_of(photos: Sequence[str], among: Sequence[str]) -> dict[str, str]:
+    """Return for each photo the nearest one of some in the order of the flight: itself, if it is one."""
     place = {name: k for k, name in enumerate(photos)}
-    return {name: min(kept, key=lambda one: abs(place[one] - place[name])) for name in photos}
+    return {name: min(among, key=lambda one: abs(place[one] - place[name])) for name in photos}
 
 
 def motions_of(
-    network: photogrammetry_pipeline.Result, shutter: Shutter, moved_to: Mapping[str, FloatArray]
+    network: photogrammetry_pipeline.Result, shutter: Shutter, flight: Flight, moved_to: Mapping[str, FloatArray]
 ) -> tuple[RowMotions, RowMotions]:
     """Estimate the motions over the frames of an adjusted network: with what is stated, and by the targets alone.
 
+    flight: How the camera flew past the photos of the network.
     moved_to: Motion of each photo to which its image points were moved [m]; those of others were not.
     EstimationError: Poses and targets are not determined.
     """
     bundle = network.solved.bundle
     names = bundle.problem.observations.photos
     moved = np.array([moved_to.get(name, np.zeros(3)) for name in names])
-    flight = shutter.flight(names, bundle.state.centers_m)
     reduced = reduce_to_motions(bundle, moved)
     alone = replace(estimate_motions(reduced, moved, flight), in_seconds=shutter.in_seconds)
     known = shutter.known
@@ -207,18 +247,32 @@ def times_sigma(alone: RowMotions, known: Known) -> float:
     return float(abs(alone.readout - known.value) / np.hypot(alone.sigma_readout, known.sigma))
 
 
-def _has_settled(before: RowMotions, after: RowMotions) -> bool:
-    if before.photos != after.photos:
-        return False
-    change = np.abs(after.motions_m - before.motions_m).ravel()
-    return bool((change <= _SETTLED * np.sqrt(np.diag(after.covariance_m2))).all())
+def _has_settled(left_m: FloatArray, found: RowMotions) -> bool:
+    return bool((np.abs(left_m) <= _SETTLED * np.sqrt(np.diag(found.covariance_m2))).all())
 
 
-def _at_rest(measured: MeasuredPhotos, network: photogrammetry_pipeline.Result, motions: RowMotions) -> MeasuredPhotos:
+def _part_of_the_way(last: float, was_left_m: FloatArray, left_m: FloatArray) -> float:
+    """Return which part of what is left to go, as the last part changed what was left: all of it, or less.
+
+    Aitken's relaxation (Irons and Tuck 1969, Int. J. Numer. Methods Eng. 1, 275) for rounds that go to and fro, as the
+    path turns with the poses; never more than all.
+    """
+    change = left_m - was_left_m
+    return float(np.clip(-last * (was_left_m @ change) / max(float(change @ change), 1e-300), _SHARES[-1], 1.0))
+
+
+def _at_rest(
+    measured: MeasuredPhotos,
+    network: photogrammetry_pipeline.Result,
+    poses: Mapping[str, RigidTransform],
+    motions: Mapping[str, FloatArray],
+) -> MeasuredPhotos:
     """Move image points to where a camera at rest in the middle row would have taken them.
 
-    Targets that are not in the network, and dots without a name, are moved as those beside them; all of a photo that is
-    not in it as those of the nearest one.
+    poses, motions: Of photos that are or were in the network.
+
+    Targets that are not in the network, and dots without a name, are moved as those beside them; all of a photo that
+    never was in it as those of the nearest one that is.
     """
     bundle, points, loose = network.solved.bundle, measured.points, measured.loose
     table, state = bundle.problem.observations, bundle.state
@@ -229,16 +283,18 @@ def _at_rest(measured: MeasuredPhotos, network: photogrammetry_pipeline.Result, 
     rows_of, dots_of = _rows_by_name(points.photos, points.photo_index), {}
     if loose is not None:
         dots_of = _rows_by_name(loose.photos, loose.dots.photo_index)
+    camera_of = _nearest_of(points.photos, table.photos)
     number = {name: k for k, name in enumerate(table.photos)}
-    for photo, nearest in _nearest_kept(points.photos, table.photos).items():
-        k, rows = number[nearest], rows_of[photo]
-        pose, camera = bundle.cam_from_world[k], state.cameras[int(bundle.problem.camera_index[k])]
-        motion = pose.rotate(motions.motions_m[k])
-        shown = pose.apply(state.points_m[np.unique(table.target_index[table.photo_index == k])])
+    placed = [name for name in poses if (known[rows_of[name]] >= 0).any()]
+    for photo, near in _nearest_of(points.photos, placed).items():
+        pose, rows, motion = poses[near], rows_of[photo], poses[near].rotate(motions[near])
+        camera = state.cameras[int(bundle.problem.camera_index[number[camera_of[near]]])]
+        of_near = known[rows_of[near]]
+        shown = pose.apply(state.points_m[np.unique(of_near[of_near >= 0])])
         taken = project_moving(camera, shown, motion)
         away = camera.project(shown) - taken
         beside = away[_nearest(pixels[rows], taken)]
-        if photo == nearest:
+        if photo == near:
             own = pose.apply(state.points_m[np.maximum(known[rows], 0)])
             named = camera.project(own) - project_moving(camera, own, motion)
             beside = np.where((known[rows] >= 0)[:, None], named, beside)
@@ -294,7 +350,7 @@ def unstated_doubt(network: photogrammetry_pipeline.Result, *, can_be_stated: bo
         # Where all rows are read at once nothing moves, and the path leaves nothing open either.
         if abs(steady) < CONTRADICTED * sigma:
             return None
-        found = motions_of(network, Shutter(), {})[0]
+        found = motions_of(network, Shutter(), flight, {})[0]
     except EstimationError:
         return None
     if abs(found.readout) < CONTRADICTED * found.sigma_readout:

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from heliogauge.validate import FloatArray
+from heliogauge.validate import FloatArray, IntArray
 
 #: Where path and neighbours say nothing else, what they leave open is this share of the mean speed; the size of it all
 #: is estimated, this says how much a straight part of the path is better known than a bend.
@@ -21,6 +21,10 @@ class Flight:
 
     velocity: FloatArray
     doubt: FloatArray
+
+    def of(self, rows: IntArray) -> "Flight":
+        """Return the flight past some of the photos."""
+        return Flight(self.velocity[rows], self.doubt[rows])
 
 
 def flight_by_places(places_m: FloatArray, speed_m_s: float = 1.0) -> Flight:
