@@ -6,6 +6,7 @@ The cameras' poses are unknowns with their joint covariance, so that the tube's 
 
 from dataclasses import dataclass
 from enum import IntEnum
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -19,6 +20,7 @@ from observer.photo_edges.tube_bearings import PULLED_SHARE, ROWS_ALIKE, SEARCH_
 from observer.slopes.common_elimination import inverse_of, root_of, solve_with
 from observer.slopes.pose_modes import MODES_PER_PHOTO, CameraModes, Photos, reduce_to_modes
 from observer.trough.absorber_path import AbsorberPath
+from observer.trough.collector import Collector
 
 #: Where the tube may be beside its design, as prior [m].
 _PRIOR_M = 0.1
@@ -26,6 +28,8 @@ _PRIOR_M = 0.1
 #: between supports 4 m apart has 5 mm. Which of these it is, the bearings decide: a straight tube's stations help each
 #: other, and clouds or the glass beside one of them do not bend it.
 _BENDS_M = (0.01, 0.005, 0.0025)
+#: How far a tube may sag between two supports, loose in them or clamped [m].
+_SAG_M = 0.01
 #: The most that is nearly as probable as the most probable one, by exp(-2), is believed.
 _EVIDENCE_LOSS = 2.0
 #: What the background does to the bisector is for this part of it alike along the whole tube; the rest stays alike over
@@ -106,12 +110,13 @@ class _Directions:
 
 
 def solve_absorber(
-    bearings: Bearings, photos: Photos, start: AbsorberPath, stations_m: FloatArray, diameter_m: float
+    bearings: Bearings, photos: Photos, start: AbsorberPath, stations_m: FloatArray, collector: Collector
 ) -> AbsorberSolution:
     """Adjust the tube's axis to all bearings, with the cameras' poses as uncertain as they are.
 
     stations_m (n,): Ascending stations along the trough [m].
-    diameter_m: How thick the tube is: where all photos show it thicker or thinner, something displaces its edges [m].
+    collector: How thick the tube is: where all photos show it thicker or thinner, something displaces its edges; where
+        it is held.
     EstimationError: Fewer than two photos see the tube, or all see it from one side.
     """
     count = np.unique(bearings.photo).size
@@ -124,10 +129,11 @@ def solve_absorber(
         )
     x, z = start.at(stations_m)
     path = AbsorberPath(stations_m, x, z, np.zeros((2 * stations_m.size, 2 * stations_m.size)))
+    supports = np.unique(collector.support_y_m)
     # The second round averages around the tube as found, so that its slope does not count as scatter.
     for _ in range(2):
-        directions = _averaged(bearings, photos, path, diameter_m)
-        path, used, residuals, with_poses = _adjust(directions, photos, path)
+        directions = _averaged(bearings, photos, path, collector.absorber_diameter_m)
+        path, used, residuals, with_poses = _adjust(directions, photos, path, supports)
     n_photos = np.bincount(directions.station[used], minlength=stations_m.size)
     fate = _fates(path, n_photos)
     if np.count_nonzero(fate == StationFate.MEASURED) < max(1.0, _LEAST_SHARE * path.n):
@@ -200,7 +206,7 @@ class _Adjusted(NamedTuple):
     with_poses: FloatArray
 
 
-def _adjust(directions: _Directions, photos: Photos, start: AbsorberPath) -> _Adjusted:
+def _adjust(directions: _Directions, photos: Photos, start: AbsorberPath, supports_m: FloatArray) -> _Adjusted:
     """Adjust a path to averaged bearings."""
     place, derivatives = _bearing_derivatives(directions, photos, start)
     modes = reduce_to_modes(derivatives, directions.photo, photos.covariance)
@@ -215,7 +221,7 @@ def _adjust(directions: _Directions, photos: Photos, start: AbsorberPath) -> _Ad
     for _ in range(_MOST_ROUNDS):
         normal, right = _normal_equations(index[used], value[used], directions, used, size)
         normal_left, wanted, following = _reduce_to_stations(normal + prior, right, 2 * start.n)
-        smooth = _probable_smoothness(normal_left, wanted, bent, start.y_m)
+        smooth = _probable_smoothness(normal_left, wanted, bent, start.y_m, supports_m)
         inverse = np.linalg.inv(normal_left + smooth)
         stations = inverse @ (wanted - smooth @ bent)
         step = np.concatenate([stations, following[:, -1] - following[:, :-1] @ stations])
@@ -329,7 +335,7 @@ def _reduce_to_stations(normal: FloatArray, right: FloatArray, n: int) -> _ForSt
 
 
 def _probable_smoothness(
-    normal: FloatArray, wanted: FloatArray, bent_m: FloatArray, stations_m: FloatArray
+    normal: FloatArray, wanted: FloatArray, bent_m: FloatArray, stations_m: FloatArray, supports_m: FloatArray
 ) -> FloatArray:
     """Return the prior's precision of both coordinates along the stations, as smooth as the bearings show.
 
@@ -337,7 +343,7 @@ def _probable_smoothness(
     """
     evidence, priors = [], []
     for bend in _BENDS_M:
-        smooth = np.asarray(np.kron(np.eye(2), _smoothness(stations_m, bend)), dtype=np.float64)
+        smooth = np.asarray(np.kron(np.eye(2), _smoothness(stations_m, bend, supports_m)), dtype=np.float64)
         pulled = wanted - smooth @ bent_m
         misfit = bent_m @ smooth @ bent_m - pulled @ np.linalg.solve(normal + smooth, pulled)
         determinants = np.linalg.slogdet(smooth)[1] - np.linalg.slogdet(normal + smooth)[1]
@@ -346,15 +352,40 @@ def _probable_smoothness(
     return priors[int(np.argmax(np.array(evidence) > max(evidence) - _EVIDENCE_LOSS))]
 
 
-def _smoothness(stations_m: FloatArray, bend_m: float) -> FloatArray:
+def _smoothness(stations_m: FloatArray, bend_m: float, supports_m: FloatArray) -> FloatArray:
     """Return the prior's precision of a coordinate along the stations."""
     n = stations_m.size
     precision = np.eye(n) / _PRIOR_M**2 / n
     if n >= 3:
         step = float(np.mean(np.diff(stations_m)))
-        bend = np.diff(np.eye(n), 2, axis=0) / (bend_m * step**1.5)
-        precision += bend.T @ bend
-    return precision
+        beams = np.diff(_beams(stations_m, supports_m), 2, axis=0)
+        covariance = bend_m**2 * step**3 * np.eye(n - 2) + beams @ beams.T
+        second = np.diff(np.eye(n), 2, axis=0)
+        precision += second.T @ np.linalg.solve(covariance, second)
+    return np.asarray(0.5 * (precision + precision.T))
+
+
+def _beams(stations_m: FloatArray, supports_m: FloatArray) -> FloatArray:
+    """Return the shapes of beams between supports, straight beyond them.
+
+    stations_m (n,): Places along the tube [m].
+    supports_m (k,): Ascending places where the tube is held [m].
+    Returns (n, 3 (k - 1)): For one standard deviation of each of three shapes between two supports [m].
+
+    ``E I d^4 w / d y^4 = q`` under an even weight q: the curvature is a parabola, whatever moments the supports put on
+    the tube's ends. With t from -1 to 1 between supports, a sag s makes ``d^2 w / d t^2`` ``1.6 s (P0 - P2)(t)``
+    where the ends are loose and ``8 s P2(t)`` in clamps, P the Legendre polynomials; P1 is of ends held differently.
+    The curvature need not go on evenly at a support, which hides the place where a tube in clamps bends most.
+    """
+    found = [np.zeros((stations_m.size, 0))]
+    second = _SAG_M * np.diag([1.6, 1.6, 8.0])
+    slope, place = (np.polynomial.legendre.legint(second, m, lbnd=-1) for m in (1, 2))
+    for first, last in pairwise(supports_m.tolist()):
+        t = (2 * stations_m - first - last) / (last - first)
+        inside = np.clip(t, -1, 1)
+        bent, leaning = (np.polynomial.legendre.legval(inside, one) for one in (place, slope))
+        found.append((bent + leaning * (t - inside)).T)
+    return np.concatenate(found, axis=1)
 
 
 def _fates(path: AbsorberPath, n_photos: IntArray) -> IntArray:

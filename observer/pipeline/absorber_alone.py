@@ -123,7 +123,7 @@ def run(measurement: ObserverMeasurement, options: Options | None = None, progre
         meant = {file.name for file in measurement.absorber_files or survey.photo_files}
         bearings = _bearings(cameras, meant, finder)
         solution = solve_absorber(
-            bearings, cameras.photos, finder.expected.absorber, inputs.stations_m, inputs.collector.absorber_diameter_m
+            bearings, cameras.photos, finder.expected.absorber, inputs.stations_m, inputs.collector
         )
     doubts = absorber_doubts(solution.path, solution, collector, is_design=False)
     return Result(

@@ -72,7 +72,7 @@ def place_absorber(inputs: Inputs, seen: SeenInPhotos, photos: Photos) -> Placed
     """
     path, solution = inputs.absorber, None
     if inputs.absorber_source == "photos":
-        solution = solve_absorber(seen.bearings, photos, path, inputs.stations_m, inputs.collector.absorber_diameter_m)
+        solution = solve_absorber(seen.bearings, photos, path, inputs.stations_m, inputs.collector)
         path = solution.path
     is_design = inputs.absorber_source == "design"
     doubts = tuple(absorber_doubts(path, solution, inputs.collector, is_design=is_design))

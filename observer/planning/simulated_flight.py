@@ -99,9 +99,7 @@ def simulate(
     if evaluation.measures_absorber:
         bearings = measured_bearings(scene, believed.views, noise, rng)
         stations = collector.stations_m(evaluation.station_step_m)
-        solution = solve_absorber(
-            bearings, photos, AbsorberPath.designed(collector), stations, collector.absorber_diameter_m
-        )
+        solution = solve_absorber(bearings, photos, AbsorberPath.designed(collector), stations, collector)
         absorber, photos = solution.path, replace(photos, with_tube=solution.with_poses)
     edges = measured_edges(scene, true_edges(scene, noise), believed.views, rng)
     expected = Expectation(collector, absorber, y, truth.slope_error_rad)
