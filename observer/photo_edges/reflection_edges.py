@@ -218,7 +218,7 @@ def _plausible(found: Edges, which: IntArray, looks: Sequence[_Look], expected: 
         if not either_way:
             side = sides_of_tube(part.contrast, middle[own], half[own], expected.slope_error_rad, free)
         dark = _is_tube_dark(part, side, free, either_way=either_way)
-        left = np.flatnonzero(keep[own] & dark)
+        left = np.flatnonzero(keep[own] & dark & ~_is_lesser_step(part, side))
         uneven = np.where(judged[own], _unevenness(one, part), 0.0)
         photo = np.full(left.size, one.number, dtype=np.intp)
         kept = _beside_clouds(one, part.chosen(left))
@@ -315,6 +315,27 @@ def _is_tube_dark(found: Edges, side: FloatArray, among: BoolArray, *, either_wa
     place = int(_DARKEST_SHARE * (among_clear.size - 1))
     tube = float(np.partition(among_clear, place)[place])
     return np.asarray(dark - tube < _DARK_SHARE * np.maximum(bright - tube, 0.0))
+
+
+def _is_lesser_step(found: Edges, side: FloatArray) -> BoolArray:
+    """Return which edges are the smaller of two steps down, or up, without a return in between.
+
+    Brightness steps once from what is around the tube to the tube. What the glass throws back ends upon the metal, and
+    the glass's own rim stands beside it: smaller steps the same way, next to that of the metal's edge.
+    """
+    rises = found.rise_dn > 0
+    # Along each row, towards larger x for steps down and towards smaller x for steps up: from bright to dark.
+    order = np.lexsort((np.where(rises, -found.x_m, found.x_m), rises, side, found.row))
+    size = np.abs(found.rise_dn)[order]
+    bright = size / np.maximum(np.abs(found.contrast[order]), 1e-6)
+    same = np.ones(max(size.size - 1, 0), dtype=bool)
+    for kind in (rises, side, found.row):
+        same &= kind[order][1:] == kind[order][:-1]
+    goes_on = same & (bright[1:] < bright[:-1] - 0.5 * size[:-1])
+    lesser = np.zeros(size.size, dtype=bool)
+    lesser[1:] |= goes_on & (size[1:] < size[:-1])
+    lesser[:-1] |= goes_on & (size[:-1] <= size[1:])
+    return lesser[np.argsort(order)]
 
 
 def is_on_panels(collector: Collector, x_m: FloatArray, y_m: FloatArray, margin_m: float) -> BoolArray:

@@ -6,7 +6,7 @@ import numpy as np
 
 from observer.photo_edges.edges import Edges
 from observer.photo_edges.rectify import Strip
-from observer.photo_edges.reflection_edges import ReflectionEdges, _is_tube_dark, _Look, _unevenness
+from observer.photo_edges.reflection_edges import ReflectionEdges, _is_lesser_step, _is_tube_dark, _Look, _unevenness
 from observer.selection.edge_refusal import EdgeFate, first_fate, has_shadows, is_alone, unchecked_doubt
 
 Y = np.arange(50) * 0.02
@@ -65,6 +65,26 @@ def test_edges_of_bright_things_are_refused() -> None:
     np.testing.assert_array_equal(kept, np.repeat([True, False], 60))
     # Steps the other way: a bright tube is not judged by its darkness.
     assert _is_tube_dark(both, -np.ones(120), everything).all()
+
+
+def test_of_two_steps_on_the_way_to_the_tube_the_larger_is_its_edge() -> None:
+    def row_of(levels: list[float], row: int) -> Edges:
+        level = np.array(levels)
+        rise, brighter = np.diff(level), np.maximum(level[1:], level[:-1])
+        return Edges(
+            np.full(rise.size, row), 0.1 * np.arange(rise.size), np.full(rise.size, 1e-3), rise, rise / brighter
+        )
+
+    # What the glass throws back ends upon the tube; the rim of the glass before it; two reflections of one tube beside
+    # each other; noise between two steps down; a bright tube before dark ground.
+    rows = [[180, 60, 30, 170], [180, 150, 20, 160], [180, 20, 170, 20, 180], [180, 60, 70, 30], [20, 60, 190, 30]]
+    kept = [[1, 0, 1], [0, 1, 1], [1, 1, 1, 1], [1, 1, 0], [0, 1, 1]]
+    parts = [row_of(levels, number) for number, levels in enumerate(rows)]
+    found = Edges(*(np.concatenate([getattr(one, name) for one in parts]) for name in Edges.__slots__))
+    lesser = _is_lesser_step(found, np.sign(found.rise_dn))
+    np.testing.assert_array_equal(~lesser, np.concatenate(kept).astype(bool))
+    # Edges of both sides of the tube are no steps on one way.
+    assert not _is_lesser_step(parts[0], np.array([-1.0, 1.0, 1.0])).any()
 
 
 def test_photos_that_show_the_glass_but_not_the_tube_are_refused() -> None:
