@@ -19,9 +19,9 @@ _CONTRAST_READ = 0.01
 #: Rounds in which photos with and without the tube are told apart; what changes later is below a thousandth.
 _ROUNDS = 50
 #: Rows further apart do not show how an edge goes on [m].
-_CONTINUED_STEP_M = 0.05
+CONTINUED_STEP_M = 0.05
 #: From one row to the next an edge moves by at most so many distances of the rows.
-_STEEPEST_CURVE = 4.0
+STEEPEST_CURVE = 4.0
 #: With more than this share of edges that step the wrong way and go on from row to row there are shadows in the
 #: reflection: below 0.1 % under a clear or cloudy sky, 0.5 % in a mirror of steep waves, 2 % with ground in a strip,
 #: 2.6 to 3.4 % with the collector's own shadow.
@@ -125,30 +125,41 @@ def is_alone(edges: ReflectionEdges, which: BoolArray, y_m: FloatArray) -> BoolA
     which (m,): Those that are looked at.
     Returns (m,): Edges of short curves; none where rows are too far apart to tell.
     """
+    alone = np.zeros(which.size, dtype=bool)
+    step = float(y_m[1] - y_m[0]) if y_m.size > 1 else np.inf
+    if step > CONTINUED_STEP_M:
+        return alone
+    chosen = np.nonzero(which)[0]
+    curve = curves_of(edges.chosen(chosen), y_m)
+    alone[chosen] = np.bincount(curve)[curve] < _LEAST_CURVE
+    return alone
+
+
+def curves_of(edges: ReflectionEdges, y_m: FloatArray) -> IntArray:
+    """Return which curve through neighbouring rows each edge belongs to, shape (m,).
+
+    y_m (r,): Rows [m].
+    """
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
-    alone = np.zeros(which.size, dtype=bool)
-    step = float(y_m[1] - y_m[0]) if y_m.size > 1 else np.inf
-    if step > _CONTINUED_STEP_M:
-        return alone
-    chosen = np.nonzero(which)[0]
+    step = float(y_m[1] - y_m[0]) if y_m.size > 1 else 0.0
     # One group for each photo, side and row; x is less than 40 m, so groups stay apart on one axis.
-    group = (2 * edges.photo[chosen] + (edges.side[chosen] > 0)) * (y_m.size + 1) + edges.row[chosen]
-    place = 100.0 * group + edges.points_m[chosen, 0]
+    group = (2 * edges.photo + (edges.side > 0)) * (y_m.size + 1) + edges.row
+    place = 100.0 * group + edges.points_m[:, 0]
     order = np.argsort(place, kind="stable")
-    place, chosen = place[order], chosen[order]
+    place = place[order]
     after = np.searchsorted(place, place + 100.0)
     links = []
     for offset in (-1, 0):
-        other = np.clip(after + offset, 0, place.size - 1)
-        near = np.abs(place[other] - place - 100.0) < _STEEPEST_CURVE * step
+        other = np.clip(after + offset, 0, max(place.size - 1, 0))
+        near = np.abs(place[other] - place - 100.0) < STEEPEST_CURVE * step
         links.append(np.stack([np.nonzero(near)[0], other[near]]))
     first, second = np.concatenate(links, axis=1)
     graph = coo_array((np.ones(first.size, dtype=np.int8), (first, second)), shape=(place.size, place.size))
-    _, curve = connected_components(graph, directed=False)
-    alone[chosen] = np.bincount(curve)[curve] < _LEAST_CURVE
-    return alone
+    curve = np.empty(place.size, dtype=np.intp)
+    curve[order] = connected_components(graph, directed=False)[1]
+    return curve
 
 
 def has_shadows(edges: ReflectionEdges, fate: IntArray, y_m: FloatArray) -> bool:

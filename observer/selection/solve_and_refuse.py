@@ -10,12 +10,14 @@ from heliogauge.adjust.robust_scale import robust_scale
 from heliogauge.errors import EstimationError
 from heliogauge.validate import BoolArray, FloatArray, IntArray
 from observer.photo_edges.reflection_edges import ReflectionEdges, design_misfit
-from observer.selection.edge_refusal import EdgeFate, first_fate, has_shadows, is_alone
+from observer.selection.edge_refusal import EdgeFate, curves_of, first_fate, has_shadows, is_alone
+from observer.selection.edge_scatter import scatter_along
 from observer.selection.shadows import confirmed_edges, pulled_curves
 from observer.selection.two_sided import agreed_by_both, cells_of
 from observer.slopes.along_variance import PossibleRoughness, averaged, find_along
 from observer.slopes.common_unknowns import CommonUnknowns, common_unknowns, glass_widening_rad
 from observer.slopes.edge_gaps import EdgeGaps, edge_gaps
+from observer.slopes.edge_likeness import EdgeLikeness, edge_likeness
 from observer.slopes.joint_solution import SlopeErrors, find_roughness, solve_jointly
 from observer.slopes.mirror_surface import at_points, beside_chord, heights, on_surface
 from observer.slopes.pose_modes import Photos, pose_derivatives, pose_scatter, reduce_to_modes
@@ -188,7 +190,8 @@ def solve_reflector(
     either = fate == EdgeFate.EITHER
     none = np.zeros((grid.n_rows, grid.x_m.size, 2))
     present = whole = _Surface(none, none[..., 0])
-    noise, roughness = 1.0, prior
+    scatter = scatter_along(edges, is_bold, expected.y_m)
+    noise, roughness = max(1.0, scatter), prior
     for allowance in _ALLOWANCES_RAD:
         if allowance == 0.0:
             # With the bends as found: where a panel bends by 0.02 / m beside the design, a camera that is 3 mm beside
@@ -207,6 +210,8 @@ def solve_reflector(
         factor = 1.0
         if allowance == 0.0:
             factor = _noise_factor(residuals[keep] / used.sigma_rad, predicted[keep] / used.sigma_rad**2)
+            # Edges scatter at least as much as beside their neighbours.
+            factor = max(factor, scatter / noise)
             noise *= factor
         limit = _REJECT_TIMES * np.sqrt((factor * lines.sigma_rad) ** 2 + predicted)
         fits = np.abs(residuals) < limit
@@ -239,6 +244,7 @@ def solve_reflector(
             "most 0.2 m apart across the trough confirm each other; are camera, targets and dimensions right?"
         )
     used = lines.chosen(keep)
+    likeness = _likeness(used, edges.chosen(keep), errors, grid, expected.y_m)
     alone = replace(roughness, alike=None)
     if roughness.alike is not None:
         # Row by row, as they are looked at there: what cameras from all rows leave of each row looks like such slopes.
@@ -257,9 +263,12 @@ def solve_reflector(
         with_shares=~unknowns.is_place,
         looks_like=lambda rows, columns: unknowns.place_as_slope(expected, expected.y_m[rows], grid.x_m[columns]),
         most_rows=most_rows,
+        likeness=likeness,
     )
     others = [
-        solve_jointly(used, grid, one.roughness, unknowns.covariance, with_shares=None, most_rows=most_rows)
+        solve_jointly(
+            used, grid, one.roughness, unknowns.covariance, with_shares=None, most_rows=most_rows, likeness=likeness
+        )
         for one in models[1:]
     ]
     errors = averaged(models, [first, *others])
@@ -306,6 +315,16 @@ def _estimate_shape(
         replace(one, sigma_rad=noise * one.sigma_rad).chosen(keep) for one in (_joint(both[0], nominal), both[1])
     )
     return find_shape_share((shaped, plain), by_edge[keep], grid, roughness, nominal.unknowns.covariance)
+
+
+def _likeness(
+    used: TouchingLines, edges: ReflectionEdges, errors: SlopeErrors, grid: RowGrid, y_m: FloatArray
+) -> EdgeLikeness:
+    """Estimate how far along the trough errors of edges are alike.
+
+    edges: The same as the lines.
+    """
+    return edge_likeness(_residuals(used, grid, errors)[0] / used.sigma_rad, curves_of(edges, y_m), edges.row, y_m)
 
 
 class _WithoutShadows(NamedTuple):

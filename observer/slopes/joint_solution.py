@@ -9,6 +9,7 @@ import numpy.typing as npt
 
 from heliogauge.validate import BoolArray, FloatArray, IntArray
 from observer.slopes.common_elimination import Reduced, Reduction, inverse_of, root_of
+from observer.slopes.edge_likeness import APART, EdgeLikeness
 from observer.slopes.row_spline import Likeness, Roughness, RowGrid, TouchingLines, assemble
 
 #: Rows that suffice to estimate the common unknowns; with all of them the solution would cost as much as all else. With
@@ -219,6 +220,7 @@ def solve_jointly(
     with_shares: bool | BoolArray | None = True,
     looks_like: LooksLikeSlope | None = None,
     most_rows: int | None = None,
+    likeness: EdgeLikeness = APART,
 ) -> SlopeErrors:
     """Solve for slopes and common unknowns.
 
@@ -232,6 +234,7 @@ def solve_jointly(
         together.
     most_rows: Largest number of rows that the common unknowns are estimated from, where rows are so much alike that
         more of them say nothing new.
+    likeness: How far edges of different rows err together.
 
     The common unknowns are estimated from a sample of rows, the slopes of all rows with them.
     """
@@ -242,6 +245,8 @@ def solve_jointly(
     reduced = None
     if count or is_shown:
         own, fewer = _sampled(lines, grid, rows)
+        if fewer.y_m is not None:
+            own = replace(own, sigma_rad=likeness.counted(fewer.y_m) * own.sigma_rad)
         reduced = Reduction(own, fewer, covariance).under(prior, columns=columns)
     common = np.zeros(0) if reduced is None else reduced.common
     all_rows = assemble(lines, grid)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from observer.slopes.common_elimination import Reduction
+from observer.slopes.edge_likeness import EdgeLikeness
 from observer.slopes.joint_solution import find_roughness, sample_rows, solve_jointly
 from observer.slopes.row_spline import Roughness, RowGrid, TouchingLines, assemble, prior_bands
 
@@ -292,3 +293,17 @@ def test_modes_are_as_many_as_hold_the_variance_that_is_shared(count: int) -> No
     assert np.abs(products - np.diag(each)).max() < 1e-4 * each.max()
     # More than the ten that were kept whatever they held.
     assert (len(each) > 20) == (count >= 30)
+
+
+def test_rows_whose_edges_err_together_say_less_of_what_they_have_in_common() -> None:
+    rng = np.random.default_rng(8)
+    grid = replace(small_grid(6), y_m=np.linspace(0, 1, 6))
+    lines, covariance = random_lines(rng, grid, 600, 3), 0.5 * np.eye(3)
+    likeness = EdgeLikeness(0.4, 0.5)
+    larger = replace(lines, sigma_rad=likeness.counted(grid.y_m) * lines.sigma_rad)
+    found = solve_jointly(lines, grid, Roughness(1e-4), covariance, likeness=likeness)
+    common = solve_jointly(larger, grid, Roughness(1e-4), covariance)
+    np.testing.assert_allclose(found.common, common.common, rtol=1e-9)
+    np.testing.assert_allclose(found.covariance_common, common.covariance_common, rtol=1e-9)
+    # Each row by itself knows as much as before.
+    np.testing.assert_allclose(found.random, solve_jointly(lines, grid, Roughness(1e-4), covariance).random, rtol=1e-12)
