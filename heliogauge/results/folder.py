@@ -264,9 +264,7 @@ def hash_files(paths: Iterable[Path], relative_to: Path | None = None, most_byte
     files = list(dict.fromkeys(paths))
     with ThreadPoolExecutor(max_workers=min(4, os.cpu_count() or 1)) as pool:
         digests = list(pool.map(lambda path: _hash_file(path, most_bytes), files))
-    root = relative_to.resolve() if relative_to is not None else None
-    names = [_relative_name(path, root) for path in files]
-    return dict(zip(names, digests, strict=True))
+    return dict(zip(_relative_names(files, relative_to), digests, strict=True))
 
 
 def find_copies(files: Iterable[Path], hashes: Mapping[str, str], relative_to: Path | None = None) -> dict[Path, Path]:
@@ -275,9 +273,9 @@ def find_copies(files: Iterable[Path], hashes: Mapping[str, str], relative_to: P
     hashes: From `hash_files` with the same folder.
     Returns: Each copy with the first file of that content.
     """
-    root = relative_to.resolve() if relative_to is not None else None
-    first: dict[str, Path] = {}
-    same = {file: first.setdefault(hashes.get(_relative_name(file, root), str(file)), file) for file in files}
+    some, first = list(files), dict[str, Path]()
+    names = _relative_names(some, relative_to)
+    same = {file: first.setdefault(hashes.get(name, str(file)), file) for file, name in zip(some, names, strict=True)}
     return {file: original for file, original in same.items() if file != original}
 
 
@@ -293,9 +291,18 @@ def refuse_copies(photos: Iterable[Path], hashes: Mapping[str, str], relative_to
         )
 
 
-def _relative_name(path: Path, root: Path | None) -> str:
-    resolved = path.resolve()
-    return resolved.relative_to(root).as_posix() if root and resolved.is_relative_to(root) else path.name
+def _relative_names(files: Iterable[Path], relative_to: Path | None) -> list[str]:
+    """Return how files are called from a folder, or by their bare names; a folder of many is resolved once."""
+    root = relative_to.resolve() if relative_to is not None else None
+    folders: dict[Path, Path] = {}
+
+    def name_of(path: Path) -> str:
+        if path.parent not in folders:
+            folders[path.parent] = path.parent.resolve()
+        resolved = path.resolve() if path.is_symlink() else folders[path.parent] / path.name
+        return resolved.relative_to(root).as_posix() if root and resolved.is_relative_to(root) else path.name
+
+    return [name_of(path) for path in files]
 
 
 def _hash_file(path: Path, most_bytes: int | None) -> str:

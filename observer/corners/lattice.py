@@ -1,12 +1,13 @@
 """Lines between the mirror panels and its rims as the drawing has them, and where they cross."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
 from heliogauge.errors import InputError
-from heliogauge.validate import BoolArray, FloatArray
+from heliogauge.validate import BoolArray, FloatArray, IntArray
 from observer.trough.absorber_path import AbsorberPath
 from observer.trough.collector import Collector
 
@@ -113,6 +114,18 @@ class PanelLattice:
         run = other[line.cell] + share * (other[line.cell + 1] - other[line.cell])
         fixed = np.full(run.shape, own)
         return self.on_surface(fixed, run) if line.axis == 0 else self.on_surface(run, fixed)
+
+    def on_lines(self, lines: Sequence[PanelLine], which: IntArray, share: FloatArray) -> FloatArray:
+        """Return points of several lines, shape (..., 3) [m].
+
+        Shapes: share (...).
+        which (...): Number of the line of each point.
+        """
+        own = np.array([self.edges_m[line.axis][line.number] for line in lines])[which]
+        cells = np.array([self.edges_m[1 - line.axis][line.cell : line.cell + 2] for line in lines])
+        run = cells[which, 0] + share * (cells[which, 1] - cells[which, 0])
+        is_across = np.array([line.axis == 0 for line in lines])[which]
+        return self.on_surface(np.where(is_across, own, run), np.where(is_across, run, own))
 
     @cached_property
     def receiver(self) -> AbsorberPath:

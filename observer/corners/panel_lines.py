@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 
 from heliogauge.adjust.robust_loss import Tukey
-from heliogauge.adjust.robust_scale import robust_scale
+from heliogauge.adjust.robust_scale import SIGMA_PER_MAD, robust_scale
 from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.validate import BoolArray, Float32Array, FloatArray, IntArray
 from observer.corners.lattice import PanelLattice, PanelLine
@@ -49,15 +49,17 @@ _TUKEY, _ROUNDS, _SETTLED = Tukey(), 12, 1e-2
 _FLOOR_PX = 0.01
 
 
-class Profiles(NamedTuple):
-    """Brightness across one line at its pieces.
+class Pieces(NamedTuple):
+    """Brightness across lines at their pieces, one line's after the other's.
 
-    values (k, m): Along the normal, `_STEP_PX` apart, the middle where the line is predicted [DN].
-    share (k,): Where along the line each piece is, 0 at its first corner to 1 at its last.
+    values (p, m): Along the normal, `_STEP_PX` apart, the middle where the line is predicted [DN].
+    share (p,): Where along its line each piece is, 0 at the first corner to 1 at the last.
+    line (p,): Number of the line, ascending.
     """
 
     values: FloatArray
     share: FloatArray
+    line: IntArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -84,57 +86,65 @@ class FoundLine:
 
 
 def normals_at(
-    view: View, lattice: PanelLattice, lines: Sequence[PanelLine], share: FloatArray
+    view: View, lattice: PanelLattice, lines: Sequence[PanelLine], which: IntArray, share: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the image points of k lines and the unit normals to their images there, shape (k, n, 2); NaN where unseen.
+    """Return the image points of places on lines and the unit normals to the images there; NaN where unseen.
 
-    share (n,): Places along each line.
+    Shapes: share (...), image points and normals (..., 2).
+    which (...): Number of the line of each place.
+    share: Where along the line.
     """
-    step, count = 1e-3, share.size
-    places = np.concatenate([share, share - step, share + step])
-    points = np.stack([lattice.along(line, places) for line in lines])
+    step = 1e-3
+    points = lattice.on_lines(lines, which, np.stack([share, share - step, share + step]))
     pixels = view.camera.project(view.cam_from_frame.apply(points))
-    along = pixels[:, 2 * count :] - pixels[:, count : 2 * count]
+    along = pixels[2] - pixels[1]
     with np.errstate(invalid="ignore", divide="ignore"):
-        along = along / np.linalg.norm(along, axis=2, keepdims=True)
-    return pixels[:, :count], np.stack([-along[..., 1], along[..., 0]], axis=2)
+        along = along / np.hypot(along[..., :1], along[..., 1:])
+    return pixels[0], np.stack([-along[..., 1], along[..., 0]], axis=-1)
 
 
 def normal_at(view: View, lattice: PanelLattice, line: PanelLine, share: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the same of one line, shape (n, 2) each."""
-    pixels, normals = normals_at(view, lattice, [line], share)
-    return pixels[0], normals[0]
+    return normals_at(view, lattice, [line], np.zeros(share.size, dtype=np.intp), share)
 
 
-def line_profiles(
-    image: AnyImage, view: View, lattice: PanelLattice, line: PanelLine, course_px: FloatArray, reach_px: float
-) -> Profiles | None:
-    """Read the brightness across a line; None where the photo shows less of it than a few pieces.
+def line_pieces(
+    image: AnyImage, view: View, lattice: PanelLattice, lines: Sequence[PanelLine], reach_px: float
+) -> Pieces:
+    """Read the brightness across lines; without those of which the photo shows less than a few pieces.
 
-    course_px (3, 2): Image of its first corner, its middle and its last corner [px].
     reach_px: How far to both sides [px].
     """
-    if not np.isfinite(course_px).all():
-        return None
-    length = float(np.linalg.norm(np.diff(course_px, axis=0), axis=1).sum())
-    margin = _END_PX / length + _END_M / lattice.length_m[line]
-    pieces = int((1 - 2 * margin) * length / _PIECE_PX) if length > 0 else 0
-    if pieces < _FEWEST_PIECES:
-        return None
-    each = int(_PIECE_PX)
-    share = margin + (1 - 2 * margin) * (np.arange(pieces * each) + 0.5) / (pieces * each)
-    places, normals = normal_at(view, lattice, line, share)
+    number = np.arange(len(lines))[:, None]
+    course = normals_at(view, lattice, lines, number, np.broadcast_to([0.0, 0.5, 1.0], (len(lines), 3)))[0]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        length = np.linalg.norm(np.diff(course, axis=1), axis=2).sum(axis=1)
+        margin = _END_PX / length + _END_M / np.array([lattice.length_m[line] for line in lines])
+        whole = np.floor((1 - 2 * margin) * length / _PIECE_PX)
+    pieces = np.where(whole >= _FEWEST_PIECES, whole, 0.0).astype(np.intp)
+    each, line = int(_PIECE_PX), np.repeat(np.arange(len(lines)), pieces)
+    within = np.arange(line.size) - np.repeat(np.cumsum(pieces) - pieces, pieces)
+    place = (within[:, None] + (np.arange(each) + 0.5) / each) / pieces[line, None]
+    share = margin[line, None] + (1 - 2 * margin[line, None]) * place
+    places, normals = normals_at(view, lattice, lines, line[:, None], share)
     across = np.arange(-reach_px, reach_px + _STEP_PX / 2, _STEP_PX)
-    maps = (places[:, None] + across[:, None] * normals[:, None]).astype(np.float32)
     height, width = image.shape[:2]
-    inside = ((maps >= 1) & (maps <= (width - 2, height - 2))).all(axis=(1, 2)).reshape(pieces, each).all(axis=1)
-    middles = share.reshape(pieces, each).mean(axis=1)
-    inside &= ~_is_behind_receiver(lattice, lattice.along(line, middles), view.eye_m)
-    if np.count_nonzero(inside) < _FEWEST_PIECES:
-        return None
-    read = cv2.remap(image, maps, None, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)  # type: ignore[call-overload]
-    values = np.asarray(read, dtype=np.float64).reshape(pieces, each, across.size).mean(axis=1)
-    return Profiles(values[inside], middles[inside])
+    ends = places[..., None, :] + across[[0, -1], None] * normals[..., None, :]
+    inside = ((ends >= 1) & (ends <= (width - 2, height - 2))).all(axis=(1, 2, 3))
+    middles = share.mean(axis=1)
+    inside &= ~_is_behind_receiver(lattice, lattice.on_lines(lines, line, middles), view.eye_m)
+    inside &= (np.bincount(line[inside], minlength=len(lines)) >= _FEWEST_PIECES)[line]
+    places, normals, line, middles = places[inside], normals[inside], line[inside], middles[inside]
+    if not line.size:
+        return Pieces(np.zeros((0, across.size)), middles, line)
+    # A row for each piece: OpenCV takes no picture of more than 32767 rows.
+    maps = [
+        (places[..., k, None] + across * normals[..., k, None]).astype(np.float32).reshape(line.size, -1)
+        for k in (0, 1)
+    ]
+    read = cv2.remap(image, *maps, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
+    values = np.asarray(read, dtype=np.float64).reshape(line.size, each, across.size).mean(axis=1)
+    return Pieces(values, middles, line)
 
 
 def _is_behind_receiver(lattice: PanelLattice, points_m: FloatArray, eye_m: FloatArray) -> BoolArray:
@@ -144,52 +154,9 @@ def _is_behind_receiver(lattice: PanelLattice, points_m: FloatArray, eye_m: Floa
     return np.asarray(beside < _RECEIVER_OFF_M)
 
 
-def find_line(profiles: Profiles, line: PanelLine, noise_dn: float) -> FoundLine | None:
-    """Find a line in its profiles; None where they do not show it, or two that it may be.
-
-    noise_dn: Of a pixel [DN].
-    """
-    kernel = _kernel(is_rim=line.is_rim)
-    margin = kernel.size // 2
-    windows = np.lib.stride_tricks.sliding_window_view(profiles.values, kernel.size, axis=1)
-    response = np.asarray(windows @ kernel[::-1], dtype=np.float64)
-    noise = noise_dn * float(np.sqrt((kernel**2).sum() * _STEP_PX)) / np.sqrt(_PIECE_PX)
-    found = [_vote(sign * response, profiles.share, noise) for sign in (1.0, -1.0)]
-    signed = max((one for one in found if one is not None), key=lambda one: one.total, default=None)
-    if signed is None:
-        return None
-    sign = 1.0 if signed is found[0] else -1.0
-    middle = (profiles.values.shape[1] - 1) / 2 - margin
-    fitted = _fit(sign * response, profiles.share, noise, signed, middle, line)
-    if fitted is None or line.is_rim:
-        return fitted
-    moved = _moved_by_step_px(profiles, fitted, sign * response, margin)
-    return replace(fitted, covariance_px2=fitted.covariance_px2 + np.diag([moved**2, 0.0]))
-
-
-def _moved_by_step_px(profiles: Profiles, found: FoundLine, response: FloatArray, margin: int) -> float:
-    """Return by how much different brightness on both sides of a gap may have moved it [px].
-
-    response (k, m - 2 margin): Of the filter, positive at the gap.
-
-    A gap of area A (depth times width) with a step S in it, both blurred to the width w, has its strongest response
-    ``S w^2 / (3 A)`` beside its middle; the response there is ``A / (sqrt(2 pi) w)`` for a filter of that width.
-    """
-    offset = found.offset_px + found.slope_px * (profiles.share - found.middle)
-    column = np.rint((profiles.values.shape[1] - 1) / 2 + offset / _STEP_PX).astype(np.intp)
-    rows, away = np.arange(column.size)[:, None], np.arange(margin // 2, margin + 1)
-    inside = (column >= margin) & (column < profiles.values.shape[1] - margin)
-    if not inside.any():
-        return 0.0
-    rows, column = rows[inside], column[inside, None]
-    step = profiles.values[rows, column + away].mean(axis=1) - profiles.values[rows, column - away].mean(axis=1)
-    height = float(np.median(response[rows[:, 0], column[:, 0] - margin]))
-    return _FILTER_PX * abs(float(np.median(step))) / (3 * float(np.sqrt(2 * np.pi)) * max(height, 1e-9))
-
-
 def photo_noise(image: AnyImage) -> float:
     """Return the noise of a photo's pixels from third differences, which shading leaves out [DN]."""
-    some = np.asarray(image[:: max(1, image.shape[0] // 128)], dtype=np.float64)
+    some = np.asarray(image[:: max(1, image.shape[0] // 32)], dtype=np.float64)
     return max(robust_scale(np.diff(some, 3, axis=1), upper=True) / float(np.sqrt(20.0)), 0.1)
 
 
@@ -203,25 +170,103 @@ def find_lines(
 ) -> tuple[tuple[FoundLine | None, ...], IntArray]:
     """Find lines of the lattice near where a pose predicts them.
 
+    noise_dn: Of a pixel [DN].
     wanted: Which ones; None: all.
-    lines, pieces: Each line as found; and in how many pieces the photo shows the place where it would be.
+    lines, pieces: Each line as found, None where the photo does not show it, or two that it may be; and in how many
+        pieces the photo shows the place where it would be.
+
+    All lines at once: one by one a photo's twenty lines take three times as long, in calls on a few numbers.
     """
-    found, pieces = [], []
     lines = lattice.lines if wanted is None else wanted
-    courses, _ = normals_at(view, lattice, lines, np.array([0.0, 0.5, 1.0]))
-    for line, course in zip(lines, courses, strict=True):
-        profiles = line_profiles(image, view, lattice, line, course, reach_px)
-        pieces.append(0 if profiles is None else profiles.share.size)
-        found.append(None if profiles is None else find_line(profiles, line, noise_dn))
-    return tuple(found), np.array(pieces, dtype=np.intp)
+    pieces = line_pieces(image, view, lattice, lines, reach_px)
+    count = np.bincount(pieces.line, minlength=len(lines))
+    found: list[FoundLine | None] = [None] * len(lines)
+    if pieces.line.size:
+        shown = np.flatnonzero(count)
+        # Only lines that are shown have a number from here on.
+        own = pieces._replace(line=np.searchsorted(shown, pieces.line))
+        for k, one in zip(shown, _found(own, [lines[k] for k in shown], noise_dn), strict=True):
+            found[k] = one
+    return tuple(found), np.asarray(count, dtype=np.intp)
+
+
+def _found(pieces: Pieces, lines: Sequence[PanelLine], noise_dn: float) -> list[FoundLine | None]:
+    """Return each line as its pieces show it; every line has some."""
+    is_rim = np.array([line.is_rim for line in lines])
+    kernels = {kind: _kernel(is_rim=kind) for kind in (True, False)}
+    margin = kernels[True].size // 2
+    windows = np.lib.stride_tricks.sliding_window_view(pieces.values, 2 * margin + 1, axis=1)
+    response, noise = np.empty(windows.shape[:2]), np.empty(len(lines))
+    for kind, kernel in kernels.items():
+        own = is_rim[pieces.line] == kind
+        response[own] = windows[own] @ kernel[::-1]
+        noise[is_rim == kind] = noise_dn * float(np.sqrt((kernel**2).sum() * _STEP_PX)) / np.sqrt(_PIECE_PX)
+    voted = _vote(response, pieces, noise)
+    signed = voted.sign[pieces.line, None] * response
+    middle = (pieces.values.shape[1] - 1) / 2 - margin
+    fitted = _fit(signed, pieces, noise, voted, middle)
+    found: list[FoundLine | None] = [
+        None if one is None else FoundLine(line, *one) for line, one in zip(lines, fitted, strict=True)
+    ]
+    gaps = [k for k, one in enumerate(found) if one is not None and not is_rim[k]]
+    moved = _moved_by_step_px(pieces, found, signed, margin)
+    for k in gaps:
+        one = found[k]
+        if one is not None:
+            found[k] = replace(one, covariance_px2=one.covariance_px2 + np.diag([moved[k] ** 2, 0.0]))
+    return found
+
+
+def _moved_by_step_px(
+    pieces: Pieces, found: Sequence[FoundLine | None], response: FloatArray, margin: int
+) -> FloatArray:
+    """Return by how much different brightness on both sides of gaps may have moved them, shape (n,) [px].
+
+    response (p, m - 2 margin): Of the filter, positive at the gap.
+
+    A gap of area A (depth times width) with a step S in it, both blurred to the width w, has its strongest response
+    ``S w^2 / (3 A)`` beside its middle; the response there is ``A / (sqrt(2 pi) w)`` for a filter of that width.
+    """
+    none = (np.nan, 0.0, 0.0)
+    offset, slope, middle = np.array(
+        [none if one is None else (one.offset_px, one.slope_px, one.middle) for one in found]
+    ).T
+    line = pieces.line
+    column = (pieces.values.shape[1] - 1) / 2 + (offset[line] + slope[line] * (pieces.share - middle[line])) / _STEP_PX
+    # What was not found compares as outside.
+    column = np.rint(np.nan_to_num(column, nan=-1.0)).astype(np.intp)
+    rows = np.flatnonzero((column >= margin) & (column < pieces.values.shape[1] - margin))
+    away, column, line = np.arange(margin // 2, margin + 1), column[rows, None], line[rows]
+    beside = [pieces.values[rows[:, None], column + way * away].mean(axis=1) for way in (1, -1)]
+    step = _medians(beside[0] - beside[1], line, len(found))
+    height = _medians(response[rows, column[:, 0] - margin], line, len(found))
+    moved = _FILTER_PX * np.abs(step) / (3 * float(np.sqrt(2 * np.pi)) * np.maximum(height, 1e-9))
+    return np.nan_to_num(moved)
+
+
+def _medians(values: FloatArray, group: IntArray, count: int) -> FloatArray:
+    """Return the median of each group, shape (count,); NaN of none.
+
+    Shapes: values (n,).
+    group (n,): Number of the group of each, ascending.
+    """
+    ordered = np.append(values[np.lexsort((values, group))], np.nan)
+    first = np.searchsorted(group, np.arange(count + 1))
+    size = np.diff(first)
+    low = np.where(size > 0, first[:-1] + (size - 1) // 2, -1)
+    return 0.5 * (ordered[low] + ordered[low + (size > 0) * (1 - size % 2)])
 
 
 class _Voted(NamedTuple):
-    """The straight line with the largest sum of responses: columns at the first and the last piece, and the sum."""
+    """Straight lines with the largest sums of responses.
 
-    first: float
-    last: float
-    total: float
+    sign (n,): Of the responses, 0 where there is no line, or two.
+    first, last (n,): Columns at the first and the last piece.
+    """
+
+    sign: FloatArray
+    first: FloatArray
+    last: FloatArray
 
 
 def _kernel(*, is_rim: bool) -> FloatArray:
@@ -234,77 +279,136 @@ def _kernel(*, is_rim: bool) -> FloatArray:
     return np.asarray(kernel - kernel.mean())
 
 
-def _vote(response: FloatArray, share: FloatArray, noise: float) -> _Voted | None:
-    count, width = response.shape
-    usual = float(np.median(response.max(axis=1)))
-    if usual <= 0:
-        return None
-    cut = np.clip(response, 0.0, max(usual, noise)).astype(np.float32)
-    place = np.linspace(0.0, 1.0, count) if share[-1] == share[0] else (share - share[0]) / (share[-1] - share[0])
+def _along(pieces: Pieces) -> FloatArray:
+    """Return how far along its line each piece is, 0 at the first to 1 at the last, shape (p,)."""
+    first = np.flatnonzero(np.diff(pieces.line, prepend=-1))
+    last = np.append(first[1:], pieces.line.size) - 1
+    start, run = pieces.share[first], np.maximum(pieces.share[last] - pieces.share[first], 1e-9)
+    return np.asarray((pieces.share - start[pieces.line]) / run[pieces.line])
+
+
+def _vote(response: FloatArray, pieces: Pieces, noise: FloatArray) -> _Voted:
+    """Find the straight lines with the largest sums of responses.
+
+    response (p, w): Of the filter.
+    noise (n,): Of the responses of each line's pieces [DN].
+    """
+    line, width, count = pieces.line, response.shape[1], noise.size
+    both = np.stack([response, -response])
+    usual = np.stack([_medians(one.max(axis=1), line, count) for one in both])
+    cut = np.clip(both, 0.0, np.maximum(usual, noise)[:, line, None]).astype(np.float32)
+    place, start, first = _along(pieces), np.arange(width), np.flatnonzero(np.diff(line, prepend=-1))
     # A line may be turned against the predicted one by half the window between its ends.
     turns = np.arange(-(width // 4), width // 4 + 1)
-    start = np.arange(width)
-    columns = start + np.rint(turns[:, None, None] * (place[:, None] - 0.5)).astype(np.intp)
-    valid = (columns >= 0) & (columns < width)
-    sums = np.where(valid, cut[np.arange(count)[:, None], np.clip(columns, 0, width - 1)], 0.0).sum(axis=1)
-    turn, middle = np.unravel_index(int(np.argmax(sums)), sums.shape)
-    best = float(sums[turn, middle])
-    apart = np.abs(start[None, :] - middle) * np.ones((turns.size, 1)) > 4 * _FILTER_PX / _STEP_PX
+    sums = np.empty((2, count, turns.size, width), dtype=np.float32)
+    for k, turn in enumerate(turns.tolist()):
+        columns = start + np.rint(turn * (place[:, None] - 0.5)).astype(np.intp)
+        valid = (columns >= 0) & (columns < width)
+        turned = np.where(valid, cut[:, np.arange(line.size)[:, None], np.clip(columns, 0, width - 1)], 0)
+        sums[:, :, k] = np.add.reduceat(turned, first, axis=1)
+    turn, middle = np.divmod(sums.reshape(2, count, -1).argmax(axis=2), width)
+    best = sums.max(axis=(2, 3))
     # Lines that cross the best one have its responses in some pieces; only such beside it compete.
-    beside = apart & (np.abs(turns - turns[turn]) <= 2)[:, None]
-    if beside.any() and float(sums[beside].max()) > _SECOND_SHARE * best:
-        return None
-    half = turns[turn] / 2
-    return _Voted(float(middle - half), float(middle + half), best)
+    apart = np.abs(start - middle[..., None]) > 4 * _FILTER_PX / _STEP_PX
+    near = np.abs(turns - turns[turn][..., None]) <= 2
+    second = np.where(near[..., None] & apart[:, :, None], sums, -np.inf).max(axis=(2, 3))
+    total = np.where((usual > 0) & (second <= _SECOND_SHARE * best), best, -np.inf)
+    way, own = total.argmax(axis=0), np.arange(count)
+    sign = np.where(np.isfinite(total[way, own]), 1.0 - 2.0 * way, 0.0)
+    middle, half = middle[way, own], turns[turn[way, own]] / 2
+    return _Voted(sign, middle - half, middle + half)
 
 
-def _fit(
-    response: FloatArray, share: FloatArray, noise: float, voted: _Voted, middle: float, line: PanelLine
-) -> FoundLine | None:
-    count, width = response.shape
-    place = (share - share[0]) / max(float(share[-1] - share[0]), 1e-9)
-    expected = voted.first + place * (voted.last - voted.first)
+#: Offset and slope of a line, the share about which they are nearly independent, covariance, share of pieces on it.
+_Line = tuple[float, float, float, FloatArray, float]
+
+
+def _fit(response: FloatArray, pieces: Pieces, noise: FloatArray, voted: _Voted, middle: float) -> list[_Line | None]:
+    """Fit lines to the pieces' own places near the voted ones.
+
+    response (p, w): Of the filter, positive on the lines.
+    middle: Column where they are predicted.
+    """
+    line, width = pieces.line, response.shape[1]
+    expected = voted.first[line] + _along(pieces) * (voted.last - voted.first)[line]
     near = np.abs(np.arange(width) - expected[:, None]) <= _NEAR_PX / _STEP_PX
     column = np.argmax(np.where(near, response, -np.inf), axis=1)
     inner = (column > 0) & (column < width - 1)
     column = np.clip(column, 1, width - 2)
-    before, here, after = (response[np.arange(count), column + k] for k in (-1, 0, 1))
-    is_peak = inner & (here >= before) & (here >= after) & (here > _NOISE_TIMES * noise)
+    before, here, after = (response[np.arange(column.size), column + k] for k in (-1, 0, 1))
+    is_peak = inner & (here >= before) & (here >= after) & (here > _NOISE_TIMES * noise[line])
+    is_peak &= voted.sign[line] != 0
     bend = np.where(is_peak, before - 2 * here + after, -1.0)
     offset = _STEP_PX * (column + 0.5 * (before - after) / np.minimum(bend, -1e-12) - middle)
-    if np.count_nonzero(is_peak) < _FEWEST_PIECES:
-        return None
-    fitted = _robust_line(share[is_peak], offset[is_peak])
-    if fitted is None:
-        return None
-    value, covariance, centre, kept = fitted
-    hits = float(np.count_nonzero(kept)) / count
-    if hits < _LEAST_SHARE or np.count_nonzero(kept) < _FEWEST_PIECES:
-        return None
-    return FoundLine(line, float(value[0]), float(value[1]), centre, covariance, hits)
+    fits = _robust_lines(pieces.share[is_peak], offset[is_peak], line[is_peak], noise.size)
+    first = np.searchsorted(line[is_peak], np.arange(noise.size + 1))
+    found: list[_Line | None] = []
+    for k, size in enumerate(np.bincount(line, minlength=noise.size).tolist()):
+        own = slice(first[k], first[k + 1])
+        kept = fits.weight[own] > 0
+        hits = float(np.count_nonzero(kept)) / size
+        if not fits.stands[k] or hits < _LEAST_SHARE or np.count_nonzero(kept) < _FEWEST_PIECES:
+            found.append(None)
+            continue
+        scatter = float(fits.scatter_px[k])
+        variance = scatter**2 * _growth(fits.miss_px[own][kept], scatter)
+        covariance = np.diag([variance / fits.total[k] + _FLOOR_PX**2, variance / fits.square[k]])
+        found.append((float(fits.offset_px[k]), float(fits.slope_px[k]), float(fits.centre[k]), covariance, hits))
+    return found
 
 
-def _robust_line(share: FloatArray, offset_px: FloatArray) -> tuple[FloatArray, FloatArray, float, BoolArray] | None:
-    """Fit a line with Tukey's weights: values, covariance, the middle of its places, and which count."""
-    weight: FloatArray = np.ones(share.size)
+class _Fits(NamedTuple):
+    """Lines fitted to places with Tukey's weights.
+
+    stands (n,): Whether enough places lie on each; else its numbers mean nothing.
+    weight, miss_px (m,): Of the places.
+    """
+
+    stands: BoolArray
+    offset_px: FloatArray
+    slope_px: FloatArray
+    centre: FloatArray
+    total: FloatArray
+    square: FloatArray
+    scatter_px: FloatArray
+    weight: FloatArray
+    miss_px: FloatArray
+
+
+def _robust_lines(share: FloatArray, offset_px: FloatArray, line: IntArray, count: int) -> _Fits:
+    """Fit lines with Tukey's weights.
+
+    Shapes: share, offset_px (m,).
+    line (m,): Number of the line of each place, ascending.
+    """
+    weight, miss = np.ones(share.size), np.zeros(share.size)
+    # Total weight, its middle, square of the arms, offset, slope, scatter.
+    numbers, stands = np.zeros((6, count)), np.bincount(line, minlength=count) >= _FEWEST_PIECES
+    open_ones = stands.copy()
     for _ in range(_ROUNDS):
-        total = float(weight.sum())
-        centre = float(weight @ share) / total
-        arm = share - centre
-        square = float(weight @ arm**2)
-        if square <= 0:
-            return None
-        value = np.array([float(weight @ offset_px) / total, float(weight @ (arm * offset_px)) / square])
-        miss = offset_px - value[0] - value[1] * arm
-        scatter = max(robust_scale(miss), _FLOOR_PX)
-        before, weight = weight, _TUKEY.weight(np.abs(miss) / scatter)
-        if np.count_nonzero(weight) < _FEWEST_PIECES:
-            return None
-        if np.abs(weight - before).max() < _SETTLED:
+        with np.errstate(invalid="ignore", divide="ignore"):
+            total = np.bincount(line, weight, count)
+            centre = np.bincount(line, weight * share, count) / total
+            arm = share - centre[line]
+            square = np.bincount(line, weight * arm**2, count)
+            value = np.bincount(line, weight * offset_px, count) / total
+            slope = np.bincount(line, weight * arm * offset_px, count) / square
+            off = offset_px - value[line] - slope[line] * arm
+            scatter = np.fmax(SIGMA_PER_MAD * _medians(np.abs(off), line, count), _FLOOR_PX)
+            found = _TUKEY.weight(np.abs(off) / scatter[line])
+            changed = np.zeros(count)
+            np.maximum.at(changed, line, np.abs(found - weight))
+        is_open = open_ones[line]
+        numbers = np.where(open_ones, [total, centre, square, value, slope, scatter], numbers)
+        miss = np.where(is_open, off, miss)
+        weight = np.where(is_open, found, weight)
+        stands &= (square > 0) | ~open_ones
+        stands &= (np.bincount(line[weight > 0], minlength=count) >= _FEWEST_PIECES) | ~open_ones
+        open_ones &= stands & (changed >= _SETTLED)
+        if not open_ones.any():
             break
-    kept = np.asarray(weight > 0)
-    variance = scatter**2 * _growth(miss[kept], scatter)
-    return value, np.diag([variance / total + _FLOOR_PX**2, variance / square]), centre, kept
+    total, centre, square, value, slope, scatter = numbers
+    return _Fits(stands, value, slope, centre, total, square, scatter, weight, miss)
 
 
 def _growth(miss_px: FloatArray, scatter_px: float) -> float:

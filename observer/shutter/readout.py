@@ -113,7 +113,6 @@ def reduce_to_motions(bundle: BundleResult, motions_m: FloatArray, along: FloatA
     along (3 n, k): Combinations of the motions that take their place; None: each by itself.
     EstimationError: What is eliminated is not determined.
     """
-    from scipy.linalg import LinAlgError, cho_factor, cho_solve
     from scipy.sparse import csr_matrix, vstack
 
     state, layout, extra = bundle.state, bundle.system.layout, bundle.system.extra
@@ -144,20 +143,46 @@ def reduce_to_motions(bundle: BundleResult, motions_m: FloatArray, along: FloatA
     residual = np.concatenate([*residuals, known_residuals])
     if along is not None:
         moves = csr_matrix(moves @ along)
-    normal = (design.T @ design).toarray()
-    scale = np.sqrt(np.diag(normal))
-    scale[scale == 0] = 1.0
-    coupling = (design.T @ moves).toarray() / scale[:, None]
+    coupling = (design.T @ moves).toarray()
     try:
-        factor = cho_factor(normal / scale[:, None] / scale)
-    except LinAlgError as error:
+        back = _solved((design.T @ design).tocsr(), np.column_stack([coupling, design.T @ residual]), n_photos)
+    except np.linalg.LinAlgError as error:
         raise EstimationError("rolling shutter: poses and targets are not determined without it") from error
-    back = cho_solve(factor, np.column_stack([coupling, design.T @ residual / scale]))
     matrix = (moves.T @ moves).toarray() - coupling.T @ back[:, :-1]
     gradient = moves.T @ residual - coupling.T @ back[:, -1]
     size = bundle.variance_factor if bundle.options.covariance_scale is CovarianceScale.POSTERIOR else 1.0
-    steps = -back[: 6 * n_photos, :-1] / scale[: 6 * n_photos, None]
+    steps = -back[: 6 * n_photos, :-1]
     return ReducedMotions(bundle.problem.observations.photos, 0.5 * (matrix + matrix.T) / size, gradient / size, steps)
+
+
+def _solved(normal: Any, right: FloatArray, n_photos: int) -> FloatArray:
+    """Solve normal equations whose first unknowns are poses, each of which meets no other pose.
+
+    normal (n, n): Sparse matrix.
+    right (n, k): Right sides.
+    numpy.linalg.LinAlgError: The unknowns are not determined.
+
+    The poses of 400 photos are 2400 unknowns: eliminated photo by photo, what is left are the targets.
+    """
+    scale = np.sqrt(normal.diagonal())
+    scale[scale == 0] = 1.0
+    right, first = right / scale[:, None], 6 * n_photos
+    own = np.arange(first).reshape(n_photos, 6)
+    row, column = (np.broadcast_to(own[one], (n_photos, 6, 6)) for one in ((..., None), (slice(None), None)))
+    poses = np.asarray(normal[row.ravel(), column.ravel()]).reshape(n_photos, 6, 6)
+    poses = poses / scale[own][:, :, None] / scale[own][:, None]
+    # Poses to others, and their right sides.
+    beside = normal[:first, first:].toarray() / scale[:first, None] / scale[first:]
+    both = np.concatenate([beside, right[:first]], axis=1)
+    np.linalg.cholesky(poses)
+    of_poses = np.linalg.solve(poses, both.reshape(n_photos, 6, -1)).reshape(both.shape)
+    others = beside.shape[1]
+    rest = normal[first:, first:].toarray() / scale[first:, None] / scale[first:] - beside.T @ of_poses[:, :others]
+    found = np.empty_like(right)
+    np.linalg.cholesky(rest)
+    found[first:] = np.linalg.solve(rest, right[first:] - beside.T @ of_poses[:, others:])
+    found[:first] = of_poses[:, others:] - of_poses[:, :others] @ found[first:]
+    return np.asarray(found / scale[:, None])
 
 
 def steady_readout(bundle: BundleResult, flight: Flight) -> tuple[float, float]:
