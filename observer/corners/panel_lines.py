@@ -142,7 +142,7 @@ def line_pieces(
         (places[..., k, None] + across * normals[..., k, None]).astype(np.float32).reshape(line.size, -1)
         for k in (0, 1)
     ]
-    read = cv2.remap(image, *maps, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
+    read = cv2.remap(image, maps[0], maps[1], cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
     values = np.asarray(read, dtype=np.float64).reshape(line.size, each, across.size).mean(axis=1)
     return Pieces(values, middles, line)
 
@@ -254,7 +254,7 @@ def _medians(values: FloatArray, group: IntArray, count: int) -> FloatArray:
     first = np.searchsorted(group, np.arange(count + 1))
     size = np.diff(first)
     low = np.where(size > 0, first[:-1] + (size - 1) // 2, -1)
-    return 0.5 * (ordered[low] + ordered[low + (size > 0) * (1 - size % 2)])
+    return np.asarray(0.5 * (ordered[low] + ordered[low + (size > 0) * (1 - size % 2)]))
 
 
 class _Voted(NamedTuple):
@@ -365,11 +365,11 @@ class _Fits(NamedTuple):
     """
 
     stands: BoolArray
+    total: FloatArray
+    centre: FloatArray
+    square: FloatArray
     offset_px: FloatArray
     slope_px: FloatArray
-    centre: FloatArray
-    total: FloatArray
-    square: FloatArray
     scatter_px: FloatArray
     weight: FloatArray
     miss_px: FloatArray
@@ -387,10 +387,10 @@ def _robust_lines(share: FloatArray, offset_px: FloatArray, line: IntArray, coun
     open_ones = stands.copy()
     for _ in range(_ROUNDS):
         with np.errstate(invalid="ignore", divide="ignore"):
-            total = np.bincount(line, weight, count)
+            total = np.asarray(np.bincount(line, weight, count), dtype=np.float64)
             centre = np.bincount(line, weight * share, count) / total
             arm = share - centre[line]
-            square = np.bincount(line, weight * arm**2, count)
+            square = np.asarray(np.bincount(line, weight * arm**2, count), dtype=np.float64)
             value = np.bincount(line, weight * offset_px, count) / total
             slope = np.bincount(line, weight * arm * offset_px, count) / square
             off = offset_px - value[line] - slope[line] * arm
@@ -399,7 +399,7 @@ def _robust_lines(share: FloatArray, offset_px: FloatArray, line: IntArray, coun
             changed = np.zeros(count)
             np.maximum.at(changed, line, np.abs(found - weight))
         is_open = open_ones[line]
-        numbers = np.where(open_ones, [total, centre, square, value, slope, scatter], numbers)
+        numbers = np.where(open_ones, np.stack([total, centre, square, value, slope, scatter]), numbers)
         miss = np.where(is_open, off, miss)
         weight = np.where(is_open, found, weight)
         stands &= (square > 0) | ~open_ones
@@ -407,8 +407,8 @@ def _robust_lines(share: FloatArray, offset_px: FloatArray, line: IntArray, coun
         open_ones &= stands & (changed >= _SETTLED)
         if not open_ones.any():
             break
-    total, centre, square, value, slope, scatter = numbers
-    return _Fits(stands, value, slope, centre, total, square, scatter, weight, miss)
+    total, centre, square, value, slope, scatter = tuple(numbers)
+    return _Fits(stands, total, centre, square, value, slope, scatter, weight, miss)
 
 
 def _growth(miss_px: FloatArray, scatter_px: float) -> float:
