@@ -29,8 +29,9 @@ from observer.trough.collector import Collector, GlassTube
 
 #: Rows that are taken together.
 ROWS_TOGETHER = 16
-#: The profile is tabulated this finely [m], as far beyond the receiver as pixels can be used, and blur reaches.
-_STEP_M, _TABLE_M = 0.25e-3, 0.25
+#: The profile is tabulated this finely [m], and as far as the largest blur reaches beyond the pixels that are used [its
+#: standard deviations], in whole hundreds of steps, which Fourier transforms like.
+_STEP_M, _BLUR_REACH, _EVEN_STEPS = 0.25e-3, 4.0, 100
 #: Pixels beyond the receiver that are used.
 BEYOND_PX = 3.0
 #: Pixels are put together in bins of so many to a pixel's width.
@@ -189,16 +190,18 @@ class _Fit(NamedTuple):
 
 
 def _fit(profiles: _Profiles, sighting: Sighting, collector: Collector) -> _Fit:
-    parts, most = _Parts.of_view(sighting, collector), 0.5 * sighting.pixel_m
+    most = 0.5 * sighting.pixel_m
     # In each round an axis may move by half a pixel.
-    first, blurred = parts.blurring(sighting.pixel_m, np.abs(profiles.beside_m).max() + _ROUNDS * most)
+    reach = float(np.abs(profiles.beside_m).max()) + _ROUNDS * most
+    parts = _Parts.of_view(sighting, collector, reach + _BLUR_REACH * _MOST_BLUR_PX * sighting.pixel_m)
+    first, blurred = parts.blurring(sighting.pixel_m, reach)
     groups = len(profiles.number)
     middle, blur, scatter = np.zeros(groups), _BLUR_PX, 1.0
     weight = profiles.number / _NOISE**2
     spare = np.maximum(np.count_nonzero(profiles.number, axis=1) - 0.5 * len(parts.mean), 1.0)
     for _ in range(_ROUNDS):
         table = blurred(blur)
-        place = (profiles.beside_m - middle[:, None] + _TABLE_M) / _STEP_M - first
+        place = (profiles.beside_m - middle[:, None] + parts.far_m) / _STEP_M - first
         basis = _between(table, place)
         weighted = np.swapaxes(basis * weight[..., None], 1, 2)
         normal = weighted @ basis
@@ -209,13 +212,7 @@ def _fit(profiles: _Profiles, sighting: Sighting, collector: Collector) -> _Fit:
         amplitude = parts.mean + step[..., 0]
         residual = left - (basis @ step)[..., 0]
         # How the profile changes with the axis and with the blur, less what amplitudes take of that.
-        along = np.stack(
-            [
-                _of_groups(-np.gradient(amplitude @ table.T, _STEP_M, axis=1), place),
-                _of_groups(amplitude @ ((blurred(blur + 0.05) - table) / 0.05).T, place),
-            ],
-            axis=2,
-        )
+        along = np.stack(_changes(amplitude @ table.T, blur * sighting.pixel_m**2, place), axis=2)
         own = along - basis @ (cofactor @ (weighted @ along))
         (known, pull) = (np.einsum("gk,gkc,gkc->gc", weight, along, one) for one in (own, residual[..., None]))
         information = np.maximum(known[:, 0], 1e-12)
@@ -234,6 +231,20 @@ def _fit(profiles: _Profiles, sighting: Sighting, collector: Collector) -> _Fit:
     other = _by_chance(squares / scatter**2, spare) < _CHANCE
     sigma = np.where(other, np.sqrt(squares / spare), scatter) / np.sqrt(information)
     return _Fit(middle, sigma, amplitude[:, -1] * _RADIUS_SIGMA_M)
+
+
+def _changes(profiles: FloatArray, blur_m2: float, place: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return how profiles (g, n) change with the axis [1/m] and with the blur [1/px] at places (g, k).
+
+    blur_m2: The blur over a pixel's width, times the square of that [m^2].
+
+    A Gaussian blur of the variance v spreads as heat does: ``df/dv = f'' / 2``.
+    """
+    slope = np.diff(profiles, axis=1)
+    by_axis, by_blur = np.zeros_like(profiles), np.zeros_like(profiles)
+    by_axis[:, 1:-1] = (slope[:, 1:] + slope[:, :-1]) * (-0.5 / _STEP_M)
+    by_blur[:, 1:-1] = (slope[:, 1:] - slope[:, :-1]) * (blur_m2 / _STEP_M**2)
+    return _of_groups(by_axis, place), _of_groups(by_blur, place)
 
 
 def _by_chance(squares: FloatArray, spare: FloatArray) -> FloatArray:
@@ -326,19 +337,20 @@ class _Behind(NamedTuple):
 class _Parts:
     """What a profile consists of, before blur.
 
-    table (p, n): Brightness of each part over the distance from the axis, from -_TABLE_M on in steps of _STEP_M.
+    table (p, n): Brightness of each part over the distance from the axis, from -far_m on in steps of _STEP_M.
     mean, sigma (p,): Prior of the amplitudes.
     """
 
     table: FloatArray
     mean: FloatArray
     sigma: FloatArray
+    far_m: float
 
     @classmethod
-    def of_view(cls, sighting: Sighting, collector: Collector) -> "_Parts":
+    def of_view(cls, sighting: Sighting, collector: Collector, far_m: float) -> "_Parts":
         radius = collector.absorber_diameter_m / 2
-        # Without its last place: a number of samples that Fourier transforms like.
-        beside = np.arange(-_TABLE_M, _TABLE_M - _STEP_M / 2, _STEP_M)
+        steps = _EVEN_STEPS * int(np.ceil(far_m / (_EVEN_STEPS * _STEP_M)))
+        beside = np.asarray(_STEP_M * np.arange(-steps, steps), dtype=np.float64)
         far = np.abs(beside)
         metal = _up_to(far, radius)
         behind = _Behind.of_view(sighting, collector, beside)
@@ -353,7 +365,8 @@ class _Parts:
         # A metal that is wider moves both of its edges outwards.
         edge = np.gradient(metal, _STEP_M) * np.sign(beside)
         parts.append((edge * (behind.beside_metal - _METAL_MEAN) * _RADIUS_SIGMA_M, 0.0, 1.0))
-        return cls(np.array([one for one, _, _ in parts]), *np.array([[m, s] for _, m, s in parts]).T)
+        mean, sigma = np.array([[m, s] for _, m, s in parts]).T
+        return cls(np.array([one for one, _, _ in parts]), mean, sigma, steps * _STEP_M)
 
     def blurring(self, pixel_m: float, reach_m: float) -> tuple[int, Callable[[float], FloatArray]]:
         """Return what shows the parts as a pixel and a lens of some blur [px] do, shape (n, p).
@@ -361,7 +374,7 @@ class _Parts:
         reach_m: Only places up to this distance from the axis are needed; the first one's number is returned before.
         """
         count = self.table.shape[1]
-        first = max(0, int((_TABLE_M - reach_m) / _STEP_M) - 2)
+        first = max(0, int((self.far_m - reach_m) / _STEP_M) - 2)
         frequency = np.fft.rfftfreq(count, _STEP_M)
         through_pixel = np.fft.rfft(self.table, axis=1) * np.sinc(frequency * pixel_m)
 
