@@ -70,7 +70,12 @@ class RigidTransform(ShortRepr):
 
     def inverse(self) -> "RigidTransform":
         """Return ``a_from_b``."""
-        return RigidTransform(self.rotation.T, -self.rotation.T @ self.translation_m)
+        # What was checked needs no check again: where a photo was taken is asked for a dozen times.
+        found, translation = object.__new__(RigidTransform), -self.rotation.T @ self.translation_m
+        translation.setflags(write=False)
+        object.__setattr__(found, "rotation", self.rotation.T)
+        object.__setattr__(found, "translation_m", translation)
+        return found
 
     def __matmul__(self, other: "RigidTransform") -> "RigidTransform":
         """Compose: ``c_from_b @ b_from_a`` is ``c_from_a``."""
