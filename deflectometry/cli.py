@@ -90,18 +90,17 @@ def plan_command(
     folder: MeasurementFolder,
     out: OutFolder,
 ) -> Job:
-    """Plan a measurement by backward gazing (spacings of the cameras) or by stars (times of the night); report.html."""
+    """Say what a measurement will be worth, what limits it and what would better it, before there are images."""
+    from deflectometry.instrument import INSTRUMENT
+    from heliogauge.errors import InputError
+    from heliogauge.instruments import resolve
     from heliogauge.measurement.load import kind_of
 
-    if kind_of(folder).name == "stars":
-        from deflectometry.stars.keys import load_stars_plan
-        from deflectometry.stars.planning.plan import run as run_stars
-
-        return Job(out, lambda progress: run_stars(load_stars_plan(folder), progress))
-    from deflectometry.gazing.planning.keys import load_gazing_plan
-    from deflectometry.gazing.planning.plan import run
-
-    return Job(out, lambda progress: run(load_gazing_plan(folder), progress))
+    kind = kind_of(folder)
+    if not kind.plan:
+        known = ", ".join(f'"{one.name}"' for one in INSTRUMENT.kinds if one.plan)
+        raise InputError(f'{folder}: kind = "{kind.name}" has no plan; those that have: {known}')
+    return Job(out, lambda progress: resolve(kind.plan)(folder, progress))
 
 
 @imports.command("opencsp")

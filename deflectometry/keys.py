@@ -8,6 +8,7 @@ from typing import Annotated, Any, Literal, Self
 import numpy as np
 from pydantic import Discriminator, Field, Tag, model_validator
 
+from deflectometry.planning.keys import BenchPlanSection
 from heliogauge.errors import InputError
 from heliogauge.measurement.files import image_files, refuse_missing_files
 from heliogauge.measurement.load import MEASUREMENT_FILE, read_measurement
@@ -420,6 +421,7 @@ class DeflectometryModel(BenchModel):
     screen: ScreenSection = Field(description="The screen: shape, size and pose.")
     pattern: PatternSection = Field(description="The fringe pattern that was displayed.")
     images: ImagesSection = Field(description="The images.")
+    plan: BenchPlanSection = Field(BenchPlanSection(), description="What a plan expects of the images.")
 
     def named_files(self) -> Iterator[tuple[str, str]]:
         """Yield the key path and the text of every single file that is named (the fringes are not among them)."""

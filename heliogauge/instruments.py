@@ -40,6 +40,8 @@ class Kind:
     run_into: Function ``(measurement, out, options, progress, *, force, report)`` in place of run, where a measurement
         fills its folder of results itself.
     recognises: Function ``(folder) -> bool`` that knows folders of this kind without a measurement.toml.
+    plan: Function ``(folder, progress) -> InstrumentResult`` that says what measuring a folder will be worth, before
+        there are images.
     check: Function ``(measurement, findings)`` that adds what is wrong with a measurement before it is evaluated to the
         `heliogauge.measurement.findings.Findings`.
     """
@@ -55,6 +57,7 @@ class Kind:
     options: str = ""
     run_into: str = ""
     recognises: str = ""
+    plan: str = ""
     check: str = ""
 
     def init_command(self, folder: str) -> str:

@@ -7,6 +7,7 @@ from typing import Literal, Self, TypeVar
 
 from pydantic import Field, field_validator, model_validator
 
+from deflectometry.dots.planning.keys import DotsPlanSection
 from deflectometry.keys import BenchMeasurement, BenchModel, DotFieldSection
 from heliogauge.errors import InputError
 from heliogauge.images.video_names import video_of
@@ -74,6 +75,7 @@ class DotsModel(DotFieldModel):
 
     kind: Literal["deflectometry-dots"] = Field(description="A photo of a field of dots seen in a mirror.")
     photo: Text = Field(description="The photo in which the mirror shows the dots.")
+    plan: DotsPlanSection = Field(DotsPlanSection(), description="What a plan expects of the photo.")
 
     def named_files(self) -> Iterator[tuple[str, str]]:
         """Yield the key path and the text of every file that is named."""

@@ -162,7 +162,7 @@ def pose_from_outline(
     facet_px = np.sqrt(float(np.median([region.area_px for region in regions])))
     size_px = float(np.ptp(np.concatenate([region.contour_px for region in regions]), axis=0).max())
     search = OutlineSearch(image, camera, facets, found.noise_dn, facet_px, clutter)
-    fits = [search.follow(start.cam_from_mirror, knowledge.points) for start in starts]
+    fits = _followed(search, [start.cam_from_mirror for start in starts], knowledge.points)
     # A tilt that no edge fits has no residual, and is no rival.
     fits = sorted((fit for fit in fits if np.isfinite(fit.rms_px)), key=lambda fit: fit.rms_px) or fits
     best = fits[0]
@@ -179,6 +179,21 @@ def pose_from_outline(
     pose = _finish(best, camera, knowledge, lit_share(camera, best.pose, facets, image > found.level_dn))
     _check_distance(pose, allowed_px)
     return replace(pose, other_tilt_rad=other, doubts=gather_doubts(ambiguity, pose.doubts))
+
+
+def _followed(search: OutlineSearch, starts: Sequence[RigidTransform], points: KnownPoints) -> list[OutlineFit]:
+    """Follow the outline from each start; one that loses it is no rival of another.
+
+    EstimationError: All lose it.
+    """
+    fits: list[OutlineFit] = []
+    for number, start in enumerate(starts, start=1):
+        try:
+            fits.append(search.follow(start, points))
+        except EstimationError:
+            if number == len(starts) and not fits:
+                raise
+    return fits
 
 
 def _check_distance(pose: MirrorPose, allowed_px: float) -> None:

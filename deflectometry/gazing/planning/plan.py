@@ -7,7 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from deflectometry.gazing.planning.keys import GazingPlanMeasurement
+from deflectometry.gazing.planning.keys import GazingPlanMeasurement, load_gazing_plan
 from deflectometry.gazing.planning.spacing import Spacing, judge_spacing, sides
 from deflectometry.gazing.sun_profile import SunProfile
 from heliogauge.doubts import Doubt
@@ -63,6 +63,11 @@ class GazingPlanResult(InstrumentResult):
             f"  near zero slope  {1e3 * best.sigma_at_zero_rad:.3f} mrad\n"
             f"  measured share   {100 * best.measured_share:.0f} %, blind {100 * best.blind_share:.0f} %"
         )
+
+
+def run_folder(folder: Path, progress: Progress | None = None) -> GazingPlanResult:
+    """Read the folder of a plan, and plan as `run`."""
+    return run(load_gazing_plan(folder), progress)
 
 
 def run(measurement: GazingPlanMeasurement, progress: Progress | None = None) -> GazingPlanResult:

@@ -8,7 +8,7 @@ from typing import ClassVar
 import numpy as np
 
 from deflectometry.pipeline.inputs import build_facets
-from deflectometry.stars.keys import StarsMeasurement
+from deflectometry.stars.keys import StarsMeasurement, load_stars_plan
 from deflectometry.stars.pipeline.catalogue import read_catalogue
 from deflectometry.stars.pipeline.night import first_orientation, site_of, stated_frame
 from deflectometry.stars.planning.predicted_night import PlannedTime, predicted_time
@@ -126,6 +126,11 @@ def _text(time: np.datetime64) -> str:
 
 def _or_none(value: float) -> float | None:
     return value if np.isfinite(value) else None
+
+
+def run_folder(folder: Path, progress: Progress | None = None) -> StarsPlanResult:
+    """Read a folder whose photos need not be there yet, and plan as `run`."""
+    return run(load_stars_plan(folder), progress)
 
 
 def run(measurement: StarsMeasurement, progress: Progress | None = None) -> StarsPlanResult:

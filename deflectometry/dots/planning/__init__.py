@@ -1,0 +1,1 @@
+"""Plan of a photo of dots."""

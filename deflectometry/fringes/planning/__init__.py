@@ -1,0 +1,1 @@
+"""Plan of fringes before a screen, near or far."""

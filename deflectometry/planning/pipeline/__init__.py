@@ -1,0 +1,1 @@
+"""From measurement.toml without images to the plan and its alternatives."""

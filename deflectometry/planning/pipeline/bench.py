@@ -1,0 +1,307 @@
+"""A mirror before a screen that is not measured yet: the measurement's own evaluation on predicted samples."""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from deflectometry.keys import BenchMeasurement, BenchModel
+from deflectometry.pipeline.assess import SourceMeasurement, measure_source
+from deflectometry.pipeline.choices import Options, build_choices
+from deflectometry.pipeline.evaluate import Evaluation
+from deflectometry.pipeline.inputs import build_facets, build_setup, describe_mirror
+from deflectometry.pipeline.mean_normal import mean_normal
+from deflectometry.pipeline.plausibility import refuse_impossible
+from deflectometry.pipeline.result import Result
+from deflectometry.pipeline.stated_inputs import INPUTS_FILE, inputs_table
+from deflectometry.planning.holes import hole_doubt, words_of_hole
+from deflectometry.planning.keys import BenchPlanSection
+from deflectometry.planning.predicted_sight import FacetSight, facet_sight, facing_pose
+from deflectometry.planning.prospect import Change, FacetProspect, Prospect
+from deflectometry.setup.camera_and_screen import Setup
+from deflectometry.shape.common_modes import FACET_PLACE, MIRROR_POSE
+from deflectometry.sources.source import Source
+from heliogauge.doubts import gather_doubts
+from heliogauge.errors import EstimationError, InputError
+from heliogauge.geometry.rigid import RigidTransform
+from heliogauge.geometry.surfaces import Facet
+from heliogauge.running.progress import SilentProgress
+from heliogauge.validate import Float32Array
+
+#: Light beside the mirror, over its own.
+_BESIDE = 0.05
+#: How much nearer or farther the mirror is tried, and how much larger the screen.
+_DISTANCE_FACTORS, _SCREEN_FACTOR = (0.7, 1.4), 1.25
+#: Surveyed place of the mirror that is tried where none is planned [mm].
+_PLACE_MM = 2.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Bench:
+    """Camera, screen and mirror as they will stand.
+
+    measurement: As planned, with what will be measured of the mirror's place put in.
+    """
+
+    measurement: BenchMeasurement
+    setup: Setup
+    facets: tuple[Facet, ...]
+    cam_from_mirror: RigidTransform
+    sights: tuple[FacetSight, ...]
+    plan: BenchPlanSection
+
+    @classmethod
+    def of(cls, measurement: BenchMeasurement, plan: BenchPlanSection) -> "Bench":
+        """Place everything and trace what the mirror will show.
+
+        InputError: The mirror's place is not stated, or it is seen from behind, or not whole, or shows no screen.
+        """
+        model = measurement.model
+        facets = build_facets(model.mirror, model.name)
+        if not facets:
+            raise InputError(f"{measurement.folder}: mirror.outline_m or [[mirror.facet]] is needed for a plan")
+        setup = build_setup(measurement)
+        pose = _planned_pose(measurement, setup, facets, plan)
+        try:
+            refuse_impossible(setup, pose)
+        except EstimationError as error:
+            raise InputError(str(error)) from None
+        sights = tuple(facet_sight(setup, pose, one, plan.blur_px) for one in facets)
+        if not any((one.inside & one.on_screen).any() for one in sights):
+            raise InputError(
+                f"{measurement.folder}: no part of the mirror shows the screen to the camera; check the mirror's pose, "
+                "the screen's place and size, and the design's focal length"
+            )
+        predicted = replace(measurement, model=_with_predicted_places(model, setup, pose))
+        return cls(predicted, setup, facets, pose, sights, plan)
+
+    def image(self, contrast_dn: float, noise_dn: float) -> Float32Array:
+        """Return how the mirror will stand out, shape (h, w) [DN]."""
+        camera = self.setup.camera
+        cover = np.zeros((camera.height_px, camera.width_px), dtype=np.float32)
+        for one in self.sights:
+            cover[one.rows, one.columns] += one.cover
+        light = contrast_dn * (_BESIDE + (1 - _BESIDE) * np.minimum(cover, 1.0))
+        # Edges are weighted by how they scatter: without noise they would count as exact.
+        noise = np.random.default_rng(0).standard_normal(cover.shape, dtype=np.float32)
+        return np.asarray(light + noise_dn * noise, dtype=np.float32)
+
+    def result(self, source: Source, setup: Setup, pattern: str) -> Result:
+        """Evaluate predicted samples exactly as a measurement.
+
+        setup: Camera and screen, with what the source adds to their sigmas.
+        """
+        measurement = self.measurement
+        ready = SourceMeasurement(
+            measurement,
+            source,
+            setup,
+            describe_mirror(measurement, setup),
+            build_choices(measurement, Options()),
+            pattern,
+            lambda: (),
+            (),
+            gather_doubts(hole_doubt(self.sights, setup.size_m)),
+        )
+        return measure_source(ready, SilentProgress())
+
+    def prospect(self, result: Result, texts: Mapping[str, str]) -> Prospect:
+        """Return what a result on predicted samples says of the measurement."""
+        evaluation = result.evaluation
+        normal = mean_normal(result.setup, evaluation)
+        said = dict(texts)
+        if "mean normal" in result.texts:
+            said["mean normal"] = result.texts["mean normal"]
+        return Prospect(
+            slope_map=result.assembled_as_measured,
+            numbers=result.numbers,
+            facets=tuple(
+                FacetProspect(
+                    one.facet.name,
+                    one.seen_share,
+                    words_of_hole(one),
+                    evaluation.maps.get(one.facet.name),
+                    one.facet.ensemble_from_facet,
+                )
+                for one in self.sights
+            ),
+            spacing_m=_spacing_m(evaluation),
+            samples=sum(int(np.count_nonzero(np.isfinite(one.slope_x))) for one in evaluation.images.values()),
+            normal_shares_rad=np.zeros((0, 2)) if normal is None else normal.shares_rad,
+            normal_sources=() if normal is None else normal.sources,
+            texts=said,
+            tables={INPUTS_FILE: inputs_table(result.inputs)},
+            doubts=result.doubts,
+        )
+
+
+def _spacing_m(evaluation: Evaluation) -> float:
+    return float(np.median([one.footprint_m for one in evaluation.images.values()]))
+
+
+def _planned_pose(
+    measurement: BenchMeasurement, setup: Setup, facets: Sequence[Facet], plan: BenchPlanSection
+) -> RigidTransform:
+    section = measurement.model.mirror
+    if section.pose is not None:
+        known = describe_mirror(measurement, setup).known_pose
+        assert known is not None
+        return known.cam_from_mirror
+    if plan.mirror_m is not None:
+        place = np.array(plan.mirror_m)
+    elif section.place is not None:
+        place = setup.cam_from_screen.apply(np.array(section.place.place_m))
+    elif section.distance is not None:
+        place = _on_axis(setup, section.distance.distance_m)
+    else:
+        raise InputError(
+            f"{measurement.folder}: where the mirror will stand is not said; give plan.mirror_m, [mirror.distance], "
+            "[mirror.place] or [mirror.pose]"
+        )
+    if not place[2] > 0:
+        raise InputError(
+            f"{measurement.folder}: the mirror would stand {-place[2]:.3g} m behind the camera; z of plan.mirror_m is "
+            "the distance in front of it"
+        )
+    return facing_pose(setup, facets, place, float(np.deg2rad(section.roll_deg)))
+
+
+def _on_axis(setup: Setup, distance_m: float) -> Any:
+    """Return the place on the camera's axis at a distance from the screen's origin."""
+    screen_m = setup.cam_from_screen.translation_m
+    square = distance_m**2 - float(screen_m[:2] @ screen_m[:2])
+    if not square > 0:
+        raise InputError(
+            f"mirror.distance: no place on the camera's axis is {distance_m:g} m from the screen's origin, which is "
+            f"{np.hypot(*screen_m[:2]):.3g} m beside that axis; give plan.mirror_m"
+        )
+    return np.array([0.0, 0.0, screen_m[2] + np.sqrt(square)])
+
+
+def _with_predicted_places(model: BenchModel, setup: Setup, pose: RigidTransform) -> BenchModel:
+    """Return what measurement.toml will say once distance, place and known points are measured."""
+    section = model.mirror
+    update: dict[str, Any] = {}
+    if section.distance is not None:
+        off = pose.apply(np.array(section.distance.point_m)) - setup.cam_from_screen.translation_m
+        update["distance"] = section.distance.model_copy(update={"distance_m": float(np.linalg.norm(off))})
+    if section.place is not None:
+        place = setup.cam_from_screen.inverse().apply(pose.apply(np.array(section.place.point_m)))
+        update["place"] = section.place.model_copy(update={"place_m": tuple(place.tolist())})
+    if section.known_point:
+        seen = setup.camera.project(pose.apply(np.array([one.point_m for one in section.known_point])))
+        update["known_point"] = tuple(
+            one.model_copy(update={"image_px": tuple(at)})
+            for one, at in zip(section.known_point, seen.tolist(), strict=True)
+        )
+    return model.model_copy(update={"mirror": section.model_copy(update=update)})
+
+
+# --- what might be done otherwise -----------------------------------------------------------------------------------
+
+#: Makes a planned source of a changed measurement.
+Planner = Callable[[BenchMeasurement], Any]
+
+#: Keys of sigmas that are halved, what they are of, and the sources of errors that this makes smaller.
+_SIGMAS = (
+    ("mirror.distance.sigma_mm", "the mirror's distance measured twice as well", (MIRROR_POSE,)),
+    ("mirror.place.sigma_mm", "the mirror's place surveyed twice as well", ("camera and screen", MIRROR_POSE)),
+    ("mirror.pose.sigma_rotation_mrad", "the mirror's turn known twice as well", (MIRROR_POSE,)),
+    ("mirror.pose.sigma_translation_mm", "the mirror's place known twice as well", (MIRROR_POSE,)),
+    ("mirror.sigma_facet_position_mm", "places of the facets known twice as well", (FACET_PLACE,)),
+    ("screen.sigma_rotation_mrad", "the screen's turn known twice as well", ("screen pose", "camera and screen")),
+    ("screen.sigma_translation_mm", "the screen's place known twice as well", ("screen pose", "camera and screen")),
+    ("screen.sigma_width_mm", "the screen's width known twice as well", ("screen size",)),
+    ("screen.sigma_height_mm", "the screen's height known twice as well", ("screen size",)),
+    ("screen.sigma_sag_mm", "the screen's sag known twice as well", ("screen sag",)),
+    ("screen.sigma_points_mm", "the screen's shape known twice as well", ("screen shape",)),
+    ("camera.sigma_focal_px", "the focal length known twice as well", ("camera", "camera and screen")),
+    ("camera.sigma_center_px", "the principal point known twice as well", ("camera", "camera and screen")),
+)
+
+
+def bench_changes(bench: Bench, planned: Planner) -> Iterator[Change]:
+    """Yield what might be done otherwise before any screen: distances, the screen's size, what is surveyed better."""
+    measurement, pose = bench.measurement, bench.cam_from_mirror
+    if measurement.model.mirror.pose is None:
+        place = pose.translation_m
+        for factor in _DISTANCE_FACTORS:
+            moved = tuple((factor * place).tolist())
+            yield Change(
+                f"the mirror at {float(np.linalg.norm(moved)):.3g} m instead of {float(np.linalg.norm(place)):.3g} m",
+                "plan.mirror_m",
+                _text(place.tolist()),
+                _text(moved),
+                planned(changed(measurement, {"plan.mirror_m": moved})),
+            )
+    screen = measurement.model.screen
+    width, height = (getattr(screen, key, None) for key in ("width_m", "height_m"))
+    if width is not None and height is not None:
+        larger = {"screen.width_m": _SCREEN_FACTOR * width, "screen.height_m": _SCREEN_FACTOR * height}
+        yield Change(
+            f"a screen {_SCREEN_FACTOR:g} times as large, with as many fringes",
+            "screen.width_m, screen.height_m",
+            _text((width, height)),
+            _text(larger.values()),
+            planned(changed(measurement, larger)),
+        )
+    for key, words, sources in _SIGMAS:
+        sigma = _value(measurement.model, key)
+        each = np.atleast_1d(np.array(0.0 if sigma is None else sigma, dtype=np.float64))
+        if (each > 0).any():
+            half = 0.5 * each
+            after = tuple(half.tolist()) if isinstance(sigma, tuple) else float(half[0])
+            yield Change(
+                words,
+                key,
+                _text(each.tolist()),
+                _text(half.tolist()),
+                planned(changed(measurement, {key: after})),
+                sources,
+            )
+    yield from _surveyed(bench, planned)
+
+
+def _surveyed(bench: Bench, planned: Planner) -> Iterator[Change]:
+    """Yield a survey of the mirror's place, where none is planned."""
+    section = bench.measurement.model.mirror
+    if section.place is not None or section.pose is not None:
+        return
+    place = bench.setup.cam_from_screen.inverse().apply(bench.cam_from_mirror.translation_m)
+    surveyed = {"place_m": tuple(place.tolist()), "sigma_mm": (_PLACE_MM,) * 3}
+    yield Change(
+        f"the mirror's place surveyed in the screen's frame to {_PLACE_MM:g} mm",
+        "mirror.place",
+        "",
+        f"{_PLACE_MM:g} mm",
+        planned(changed(bench.measurement, {"mirror.place": surveyed})),
+    )
+
+
+def changed(measurement: BenchMeasurement, values: Mapping[str, Any]) -> BenchMeasurement:
+    """Return a measurement with other values of keys, as if its file had said so."""
+    content = measurement.model.model_dump(exclude_unset=True)
+    for key, value in values.items():
+        *path, last = key.split(".")
+        table = content
+        for name in path:
+            table = table.setdefault(name, {})
+        table[last] = value
+    return replace(measurement, model=type(measurement.model).model_validate(content))
+
+
+def _value(model: Any, key: str) -> Any:
+    for name in key.split("."):
+        model = getattr(model, name, None)
+    return model
+
+
+def _text(values: Any) -> str:
+    return ", ".join(f"{one:.4g}" for one in values)
+
+
+def input_files(measurement: BenchMeasurement, named: Sequence[str]) -> tuple[Path, ...]:
+    """Return the files of a plan, measurement.toml first."""
+    return (measurement.folder / "measurement.toml", *(measurement.path(one) for one in named))

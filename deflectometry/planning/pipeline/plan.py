@@ -1,0 +1,211 @@
+"""The plan of any source: what it will be worth, what limits it, and what each alternative brings."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import ClassVar
+
+import numpy as np
+
+from deflectometry.planning.prospect import LIMITED, Alternative, Change, PlannedSource, Prospect, words_of_limits
+from heliogauge.errors import EstimationError, InputError
+from heliogauge.reporting.notation import number_text
+from heliogauge.results.folder import Summary, hash_files, write_slope_map, write_table_csv
+from heliogauge.results.frame import InstrumentResult
+from heliogauge.running.progress import Progress, SilentProgress
+
+#: Files of a plan.
+ALTERNATIVES_FILE, LIMITS_FILE, FACETS_FILE = "alternatives.csv", "limits.csv", "facets.csv"
+MAP_FILE = "expected_slope_map.nc"
+#: Changes of less than 5 % are not worth a word.
+_WORTH_A_WORD = 1.05
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlanResult(InstrumentResult):
+    """What a measurement will be worth, and what would better it.
+
+    prospect: As planned.
+    limits: Share of each source in each variance.
+    alternatives: What was changed, that of the largest gain first; impossible ones last.
+    """
+
+    kind: ClassVar[str] = "deflectometry-plan"
+    prospect: Prospect
+    limits: Mapping[str, Mapping[str, float]]
+    alternatives: tuple[Alternative, ...]
+
+    def summarise(self) -> Summary:
+        """Collect the sigmas, the share that is seen, and what limits."""
+        prospect = self.prospect
+        numbers: dict[str, float | int | None] = {
+            "seen_share": prospect.seen_share,
+            "sample_spacing_m": prospect.spacing_m,
+            "samples_count": prospect.samples,
+        }
+        numbers |= {sigma_key(name): _or_none(one) for name, one in prospect.sigmas().items()}
+        kept = (
+            "focal_length_x_m",
+            "sigma_focal_length_x_m",
+            "focal_length_y_m",
+            "sigma_focal_length_y_m",
+            "sigma_random_x_rms_rad",
+            "sigma_random_y_rms_rad",
+            "sigma_mean_normal_x_rad",
+            "sigma_mean_normal_y_rad",
+            "sigma_distance_from_image_m",
+        )
+        numbers |= {key: prospect.numbers[key] for key in kept if key in prospect.numbers}
+        texts = {
+            "limits": words_of_limits(self.limits),
+            "best": self._best(),
+            "resolution": f"samples {1e3 * prospect.spacing_m:.3g} mm apart on the mirror: waves shorter than "
+            f"{2e3 * prospect.spacing_m:.3g} mm are not seen",
+            "sigma": "1 standard deviation of what the measurement will say, by its own estimator on predicted samples "
+            "of a mirror of design shape",
+            **prospect.texts,
+        }
+        flat = {key: "a flat design has none" for key in numbers if numbers[key] is None and "focal_length" in key}
+        reasons = flat | {key: "no facet is measured" for key in numbers if numbers[key] is None and key not in flat}
+        each = {}
+        for one in prospect.facets if len(prospect.facets) > 1 else ():
+            x, y = one.sigma_canting_rad.tolist()
+            each[one.name] = {
+                "seen_share": one.seen_share,
+                "sigma_canting_x_rad": _or_none(x),
+                "sigma_canting_y_rad": _or_none(y),
+            }
+        return self._summary(numbers, texts, reasons, facets=each)
+
+    def _best(self) -> str:
+        useful = [one for one in self.alternatives if one.best_gain > _WORTH_A_WORD]
+        if not useful:
+            return "none of the alternatives that were tried makes a sigma smaller by more than 5 %"
+        said = [f"{one.change.words}: {self._gain_words(one)}" for one in useful[:3]]
+        return "; ".join(said)
+
+    def _gain_words(self, one: Alternative) -> str:
+        """Say what becomes better, and what it costs."""
+        rows = [(LIMITED[name], gain) for name, gain in one.gains.items() if np.isfinite(gain)]
+        said = [f"{words} {gain:.2f} times better" for words, gain in rows if gain > _WORTH_A_WORD]
+        said += [f"{words} {1 / gain:.2f} times worse" for words, gain in rows if gain < 1 / _WORTH_A_WORD]
+        if one.spacing_m > _WORTH_A_WORD * self.prospect.spacing_m:
+            said.append(f"samples {1e3 * one.spacing_m:.3g} mm apart")
+        if one.seen_share < self.prospect.seen_share / _WORTH_A_WORD:
+            said.append(f"only {one.seen_share:.0%} of the mirror sees the pattern")
+        return ", ".join(said)
+
+    def write_files(self, folder: Path) -> None:
+        """Write the expected map and the tables into an existing folder."""
+        prospect = self.prospect
+        write_slope_map(folder / MAP_FILE, {"": prospect.slope_map}, {"name": self.name})
+        names = list(prospect.sigmas())
+        before = {name: [prospect.sigmas()[name]] for name in names}
+        for name, columns in prospect.tables.items():
+            write_table_csv(folder / name, columns)
+        rows = self.alternatives
+        table: dict[str, list[object]] = {
+            "change": ["as planned", *(one.change.words for one in rows)],
+            "key": ["", *(one.change.key for one in rows)],
+            "before": ["", *(one.change.before for one in rows)],
+            "after": ["", *(one.change.after for one in rows)],
+        }
+        for name in names:
+            table[sigma_key(name)] = [*before[name], *(one.sigmas.get(name, np.nan) for one in rows)]
+        for name in names:
+            table[f"gain_{name}"] = [1.0, *(one.gains.get(name, np.nan) for one in rows)]
+        table["seen_share"] = [prospect.seen_share, *(one.seen_share for one in rows)]
+        table["sample_spacing_m"] = [prospect.spacing_m, *(one.spacing_m for one in rows)]
+        table["reason"] = ["", *(one.reason for one in rows)]
+        write_table_csv(folder / ALTERNATIVES_FILE, table)
+        sources = list(dict.fromkeys(source for shares in self.limits.values() for source in shares))
+        shares = {name: [self.limits[name].get(source, 0.0) for source in sources] for name in names}
+        write_table_csv(
+            folder / LIMITS_FILE, {"source": sources} | {f"share_of_{name}": one for name, one in shares.items()}
+        )
+        canting = np.array([one.sigma_canting_rad for one in prospect.facets])
+        if len(prospect.facets) == 1:
+            canting = np.full((1, 2), np.nan)
+        write_table_csv(
+            folder / FACETS_FILE,
+            {
+                "facet": [one.name for one in prospect.facets],
+                "seen_share": [one.seen_share for one in prospect.facets],
+                "sigma_canting_x_rad": canting[:, 0].tolist(),
+                "sigma_canting_y_rad": canting[:, 1].tolist(),
+                "hole": [one.hole for one in prospect.facets],
+            },
+        )
+
+    def headline(self) -> str:
+        """Return the sigmas, what limits them and the best alternatives in a few lines for the terminal."""
+        sigmas = self.prospect.sigmas()
+        slopes = ", ".join(f"{1e3 * sigmas[f'slope_{axis}']:.4f} mrad in {axis}" for axis in "xy")
+        lines = [f"{self.name}: expected from {self.prospect.samples} samples", f"  slopes           sigma {slopes}"]
+        for name, words in (("canting", "canting"), ("mean_normal", "mean normal")):
+            if name in sigmas:
+                lines.append(f"  {words:<16} sigma {1e3 * sigmas[name]:.4f} mrad RMS")
+        for axis in "xy":
+            length = self.prospect.numbers.get(f"focal_length_{axis}_m")
+            if length is not None:
+                sigma = self.prospect.numbers[f"sigma_focal_length_{axis}_m"]
+                lines.append(f"  focal length {axis}   {number_text(float(length), sigma, 'm')}")
+        lines += [
+            f"  sees the pattern {100 * self.prospect.seen_share:.1f} % of the mirror, samples "
+            f"{1e3 * self.prospect.spacing_m:.3g} mm apart",
+            f"  limited by       {words_of_limits(self.limits, 1)}",
+            f"  better           {self._best()}",
+        ]
+        return "\n".join(lines)
+
+
+def sigma_key(name: str) -> str:
+    """Return the key of a sigma, with its unit."""
+    if name.startswith("curvature"):
+        return f"sigma_{name}_per_m"
+    return f"sigma_{name}_rms_rad"
+
+
+def _or_none(value: float) -> float | None:
+    return value if np.isfinite(value) else None
+
+
+def run_plan(
+    planned: PlannedSource, folder: Path, files: tuple[Path, ...], progress: Progress | None = None
+) -> PlanResult:
+    """Say what a measurement will be worth, and look at what might be done otherwise.
+
+    folder, files: Where measurement.toml is, and all that was read.
+    InputError: A set-up that shows the mirror no pattern.
+    EstimationError: One that determines no slopes.
+    """
+    progress = progress or SilentProgress()
+    with progress.stage("as planned"):
+        prospect = planned.prospect()
+    with progress.stage("what limits"):
+        limits = prospect.limits()
+    changes = [one for one in planned.changes() if one.is_worth_a_look(limits)]
+    found = []
+    with progress.stage("alternatives", steps=len(changes)) as stage:
+        for change in changes:
+            found.append(_tried(change, prospect))
+            stage.advance()
+    return PlanResult(
+        name=planned.name,
+        prospect=prospect,
+        limits=limits,
+        alternatives=tuple(sorted(found, key=lambda one: -one.best_gain)),
+        doubts=prospect.doubts,
+        durations_s=dict(progress.durations_s),
+        input_sha256=hash_files(files, folder),
+    )
+
+
+def _tried(change: Change, before: Prospect) -> Alternative:
+    try:
+        after = change.planned.prospect()
+    except (InputError, EstimationError) as error:
+        return Alternative(change, {}, {}, np.nan, np.nan, str(error))
+    sigmas = after.sigmas()
+    gains = {name: one / sigmas[name] if sigmas.get(name, 0.0) > 0 else np.nan for name, one in before.sigmas().items()}
+    return Alternative(change, sigmas, gains, after.seen_share, after.spacing_m)
