@@ -42,7 +42,7 @@ def words_of_remedy(sights: Sequence[FacetSight], size_m: FloatArray) -> str:
         seen = np.concatenate(place)
         least, most = float(np.nanmin(seen)), float(np.nanmax(seen))
         if most - least > 1:
-            said.append(f"make it {(most - least) * size:.3g} m {length} instead of {size:.3g} m")
+            said.append(f"make it at least {(most - least) * size:.3f} m {length} instead of {size:.3f} m")
         elif least < 0 or most > 1:
             side, by = (low, -least) if least < 0 else (high, most - 1)
             said.append(f"move it by {by * size:.3g} m towards its {side} edge")

@@ -97,18 +97,20 @@ def drawn_dots() -> Drawn:
     return Drawn(scene, known, 190.0, 1.05, is_dots=True)
 
 
-def drawn_tower(scale: float = 0.25) -> Drawn:
-    """Return a heliostat of nine facets seen at night from its tower."""
+def drawn_tower(scale: float = 0.25, facets: tuple[int, ...] = tuple(range(9))) -> Drawn:
+    """Return a heliostat of nine facets, or some of them, seen at night from its tower."""
+    scene = tower_scene(scale=scale)
+    scene = replace(scene, facets=tuple(scene.facets[k] for k in facets))
     known = tower_knowledge(scale, sigma_place_mm=SIGMA_PLACE_MM)
     known = replace(known, sigma_facet_mm=(1.0, 1.0, 1.0))
-    return Drawn(tower_scene(scale=scale), known, 260.0, 5.0)
+    return Drawn(scene, known, 260.0, 5.0)
 
 
 @dataclass(frozen=True)
 class Outcome:
     """One drawn measurement beside its promise.
 
-    errors (n,): Curvatures, twist and mean normal, measured minus true.
+    errors (n,): Curvatures and mean normal, measured minus true; of several facets the mean normal.
     canting_rad (f, 2): Errors of the facets' canting; f = 0 for a single facet.
     stated: Sigmas that the measurement then states, by the names of the plan.
     """
@@ -133,7 +135,7 @@ def _outcome(result: Result, scene: FringeScene) -> Outcome:
     stated |= {axis: float(numbers[f"sigma_{axis}_per_m"] or 0.0) for axis in ("curvature_x", "curvature_y")}
     normal = [float(numbers[f"sigma_mean_normal_{axis}_rad"] or 0.0) for axis in "xy"]
     stated["mean_normal"] = float(np.sqrt(0.5 * np.sum(np.square(normal))))
-    facets, normals, means, shape = scene.facets, [], [], np.zeros(3)
+    facets, normals, means, shape = scene.facets, [], [], np.zeros(2)
     for facet, slope_map in zip(facets, result.evaluation.maps.values(), strict=True):
         x, y, found, true = _slopes(slope_map, facet)
         for pose, slopes in ((result.evaluation.solution.cam_from_mirror, found), (scene.bench.cam_from_mirror, true)):
@@ -164,11 +166,11 @@ def _slopes(slope_map: SlopeMap, facet: SyntheticFacet) -> tuple[FloatArray, Flo
 
 
 def _solver(x: FloatArray, y: FloatArray) -> FloatArray:
-    """Return what takes slopes (2 n,) to curvatures and twist (3,), tilts beside them."""
+    """Return what takes slopes (2 n,) to both curvatures, beside twist and tilts."""
     one, none = np.ones_like(x), np.zeros_like(x)
     along_x = np.column_stack([x, none, y, one, none])
     along_y = np.column_stack([none, y, x, none, one])
-    return np.asarray(np.linalg.pinv(np.concatenate([along_x, along_y]))[:3])
+    return np.asarray(np.linalg.pinv(np.concatenate([along_x, along_y]))[:2])
 
 
 def promised_covariance(prospect: Prospect) -> FloatArray:
@@ -179,15 +181,14 @@ def promised_covariance(prospect: Prospect) -> FloatArray:
     slope_map = prospect.slope_map
     x, y = (one[slope_map.valid] for one in np.meshgrid(slope_map.x_m, slope_map.y_m))
     modes = slope_map.common.evaluate(x, y).reshape(-1, 2 * x.size)
-    effects = np.zeros((len(modes), 5))
-    effects[:, :3] = modes @ _solver(x, y).T
+    effects = np.zeros((len(modes), 4))
+    effects[:, :2] = modes @ _solver(x, y).T
     # Errors of pose, camera and screen come first, in both; what nobody states turns no normal.
-    effects[: len(normal), 3:] = normal
+    effects[: len(normal), 2:] = normal
     covariance = effects.T @ effects
-    noise = fit_quadratic(replace(slope_map, common=no_common_modes())).covariance[np.ix_([0, 1, 4], [0, 1, 4])]
+    noise = fit_quadratic(replace(slope_map, common=no_common_modes())).covariance[:2, :2]
     # Curvatures are twice the coefficients of the squares.
-    scale = np.diag([2.0, 2.0, 1.0])
-    covariance[:3, :3] += scale @ noise @ scale
+    covariance[:2, :2] += 4.0 * noise
     return np.asarray(covariance)
 
 

@@ -90,7 +90,7 @@ def test_a_screen_that_is_too_small_is_named_with_the_size_it_needs(tmp_path: Pa
     assert 0.5 < found.seen_share < 0.8
     assert "left edge" in hole.text
     assert "right edge" in hole.text
-    needed = float(hole.text.partition("make it ")[2].split()[0])
+    needed = float(hole.text.partition("make it at least ")[2].split()[0])
     whole = prospect(planned(tmp_path / "q", screen={"width_m": 1.02 * needed}))
     assert whole.seen_share == 1.0
 
@@ -151,12 +151,12 @@ def test_alternatives_by_the_command(tmp_path: Path) -> None:
     assert read_slope_map(out / MAP_FILE).valid.any()
     page = (out / "report.html").read_text()
     assert "What would better it" in page
-    assert "the screen's turn known twice as well" in page
+    assert "turn known twice as well" in page
 
 
 @pytest.mark.slow
 def test_errors_of_drawn_fringes_are_as_large_together_as_promised(tmp_path: Path) -> None:
-    """Six seeds of five numbers: the root of chi-square over 30 is 1 +- 0.13; the benchmark takes more."""
+    """Six seeds of four numbers: the root of chi-square over 24 is 1 +- 0.14; the benchmark takes more."""
     drawn = drawn_fringes()
     drawn.write(tmp_path / "planned", 99)
     promise = drawn.promise(tmp_path / "planned")
@@ -167,7 +167,7 @@ def test_errors_of_drawn_fringes_are_as_large_together_as_promised(tmp_path: Pat
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("source", [drawn_dots, lambda: drawn_tower(0.12)])
+@pytest.mark.parametrize("source", [drawn_dots, lambda: drawn_tower(facets=(0, 1, 5))])
 def test_what_is_promised_is_what_is_then_stated(tmp_path: Path, source: Any) -> None:
     drawn = source()
     drawn.write(tmp_path / "planned", 99)
