@@ -5,7 +5,7 @@
 Each source is drawn so many times by `data_synth`, which shares no equation with estimator or plan, with set-ups stated
 with errors of their sigmas. "joint": errors of both curvatures and of the mean normal together (of several facets: of
 the mean normal) against the covariance promised before, root of chi-square over its number. "canting": errors of the
-facets over their promised sigmas, RMS. "stated": promised sigma over the mean of those that the measurements then state.
+facets over their promised sigmas, RMS. "stated": promised sigma over the mean of those that measurements then state.
 """
 
 import argparse

@@ -84,6 +84,7 @@ INSTRUMENT = Instrument(
             init_option="--laser",
             init_help="For beams of a laser and the spots they make after the mirror (VSHOT).",
             run="deflectometry.laser.pipeline.measure:run",
+            plan="deflectometry.laser.planning.plan:run",
             options="deflectometry.pipeline.choices:Options",
         ),
         Kind(

@@ -7,6 +7,7 @@ from typing import Literal, Self
 from pydantic import Field, model_validator
 
 from deflectometry.exchange.measure_slopes import SlopesEvaluationSection, SlopesMirrorSection
+from deflectometry.laser.planning.keys import LaserPlanSection
 from heliogauge.measurement.load import MEASUREMENT_FILE, read_measurement, refuse_missing
 from heliogauge.measurement.models import MeasurementModel, Positive, Section, Sigma, Text, Vector2
 
@@ -74,6 +75,7 @@ class LaserModel(MeasurementModel):
     scan: ScanSection = Field(description="The beams and their spots.")
     mirror: LaserMirrorSection = Field(description="The mirror's design and place.")
     evaluation: LaserEvaluationSection = Field(LaserEvaluationSection(), description="Choices of the evaluation.")
+    plan: LaserPlanSection | None = Field(None, description="What a plan expects of mirror, beams and target.")
 
 
 @dataclass(frozen=True, slots=True, eq=False)

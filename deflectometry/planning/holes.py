@@ -60,7 +60,7 @@ def hole_doubt(sights: Sequence[FacetSight], size_m: FloatArray) -> Doubt | None
     more = f"; and {len(holes) - 4} facets more" if len(holes) > 4 else ""
     remedy = words_of_remedy(sights, size_m)
     return Doubt(
-        "plan_measures_part",
+        "plan_sees_past_screen",
         f"{share:.1%} of the mirror sees the screen ({named}{more}); to see it with the whole mirror "
         f"{remedy or 'turn the mirror towards it'}, or move the camera as far to the other side. Without that the "
         "outline ends where the screen does, and [mirror.pose] is needed",

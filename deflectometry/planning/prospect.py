@@ -153,6 +153,12 @@ class PlannedSource(Protocol):
         EstimationError: One that determines no slopes.
         """
 
+    def limits(self, prospect: Prospect) -> Mapping[str, Mapping[str, float]]:
+        """Return the share of each source of errors in each variance: by the names of `LIMITED`, then of the sources.
+
+        prospect: As planned.
+        """
+
     def changes(self) -> Iterable["Change"]:
         """Yield what might be done otherwise."""
 

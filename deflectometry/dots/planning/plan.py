@@ -1,6 +1,6 @@
 """A plan of a photo of dots: what the measurement will be worth, from its measurement.toml before there is a photo."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,7 +10,6 @@ from deflectometry.dots.dot_source import DotSource
 from deflectometry.dots.ground import POLARITIES
 from deflectometry.dots.keys import DotsMeasurement, DotsModel
 from deflectometry.dots.planning.predicted_dots import measured_sample, places_of_dots, predicted_dots
-from deflectometry.keys import BenchMeasurement
 from deflectometry.planning.pipeline.bench import Bench, bench_changes, changed, input_files
 from deflectometry.planning.pipeline.plan import PlanResult, run_plan
 from deflectometry.planning.prospect import NOISE, Change, Prospect
@@ -81,23 +80,22 @@ class PlannedDots:
             return float(np.sqrt(np.mean(radii**2)))
         return 0.25 * float(screen.spacing_m.min())
 
+    def limits(self, prospect: Prospect) -> Mapping[str, Mapping[str, float]]:
+        """Return the share of each source of errors in each variance."""
+        return prospect.limits()
+
     def changes(self) -> Iterator[Change]:
         """Yield what might be done otherwise."""
-        yield from bench_changes(self.bench, _planned)
+        yield from bench_changes(self.bench, PlannedDots)
         noise = self.measurement.model.plan.noise_dn
         yield Change(
             f"the mean of {_PHOTOS} photos",
             "plan.noise_dn",
             f"{noise:g}",
             f"{noise / _PHOTOS**0.5:g}",
-            _planned(changed(self.measurement, {"plan.noise_dn": noise / _PHOTOS**0.5})),
+            PlannedDots(changed(self.measurement, {"plan.noise_dn": noise / _PHOTOS**0.5})),
             (NOISE,),
         )
-
-
-def _planned(measurement: BenchMeasurement) -> PlannedDots:
-    assert isinstance(measurement, DotsMeasurement)
-    return PlannedDots(measurement)
 
 
 def load_dots_plan(folder: Path) -> DotsMeasurement:

@@ -1,13 +1,13 @@
 """A plan of fringes: what the measurement will be worth, from its measurement.toml before there are images."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from deflectometry.fringes.planning.predicted_fringes import PredictedFringes, screen_points, sigma_of_points
-from deflectometry.keys import BenchMeasurement, DeflectometryMeasurement, DeflectometryModel, FringeSetSection
+from deflectometry.keys import DeflectometryMeasurement, DeflectometryModel, FringeSetSection
 from deflectometry.pipeline.images import read_known_point
 from deflectometry.pipeline.inputs import build_pattern, pattern_words
 from deflectometry.planning.pipeline.bench import Bench, bench_changes, changed, input_files
@@ -73,9 +73,13 @@ class PlannedFringes:
             return 2 * model.plan.contrast_dn, float(np.sqrt(frames)) * model.plan.noise_dn
         return model.plan.contrast_dn, model.plan.noise_dn / float(np.sqrt(pattern.sets[0].n_frames))
 
+    def limits(self, prospect: Prospect) -> Mapping[str, Mapping[str, float]]:
+        """Return the share of each source of errors in each variance."""
+        return prospect.limits()
+
     def changes(self) -> Iterator[Change]:
         """Yield what might be done otherwise."""
-        yield from bench_changes(self.bench, _planned)
+        yield from bench_changes(self.bench, PlannedFringes)
         sets = self.measurement.model.pattern.set
         finest = {axis: max(one.periods for one in sets if one.axis == axis) for axis in ("x", "y")}
         finer = [
@@ -87,7 +91,7 @@ class PlannedFringes:
             "pattern.set.periods",
             ", ".join(f"{one:g}" for one in finest.values()),
             ", ".join(f"{_FINER * one:g}" for one in finest.values()),
-            _planned(self._with_sets(finer)),
+            PlannedFringes(self._with_sets(finer)),
             (NOISE,),
         )
         more = [one.model_copy(update={"steps_deg": one.steps_deg * _MORE_FRAMES}) for one in sets]
@@ -97,17 +101,12 @@ class PlannedFringes:
             "pattern.set.steps_deg",
             str(count),
             str(_MORE_FRAMES * count),
-            _planned(self._with_sets(more)),
+            PlannedFringes(self._with_sets(more)),
             (NOISE,),
         )
 
-    def _with_sets(self, sets: list[FringeSetSection]) -> BenchMeasurement:
+    def _with_sets(self, sets: list[FringeSetSection]) -> DeflectometryMeasurement:
         return changed(self.measurement, {"pattern.set": tuple(one.model_dump() for one in sets)})
-
-
-def _planned(measurement: BenchMeasurement) -> PlannedFringes:
-    assert isinstance(measurement, DeflectometryMeasurement)
-    return PlannedFringes(measurement)
 
 
 def load_fringes_plan(folder: Path) -> DeflectometryMeasurement:

@@ -116,6 +116,41 @@ def run(measurement: LaserMeasurement, options: Options | None = None, progress:
     with progress.stage("read scan"):
         lines = None if model.scan.lines_file is None else read_lines(measurement.scan_file)
         scan = read_scan(measurement.scan_file) if lines is None else lines.scan
+    one = evaluate_scan(model, scan, options, progress)
+    return LaserResult(
+        name=model.name,
+        slope_map=one.slope_map,
+        numbers=one.numbers,
+        scan=scan,
+        found=one.found,
+        instrument="" if one.heard is None else one.heard.words(one.sources),
+        doubts=(*_doubts(model, scan, one.found, one.heard), *_doubts_of_lines(lines)),
+        durations_s=dict(progress.durations_s),
+        input_sha256=hash_files(measurement.input_files, measurement.folder),
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class EvaluatedScan:
+    """A scan after its evaluation.
+
+    found: Slopes where the beams met the mirror. heard: What their curl says of the instrument; sources: Names of its
+        errors before. as_measured, slope_map: The map with nothing removed, and after what was to be removed.
+    """
+
+    found: ScanSlopes
+    heard: InstrumentByCurl | None
+    sources: tuple[str, ...]
+    as_measured: SlopeMap
+    slope_map: SlopeMap
+    numbers: Numbers
+
+
+def evaluate_scan(model: LaserModel, scan: LaserScan, options: Options, progress: Progress) -> EvaluatedScan:
+    """Find slopes, map and headline numbers of beams and spots.
+
+    InputError, EstimationError: As for `run`.
+    """
     section = model.evaluation
     align = options.align or Align(section.align)
     with progress.stage("slopes"):
@@ -135,17 +170,7 @@ def run(measurement: LaserMeasurement, options: Options | None = None, progress:
     with progress.stage("statistics"):
         slope_map = remove(as_measured, options.remove or Removal(section.remove))
         numbers = facet_numbers(slope_map, as_measured)
-    return LaserResult(
-        name=model.name,
-        slope_map=slope_map,
-        numbers=numbers,
-        scan=scan,
-        found=found,
-        instrument="" if heard is None else heard.words(sources),
-        doubts=(*_doubts(model, scan, found, heard), *_doubts_of_lines(lines)),
-        durations_s=dict(progress.durations_s),
-        input_sha256=hash_files(measurement.input_files, measurement.folder),
-    )
+    return EvaluatedScan(found, heard, sources, as_measured, slope_map, numbers)
 
 
 def _sigmas(model: LaserModel) -> LaserSigmas:

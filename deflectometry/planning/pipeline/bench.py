@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from deflectometry.pipeline.stated_inputs import INPUTS_FILE, inputs_table
 from deflectometry.planning.holes import hole_doubt, words_of_hole
 from deflectometry.planning.keys import BenchPlanSection
 from deflectometry.planning.predicted_sight import FacetSight, facet_sight, facing_pose
-from deflectometry.planning.prospect import Change, FacetProspect, Prospect
+from deflectometry.planning.prospect import Change, FacetProspect, PlannedSource, Prospect
 from deflectometry.setup.camera_and_screen import Setup
 from deflectometry.shape.common_modes import FACET_PLACE, MIRROR_POSE
 from deflectometry.sources.source import Source
@@ -111,9 +111,6 @@ class Bench:
         """Return what a result on predicted samples says of the measurement."""
         evaluation = result.evaluation
         normal = mean_normal(result.setup, evaluation)
-        said = dict(texts)
-        if "mean normal" in result.texts:
-            said["mean normal"] = result.texts["mean normal"]
         return Prospect(
             slope_map=result.assembled_as_measured,
             numbers=result.numbers,
@@ -131,7 +128,7 @@ class Bench:
             samples=sum(int(np.count_nonzero(np.isfinite(one.slope_x))) for one in evaluation.images.values()),
             normal_shares_rad=np.zeros((0, 2)) if normal is None else normal.shares_rad,
             normal_sources=() if normal is None else normal.sources,
-            texts=said,
+            texts={**texts, **result.texts},
             tables={INPUTS_FILE: inputs_table(result.inputs)},
             doubts=result.doubts,
         )
@@ -145,9 +142,8 @@ def _planned_pose(
     measurement: BenchMeasurement, setup: Setup, facets: Sequence[Facet], plan: BenchPlanSection
 ) -> RigidTransform:
     section = measurement.model.mirror
-    if section.pose is not None:
-        known = describe_mirror(measurement, setup).known_pose
-        assert known is not None
+    known = describe_mirror(measurement, setup).known_pose
+    if known is not None:
         return known.cam_from_mirror
     if plan.mirror_m is not None:
         place = np.array(plan.mirror_m)
@@ -202,7 +198,8 @@ def _with_predicted_places(model: BenchModel, setup: Setup, pose: RigidTransform
 # --- what might be done otherwise -----------------------------------------------------------------------------------
 
 #: Makes a planned source of a changed measurement.
-Planner = Callable[[BenchMeasurement], Any]
+Planner = Callable[[Any], PlannedSource]
+_Measurement = TypeVar("_Measurement", bound=BenchMeasurement)
 
 #: Keys of sigmas that are halved, what they are of, and the sources of errors that this makes smaller.
 _SIGMAS = (
@@ -280,7 +277,7 @@ def _surveyed(bench: Bench, planned: Planner) -> Iterator[Change]:
     )
 
 
-def changed(measurement: BenchMeasurement, values: Mapping[str, Any]) -> BenchMeasurement:
+def changed(measurement: _Measurement, values: Mapping[str, Any]) -> _Measurement:
     """Return a measurement with other values of keys, as if its file had said so."""
     content = measurement.model.model_dump(exclude_unset=True)
     for key, value in values.items():

@@ -183,7 +183,7 @@ def run_plan(
     with progress.stage("as planned"):
         prospect = planned.prospect()
     with progress.stage("what limits"):
-        limits = prospect.limits()
+        limits = planned.limits(prospect)
     changes = [one for one in planned.changes() if one.is_worth_a_look(limits)]
     found = []
     with progress.stage("alternatives", steps=len(changes)) as stage:

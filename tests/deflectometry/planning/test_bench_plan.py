@@ -86,7 +86,7 @@ def test_the_mean_normal_is_limited_by_where_the_screen_is(tmp_path: Path) -> No
 def test_a_screen_that_is_too_small_is_named_with_the_size_it_needs(tmp_path: Path) -> None:
     """Of 8.7 m x 3.5 m the facet sees 2.5 m x 2.5 m around the middle: of 1.6 m of width it sees beyond both edges."""
     found = prospect(planned(tmp_path / "p", screen={"width_m": 1.6}))
-    (hole,) = [one for one in found.doubts if one.code == "plan_measures_part"]
+    (hole,) = [one for one in found.doubts if one.code == "plan_sees_past_screen"]
     assert 0.5 < found.seen_share < 0.8
     assert "left edge" in hole.text
     assert "right edge" in hole.text
@@ -167,7 +167,7 @@ def test_errors_of_drawn_fringes_are_as_large_together_as_promised(tmp_path: Pat
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("source", [drawn_dots, lambda: drawn_tower(facets=(0, 1, 5))])
+@pytest.mark.parametrize("source", [drawn_dots, lambda: drawn_tower(0.2, (0, 5))])
 def test_what_is_promised_is_what_is_then_stated(tmp_path: Path, source: Any) -> None:
     drawn = source()
     drawn.write(tmp_path / "planned", 99)
