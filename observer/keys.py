@@ -317,8 +317,8 @@ class ObserverModel(MeasurementModel):
             raise ValueError("tilts: they belong to [corners] seen by one fixed camera, without [positions]")
         if self.corners is None:
             return self
-        if self.rolling_shutter is not None:
-            raise ValueError("rolling_shutter: marked targets are needed, [targets]; hover for photos with [corners]")
+        if self.rolling_shutter is not None and self.tilts is not None:
+            raise ValueError("rolling_shutter: the camera of [tilts] stands still; leave the table out")
         if self.positions is None and self.tilts is None:
             raise ValueError(
                 "corners: [positions] is needed: where the drone was, and how its camera was turned; or [tilts] of a "

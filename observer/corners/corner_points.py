@@ -32,10 +32,12 @@ class CornerPoints(NamedTuple):
     flags: FlagArray
 
 
-def corner_points(view: View, lattice: PanelLattice, fitted: FittedPose) -> CornerPoints:
+def corner_points(view: View, lattice: PanelLattice, fitted: FittedPose, motion_sigma_m: float = 0.0) -> CornerPoints:
     """Return the corners of a photo.
 
     view: Camera and the pose at which the lines were found.
+    motion_sigma_m: How far the camera may have flown while it read the photo's rows: the first and the last one show a
+        corner from half of that beside the pose, which is no reason to refuse it [m].
 
     A corner is the mean of the corners of the panels that meet in it. So the lines on both sides of it are carried on
     to it and averaged: panels lie off their places by millimetres, and one side alone would be another point.
@@ -45,6 +47,9 @@ def corner_points(view: View, lattice: PanelLattice, fitted: FittedPose) -> Corn
     places = np.arange(count)
     mounted = lattice.covariance_m2.reshape(count, 3, count, 3)[places, :, places]
     mounted_px2 = seen.d_pixel_d_point @ mounted @ np.swapaxes(seen.d_pixel_d_point, 1, 2)
+    after = (seen.pixels_px[:, 1] - (view.camera.height_px - 1) / 2) / view.camera.height_px
+    moved_px2 = seen.d_pixel_d_point @ np.swapaxes(seen.d_pixel_d_point, 1, 2)
+    mounted_px2 = mounted_px2 + np.square(after * motion_sigma_m)[:, None, None] * moved_px2
     pixels = np.full((count, 2), np.nan)
     covariance = np.full((count, 2, 2), np.nan)
     flags = np.zeros(count, dtype=np.uint32)

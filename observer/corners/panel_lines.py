@@ -212,7 +212,10 @@ def _found(pieces: Pieces, lines: Sequence[PanelLine], noise_dn: float) -> list[
     moved = _moved_by_step_px(pieces, found, signed, margin)
     for k in gaps:
         one = found[k]
-        if one is not None:
+        # Its pieces were looked for so near it: a step that may have moved it by more is no gap.
+        if moved[k] > _NEAR_PX:
+            found[k] = None
+        elif one is not None:
             found[k] = replace(one, covariance_px2=one.covariance_px2 + np.diag([moved[k] ** 2, 0.0]))
     return found
 

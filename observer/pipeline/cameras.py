@@ -91,8 +91,9 @@ def adjust_cameras(listed: CheckedList, inputs: Inputs, jobs: int | None, progre
         if measured is None or shutter is None:
             network = adjusted(measured)
             cameras = Cameras.of(network, listed.survey.photo_files)
-            can_be_stated = inputs.corners is None and measured is not None
-            doubt = None if inputs.tilts is not None else unstated_doubt(network, can_be_stated=can_be_stated)
+            doubt = None
+            if inputs.tilts is None:
+                doubt = unstated_doubt(network, can_be_stated=measured is not None)
             cameras = replace(cameras, doubts=gather_doubts(doubt))
         else:
             rolled = adjust_rolling(adjusted, measured, shutter)

@@ -77,11 +77,13 @@ class CornerSearch:
     collector: Its drawing, turn and place.
     positions: Places and turns of the camera.
     is_tied: Whether the places are in the collector's frame already, as those of a far camera.
+    motion_sigma_m: How far the camera may fly while it reads the rows of a photo [m].
     """
 
     collector: SearchedCollector
     positions: PlacesOfPhotos
     is_tied: bool = False
+    motion_sigma_m: float = 0.0
 
     @property
     def lattice(self) -> PanelLattice:
@@ -160,7 +162,7 @@ def find_corners_of_each(
             file = files[number]
             if file.name in said:
                 photo = opened(file)
-                found = [_look(photo, own, tied) for own in collectors]
+                found = [_look(photo, each.collector, tied, each.motion_sigma_m) for each in searches]
             else:
                 none = _refused(file.name, read_luma(file).shape, "nobody says where it was taken"), None
                 found = [none for _ in collectors]
@@ -190,7 +192,9 @@ def _start_photos(files: Sequence[Path], n_collectors: int) -> list[Path]:
     return some[1:-1] if len(some) > 3 else some
 
 
-def _look(photo: SearchedPhoto, own: SearchedCollector, tied: Tied) -> tuple[OnePhoto, RigidTransform | None]:
+def _look(
+    photo: SearchedPhoto, own: SearchedCollector, tied: Tied, motion_sigma_m: float
+) -> tuple[OnePhoto, RigidTransform | None]:
     """Find the corners of one collector in one photo."""
     lattice, shape = own.lattice, photo.image.shape
     enu_from_frame = tied.enu_from_frame(own)
@@ -214,7 +218,7 @@ def _look(photo: SearchedPhoto, own: SearchedCollector, tied: Tied) -> tuple[One
     if fitted is None:
         return _refused(photo.name, shape, reason), None
     pose = fitted.cam_from_frame
-    points = corner_points(View(photo.camera, pose), lattice, fitted)
+    points = corner_points(View(photo.camera, pose), lattice, fitted, motion_sigma_m)
     found = Detections(
         photo.name,
         lattice.names,

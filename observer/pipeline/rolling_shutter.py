@@ -339,7 +339,7 @@ def shutter_doubts(found: RolledNetwork, shutter: Shutter) -> tuple[Doubt, ...]:
 def unstated_doubt(network: photogrammetry_pipeline.Result, *, can_be_stated: bool = True) -> Doubt | None:
     """Say whether the targets show a rolling shutter that nobody stated; None where they do not, or cannot.
 
-    can_be_stated: Whether the table is allowed: not with corners of panels or targets without codes.
+    can_be_stated: Whether the table is allowed: not with targets without codes.
     """
     bundle = network.solved.bundle
     if len(bundle.cam_from_world) < _FEWEST_PHOTOS:

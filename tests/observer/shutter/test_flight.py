@@ -66,7 +66,6 @@ def test_a_readout_of_no_time_is_refused():
     [
         {"targets": {"file": "targets.csv", "diameter_mm": 90.0, "uncoded_file": "uncoded.csv"}},
         {"targets": {"tracked_from": "marks.csv", "diameter_mm": 90.0}},
-        {"corners": {}},
     ],
 )
 def test_targets_that_a_photo_alone_does_not_name_are_refused_with_a_shutter(targets):
@@ -86,9 +85,15 @@ def test_targets_that_a_photo_alone_does_not_name_are_refused_with_a_shutter(tar
     }
     with pytest.raises(ValidationError, match=r"rolling_shutter.*targets"):
         ObserverModel.model_validate(content)
-    content.pop("corners", None)
     coded = {"targets": {"dictionary": "aicon-12", "diameter_mm": 90.0}}
     assert ObserverModel.model_validate(content | coded).rolling_shutter is not None
+    del content["targets"]
+    by_corners = {"corners": {"azimuth_deg": 8.0}, "positions": {"file": "positions.csv"}}
+    assert ObserverModel.model_validate(content | by_corners).rolling_shutter is not None
+    with pytest.raises(ValidationError, match="stands still"):
+        ObserverModel.model_validate(
+            content | {"corners": {}, "tilts": {"file": "a.csv", "distance_m": 149.0, "sigma_mrad": 0.2}}
+        )
 
 
 def test_times_of_the_photos_give_the_speed():

@@ -256,10 +256,10 @@ def test_a_shutter_that_nobody_stated_is_named(along_rows):
     assert doubt.code == "rolling_shutter_not_stated"
     assert doubt.numbers["motion_m"] == pytest.approx(0.04, abs=0.01)
     assert "[rolling_shutter]" in doubt.text
-    # The table is refused with corners of panels.
-    by_corners = unstated_doubt(rolling.network(rolling.measured()), can_be_stated=False)
-    assert by_corners is not None
-    assert "[rolling_shutter]" not in by_corners.text
+    # The table is refused with targets without codes.
+    without_codes = unstated_doubt(rolling.network(rolling.measured()), can_be_stated=False)
+    assert without_codes is not None
+    assert "[rolling_shutter]" not in without_codes.text
 
 
 def test_a_steady_readout_is_that_of_motions_which_the_path_leaves_no_room(monkeypatch):
