@@ -61,8 +61,8 @@ _NOISE = 0.02
 #: Where chance makes residuals as large as those of a group less often than this, they are its own.
 _CHANCE = 1e-3
 #: Rounds of the fit, until no axis and no blur moves by more than this; each is some ten times nearer than the one
-#: before [px].
-_ROUNDS, _SETTLED_PX = 6, 1e-3
+#: before, so that what is left is a fiftieth of what rows share besides [px].
+_ROUNDS, _SETTLED_PX = 6, 4e-3
 #: The axis is not further from where the edges put it [px].
 _FURTHEST_PX = 1.5
 

@@ -21,7 +21,7 @@ _FEW_LINES = 0.5
 #: Rows that suffice to choose the roughness: it is one number, and each row has some hundred lines.
 _ROWS_FOR_ROUGHNESS = 16
 #: Photos whose lines suffice for that.
-_PHOTOS_FOR_ROUGHNESS = 70
+_PHOTOS_FOR_ROUGHNESS = 40
 #: Share of the variance that the combinations of common unknowns have which are kept as modes of the whole map, and the
 #: part of the rest that may be left out before the strongest are chosen.
 _MODES_SHARE = 0.99
