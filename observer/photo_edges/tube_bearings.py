@@ -107,7 +107,7 @@ def tube_bearings(shots: Sequence[Shot], expected: Expectation) -> list[Bearings
     Step by step for all photos, as `observer.photo_edges.reflection_edges.reflection_edges`.
     """
     plane = quadric([0, 0, 0, 0, 0, float(np.mean(expected.absorber.z_m))], name="plane of the focal line")
-    lookouts = [_lookout(one, expected) for one in shots]
+    lookouts = _lookouts(shots, expected)
     seen = [one for one in lookouts if one is not None]
     strips = [_strip(one, plane, expected) for one in seen]
     bearings = iter(_bearings(seen, strips, plane, expected))
@@ -129,21 +129,26 @@ class _Lookout:
     to_reflection_rad: float
 
 
-def _lookout(shot: Shot, expected: Expectation) -> _Lookout | None:
-    """Return from where a photo sees the tube; None where that cannot be used."""
-    camera = shot.view.camera
-    collector, eye = expected.collector, shot.view.eye_m
+def _lookouts(shots: Sequence[Shot], expected: Expectation) -> list[_Lookout | None]:
+    """Return from where photos see the tube; None for those that cannot be used."""
+    collector, eyes = expected.collector, np.reshape([one.view.eye_m for one in shots], (-1, 3))
     level, middle = float(np.mean(expected.absorber.z_m)), float(np.mean(expected.absorber.x_m))
-    height = float(eye[2]) - level
-    if height < 5 * collector.absorber_diameter_m:
-        # A camera beside the tube or below it sees it from the mirror's side; the plane has no use there.
-        return None
-    to_reflection = _angle_to_reflection(eye, expected)
-    if to_reflection <= (0.0 if collector.glass is None else PRISM_RAD):
-        # The tube's reflection is its background; edges of both cannot be distinguished.
-        return None
-    distance = float(np.hypot(eye[0] - middle, height))
-    return _Lookout(shot, eye, height, distance, 1 / max(camera.focal_x_px, camera.focal_y_px), to_reflection)
+    height = eyes[:, 2] - level
+    # A camera beside the tube or below it sees it from the mirror's side; the plane has no use there.
+    above = np.flatnonzero(height >= 5 * collector.absorber_diameter_m)
+    to_reflection = np.zeros(len(shots))
+    to_reflection[above] = _angle_to_reflection(eyes[above], expected)
+    # Where the tube's reflection is its background edges of both cannot be distinguished.
+    usable = to_reflection > (0.0 if collector.glass is None else PRISM_RAD)
+    lookouts: list[_Lookout | None] = []
+    for k, shot in enumerate(shots):
+        if not usable[k]:
+            lookouts.append(None)
+            continue
+        focal_px = max(shot.view.camera.focal_x_px, shot.view.camera.focal_y_px)
+        distance = float(np.hypot(eyes[k, 0] - middle, height[k]))
+        lookouts.append(_Lookout(shot, eyes[k], float(height[k]), distance, 1 / focal_px, float(to_reflection[k])))
+    return lookouts
 
 
 def _strip(seen: _Lookout, plane: Quadric, expected: Expectation) -> Strip:
@@ -234,22 +239,23 @@ def _by_profile(
     return found.angle_rad, each, 2 * found.radius_m
 
 
-def _angle_to_reflection(eye_m: FloatArray, expected: Expectation) -> float:
-    """Return by what angle the line of sight through the tube misses the tube after reflection behind it [rad].
+def _angle_to_reflection(eyes_m: FloatArray, expected: Expectation) -> FloatArray:
+    """Return by what angle lines of sight through the tube miss it after reflection behind it, shape (n,) [rad].
+
+    eyes_m (n, 3): Cameras above the tube [m].
 
     Small where the tube stands before its own reflection; infinite where there is no mirror behind it.
     """
     collector, focal = expected.collector, expected.collector.focal_length_m
     axis_x, axis_z = float(np.mean(expected.absorber.x_m)), float(np.mean(expected.absorber.z_m))
-    x = axis_x
+    x = np.full(len(eyes_m), axis_x)
     for _ in range(4):
-        x = axis_x - (eye_m[0] - axis_x) * (axis_z - x**2 / (4 * focal)) / (eye_m[2] - axis_z)
-    if abs(x) > collector.aperture_width_m / 2:
-        return float("inf")
-    point = np.array([[x, np.clip(eye_m[1], -1, 1) * 0.1, x**2 / (4 * focal)]])
-    line, slope = Sights(point, eye_m[None], np.zeros(1)), np.array([x / (2 * focal)])
-    beside = beside_axis(line, slope, expected.absorber, collector.absorber_diameter_m / 2)
-    return max(abs(float(beside.angle_rad[0])) - float(beside.half_rad[0]) - 2 * expected.slope_error_rad, 0.0)
+        x = axis_x - (eyes_m[:, 0] - axis_x) * (axis_z - x**2 / (4 * focal)) / (eyes_m[:, 2] - axis_z)
+    points = np.stack([x, 0.1 * np.clip(eyes_m[:, 1], -1, 1), x**2 / (4 * focal)], axis=1)
+    lines = Sights(points, eyes_m, np.zeros(len(eyes_m)))
+    beside = beside_axis(lines, x / (2 * focal), expected.absorber, collector.absorber_diameter_m / 2)
+    angle = np.maximum(np.abs(beside.angle_rad) - beside.half_rad - 2 * expected.slope_error_rad, 0.0)
+    return np.where(np.abs(x) > collector.aperture_width_m / 2, np.inf, angle)
 
 
 def beside_support(y_m: FloatArray, support_y_m: FloatArray, support_width_m: float) -> BoolArray:
