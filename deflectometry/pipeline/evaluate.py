@@ -11,9 +11,9 @@ from deflectometry.pipeline.source_slopes import MirrorPixels, poses_of_facets, 
 from deflectometry.pose.find_pose import LocatedMirror, MirrorInput, find_pose
 from deflectometry.pose.mirrors_in_image import find_mirrors
 from deflectometry.setup.camera_and_screen import Setup
-from deflectometry.shape.common_modes import common_modes, moved_inputs
+from deflectometry.shape.common_modes import common_modes, moved_facets, moved_inputs
 from deflectometry.shape.facet_pixels import UsableFacets, thinned
-from deflectometry.shape.fine_structure import fine_responses, fine_share
+from deflectometry.shape.fine_structure import fine_responses, fine_share, place_covariance, with_waviness_out_of_place
 from deflectometry.shape.gridding import grid_slopes, plan_grid
 from deflectometry.shape.pixel_slopes import SlopeImage
 from deflectometry.shape.smooth_shape import Align, ShapeSolution
@@ -151,6 +151,11 @@ def map_slopes(reflection: Reflection, setup: Setup, progress: Progress) -> Eval
             one.facet.name: fine_responses(setup, one, solution, inputs, surfaces[one.facet.name]) for one in few
         }
         fine = {name: fine_share(one, images[name], located.edge_width_px) for name, one in responses.items()}
+        moved = (*inputs, *moved_facets(setup, solution.cam_from_mirror, located.pose, located.places))
+        for one in few:
+            name = one.facet.name
+            place = place_covariance(setup, one, solution, moved, surfaces[name])
+            images[name] = with_waviness_out_of_place(images[name], surfaces[name], place)
     plan = plan_grid(images, located.facets, choices.grid_step_m, choices.align)
     finest = plan_grid(images, located.facets, 0.0, choices.align)
     plans = (plan, finest) if plan.step_m > finest.step_m else (plan,)

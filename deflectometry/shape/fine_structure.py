@@ -1,6 +1,6 @@
 """How well the size of a mirror's waviness is known: blur lowers it, and a wrong scale of the screen stretches it."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 import cv2
@@ -11,9 +11,9 @@ from deflectometry.setup.camera_and_screen import Setup
 from deflectometry.shape.common_modes import MovedInput
 from deflectometry.shape.facet_pixels import PixelSamples, spread_indices, trace_samples
 from deflectometry.shape.pixel_slopes import SlopeImage
-from deflectometry.shape.smooth_shape import FittedSurface, ShapeSolution, slopes_at
+from deflectometry.shape.smooth_shape import FacetSamples, FittedSurface, ShapeSolution, slopes_at
 from heliogauge.geometry.rigid import RigidTransform
-from heliogauge.validate import BoolArray, Float32Array, FloatArray
+from heliogauge.validate import AnyFloatArray, BoolArray, Float32Array, FloatArray
 
 #: Step on the display for the derivative of the slopes, a thousandth of its width and height.
 _STEP = 1e-3
@@ -21,6 +21,8 @@ _STEP = 1e-3
 _PIXELS = 25
 #: A facet with fewer measured pixels shows no waviness.
 _FEWEST_PIXELS = 200
+#: Samples whose waviness stands for that of all.
+_SPACED_SAMPLES = 50_000
 #: Waviness below this share of the noise's variance is not told from it: 200 pixels give a variance to a tenth.
 _LEAST_WAVINESS = 0.1
 
@@ -60,6 +62,86 @@ def fine_responses(
     start = np.linalg.inv(_slopes_by_display(setup, few, cam_from_mirror, surface))
     ratios = [_slopes_by_display(one.setup, few, one.cam_from_mirror, surface) @ start for one in inputs]
     return np.array([np.nanmedian(one, axis=0) - np.eye(2) for one in ratios]).reshape(-1, 2, 2)
+
+
+def place_covariance(
+    setup: Setup,
+    sample: PixelSamples,
+    solution: ShapeSolution,
+    inputs: Iterable[MovedInput],
+    surface: FittedSurface,
+) -> FloatArray:
+    """Return the covariance of the place on the mirror that a pixel sees, mean over a facet, shape (2, 2) [m^2].
+
+    sample, surface: Pixels and smooth shape of one facet.
+    inputs: Camera, screen, pose and places of facets with one of them moved after the other.
+    """
+    chosen = spread_indices(len(sample.pixels_px), _PIXELS)
+    few = replace(sample, pixels_px=sample.pixels_px[chosen], u=sample.u[chosen], v=sample.v[chosen])
+
+    def places(traced: FacetSamples, cam_from_mirror: RigidTransform) -> FloatArray:
+        facet_from_cam = (cam_from_mirror @ traced.facet.ensemble_from_facet).inverse()
+        return surface.intersect(facet_from_cam.translation_m, facet_from_cam.rotation @ traced.rays_cam)[:2]
+
+    as_given = trace_samples(setup, [few])[0]
+    start = places(as_given, solution.cam_from_mirror)
+    total = np.zeros((2, 2))
+    for one in inputs:
+        traced = as_given if one.facets is not None and sample.facet.name not in one.facets else one.sampled(few)
+        moved = one.times * (places(traced, one.cam_from_mirror) - start)
+        moved = moved[:, np.isfinite(moved).all(axis=0)]
+        total += moved @ moved.T / max(moved.shape[1], 1)
+    return total
+
+
+def with_waviness_out_of_place(image: SlopeImage, surface: FittedSurface, covariance_m2: FloatArray) -> SlopeImage:
+    """Return slopes whose sigmas hold that the waviness of the mirror stands aside by what its place is uncertain.
+
+    covariance_m2 (2, 2): Of the place that a pixel sees, from `place_covariance` [m^2].
+
+    Common modes hold what a shift does to the smooth shape. What is finer stands aside with it: its gradient times the
+    shift, an RMS over the facet. The gradient is that between neighbouring samples, which of a wave of five samples
+    loses a fifth of the square; what two steps lose more says how much.
+    """
+    # Some rows of large images, each with the two below it.
+    step = max(1, image.x_m.size // _SPACED_SAMPLES)
+    rows = np.arange(0, max(image.x_m.shape[0] - 2, 0), step)[:, None] + np.arange(3)
+    places = np.stack([image.x_m[rows], image.y_m[rows]])
+    measured = ((image.slope_x, image.sigma_x), (image.slope_y, image.sigma_y))
+    sigmas = []
+    for (slope, sigma), smooth in zip(measured, surface.gradient(*places), strict=True):
+        near, far = (_square_of_gradient(places, slope[rows] - smooth, sigma[rows], lag) for lag in (1, 2))
+        # (sin a / a)^2 is 1 - a^2 / 3 over one step and 1 - 4 a^2 / 3 over two.
+        found = near + (near - far) / 3 if np.isfinite(far).all() else near
+        values, vectors = np.linalg.eigh(np.nan_to_num(found))
+        waves = (vectors * np.maximum(values, 0.0)) @ vectors.T
+        sigmas.append(np.hypot(sigma, np.sqrt(np.sum(waves * covariance_m2))).astype(np.float32))
+    return replace(image, sigma_x=sigmas[0], sigma_y=sigmas[1])
+
+
+def _square_of_gradient(places_m: FloatArray, values: FloatArray, sigma: AnyFloatArray, lag: int) -> FloatArray:
+    """Return the mean of ``g g^T``, g the gradient of values over some samples, without noise, (2, 2) [1/m^2].
+
+    Shapes: places_m (2, n, 3, w), values, sigma (n, 3, w).
+    lag: 1 or 2 samples.
+    Returns: NaN where no three samples are seen together.
+    """
+    here, right, down = (
+        np.s_[..., 0, :-lag],
+        np.s_[..., 0, lag:],
+        np.s_[..., lag, :-lag],
+    )
+    change = np.stack([values[one] - values[here] for one in (right, down)])
+    seen = np.isfinite(change).all(axis=0)
+    if not seen.any():
+        return np.full((2, 2), np.nan)
+    steps = np.stack([(places_m[one] - places_m[here])[:, seen] for one in (right, down)])
+    inverse = np.linalg.inv(np.moveaxis(steps, -1, 0))
+    gradient = np.einsum("nij,jn->in", inverse, change[:, seen])
+    own, *others = (sigma[one][seen].astype(np.float64) ** 2 for one in (here, right, down))
+    noise = np.array([[own + others[0], own], [own, own + others[1]]])
+    of_noise = np.einsum("nij,jkn,nlk->il", inverse, noise, inverse)
+    return np.asarray((gradient @ gradient.T - of_noise) / np.count_nonzero(seen))
 
 
 def _slopes_by_display(

@@ -329,6 +329,15 @@ def _fit_facet(
     return _FacetFit(moved, error, quadratic[:2] / surface.scale_m, quadratic)
 
 
+def tilt_of(facet: Facet, places_m: FloatArray, slope_error: FloatArray) -> FloatArray:
+    """Return the tilt of a facet as `solve_shape` has it, (2,): that of the best-fit quadratic at its reference point.
+
+    places_m, slope_error (2, n): Places on the facet [m], slopes there minus the design's.
+    """
+    surface = start_surface(facet)
+    return _fit_potential(surface, places_m, slope_error, 2, RoundLimits().reweighting, None)[:2] / surface.scale_m
+
+
 def _fit_potential(
     surface: FittedSurface,
     points_m: FloatArray,

@@ -1,6 +1,6 @@
 """One frame of a series: dots, their numbers and slopes, with what the first frame has told."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -25,13 +25,14 @@ from deflectometry.pose.mirror_outline import outline_distance_px
 from deflectometry.pose.pose_observations import UncertainPose
 from deflectometry.setup.dot_marks import DotMarks
 from deflectometry.shape.pixel_slopes import SlopeImage
+from deflectometry.shape.smooth_shape import tilt_of
 from heliogauge.errors import EstimationError
 from heliogauge.geometry.rigid import RigidTransform, rotation_between
 from heliogauge.geometry.surfaces import Facet
 from heliogauge.running.progress import SilentProgress
 from heliogauge.short_repr import ShortRepr
 from heliogauge.slopes.normal_angles import normal_angles
-from heliogauge.validate import FloatArray
+from heliogauge.validate import BoolArray, FloatArray
 from photogrammetry.centers import REACH
 from photogrammetry.targets import Polarity
 
@@ -46,8 +47,10 @@ class FacetMotion(ShortRepr):
     normal (3,): Its mean normal in the camera's frame.
     sigma_noise_rad (2,): Of the normal in x and y, by the noise of the dots [rad].
     sigma_waves_rad (2,): Change of the normal when each dot shows the place of the next one, by waviness [rad].
+    edges_rad (2,): Changes of the normal without the outermost dots at one edge; root of the sum of their squares over
+        the four edges [rad].
     mean_squares_rad2 (2,): Means of the squares of the angles from the design [rad^2].
-    spread_rad2 (2,): Standard deviations of these squares [rad^2].
+    edges_rad2 (2,): The same of these means as of the normal [rad^2].
     noise_rad (2,): Standard deviation of a slope by the noise of the dots, RMS [rad].
     count: Dots.
     """
@@ -55,8 +58,9 @@ class FacetMotion(ShortRepr):
     normal: FloatArray
     sigma_noise_rad: FloatArray
     sigma_waves_rad: FloatArray
+    edges_rad: FloatArray
     mean_squares_rad2: FloatArray
-    spread_rad2: FloatArray
+    edges_rad2: FloatArray
     noise_rad: FloatArray
     count: int
 
@@ -201,16 +205,22 @@ def frame_slopes(known: KnownMirror, slopes: SolvedSource, probability: float) -
     images = slopes_of_facets(setup, slopes.screen_map, slopes.facet_index, usable, solution)
     for number, (name, image) in enumerate(images.items()):
         normal = poses[name].rotate(_normal(facets[name], solution.tilt_rad[number]))
-        found[name] = _motion(facets[name], image, np.asarray(normal))
+        found[name] = facet_motion(facets[name], image, np.asarray(normal))
     pose = solution.cam_from_mirror
     screen_from_mirror = setup.cam_from_screen.inverse() @ pose
     return FrameSlopes(pose, normal_angles_of(screen_from_mirror), found, probability, known.step_rad)
 
 
-def _motion(facet: Facet, image: SlopeImage, normal: FloatArray) -> FacetMotion:
+def facet_motion(facet: Facet, image: SlopeImage, normal: FloatArray) -> FacetMotion:
+    """Return how a facet stands, and what moves that when the pattern moves over it.
+
+    image: Its slopes at the dots, in the rows and columns of their lattice.
+    normal (3,): Its mean normal in the camera's frame.
+    """
     seen = np.isfinite(image.slope_x) & np.isfinite(image.slope_y)
     x, y = image.x_m[seen], image.y_m[seen]
-    angles = normal_angles(image.slope_x[seen], image.slope_y[seen], *facet.design.gradient(x, y))
+    slopes, design = np.stack([image.slope_x[seen], image.slope_y[seen]]), np.stack(facet.design.gradient(x, y))
+    angles = normal_angles(*slopes, *design)
     place = np.stack([x, y], axis=1) - facet.reference_point_m
     u, v = place.T / np.abs(place).max()
     terms = np.column_stack([np.ones_like(u), u, v, u * u, u * v, v * v])
@@ -220,15 +230,31 @@ def _motion(facet: Facet, image: SlopeImage, normal: FloatArray) -> FacetMotion:
     steps = np.concatenate([np.diff(rest, axis=axis).reshape(2, -1) for axis in (1, 2)], axis=1)
     # Of a dot and the next one, without their noise.
     waves = np.maximum(np.nanmean(steps**2, axis=1) - 2.0 * noise**2, 0.0)
-    # The mean is the constant term of a quadratic.
-    weight = np.linalg.inv(terms.T @ terms)[0, 0]
+    # The normal is the constant term of slopes that are linear in both places.
+    weight = np.linalg.inv(terms[:, :3].T @ terms[:, :3])[0, 0]
     squares = angles**2
+    tilts, means = [], []
+    for kept in (np.ones(len(x), dtype=np.bool_), *(~one[seen] for one in _outermost(seen))):
+        tilts.append(tilt_of(facet, np.stack([x, y])[:, kept], (slopes - design)[:, kept]))
+        means.append(squares[:, kept].mean(axis=1))
+    without, without_squares = np.array(tilts[1:]) - tilts[0], np.array(means[1:]) - means[0]
     return FacetMotion(
         normal,
         np.sqrt(weight) * noise,
         np.sqrt(weight * waves),
-        squares.mean(axis=1),
-        squares.std(axis=1),
+        np.sqrt(np.sum(without**2, axis=0)),
+        means[0],
+        np.sqrt(np.sum(without_squares**2, axis=0)),
         noise,
         len(x),
     )
+
+
+def _outermost(seen: BoolArray) -> Iterator[BoolArray]:
+    """Yield the outermost dots at each of the four edges of a lattice (h, w)."""
+    for axis in (0, 1):
+        for side in (seen, np.flip(seen, axis)):
+            first = seen & False
+            np.put_along_axis(first, np.expand_dims(side.argmax(axis=axis), axis), True, axis)
+            first &= side
+            yield first if side is seen else np.flip(first, axis)

@@ -10,11 +10,17 @@ import pytest
 from data_synth.dots import DotScene, write_dot_series
 from data_synth.fringes.presets import FULL_CAMERA, facet_scene, rectangle, standard_errors
 from data_synth.optics.mirror import Design, SyntheticFacet
+from data_synth.optics.surface_errors import Dimple, EdgeTurnDown, Polynomial, Ripple, SurfaceErrors, Zernike
+from deflectometry.dots.series.frame_slopes import FacetMotion, facet_motion
 from deflectometry.dots.series.keys import load_series
 from deflectometry.dots.series.motion import Motion
 from deflectometry.dots.series.pipeline.measure import run
+from deflectometry.dots.series.pipeline.result import sigma_of_rms, sigma_of_turn
+from deflectometry.shape.pixel_slopes import SlopeImage
+from deflectometry.shape.smooth_shape import tilt_of
 from heliogauge.errors import InputError
 from heliogauge.geometry.rigid import RigidTransform
+from heliogauge.geometry.surfaces import Facet, plane
 from heliogauge.measurement.writer import write_measurement
 from heliogauge.validate import FloatArray
 
@@ -33,6 +39,56 @@ def test_a_steady_turn_is_predicted_and_a_jump_makes_the_next_less_sure():
     assert motion.sigma_rad == pytest.approx(2.0 * calm)
     assert motion.add(8.0, RigidTransform.from_rotation_vector([0.02, 0.0, 0.0], [0.0, 0.0, 9.0])) > 0.01
     assert motion.sigma_rad > 2.0 * calm
+
+
+def drawn_mirror(rng: np.random.Generator, side_m: float) -> SurfaceErrors:
+    """Return a mirror with astigmatism, coma, a ripple, a dimple and turned-down edges of any size."""
+    size = side_m * np.sqrt(2.0)
+    bend = [(2, 0, 6e-4 / size), (0, 2, 4e-4 / size), (1, 1, 5e-4 / size)]
+    return SurfaceErrors(
+        (
+            Polynomial([(i, j, value * rng.normal()) for i, j, value in bend]),
+            Zernike(3, 1, 4e-5 * size * rng.normal(), 0.5 * size),
+            Ripple(2e-4 * rng.normal(), rng.uniform(0.12, 0.5), rng.uniform(0, np.pi), rng.uniform(0, 2 * np.pi)),
+            Dimple(-3e-5 * size * rng.normal(), 0.09 * size, *rng.uniform(-0.3, 0.3, 2)),
+            EdgeTurnDown(4e-4 * abs(rng.normal()), 0.05 * size, 0.5 * side_m, 0.5 * side_m),
+        )
+    )
+
+
+@pytest.mark.parametrize("oblique_rad", [0.0, 0.03])
+def test_turns_and_rms_scatter_as_their_sigmas_say_when_dots_cross_the_edges(oblique_rad: float) -> None:
+    """Dots on 80 mirrors before a pattern that moves by 0.1 to 3 of its spacing.
+
+    How far an edge is from its next line is not known, nor in which of the frames one is: sigmas are upper bounds.
+    """
+    rng, side_m, noise = np.random.default_rng(4), 1.2, 1.5e-6
+    facet = Facet("f", rectangle(side_m, side_m), plane())
+    turns, squares = [], []
+    for _ in range(80):
+        errors, spacing_m = drawn_mirror(rng, side_m), rng.uniform(0.04, 0.08)
+        number = np.arange(-int(side_m / spacing_m) - 3, int(side_m / spacing_m) + 4)
+        phase, reach_m = rng.uniform(0, 1, 2), 0.5 * side_m - 0.3 * spacing_m
+        moved, angle = rng.choice([0.1, 0.3, 0.6, 1.5, 3.3]), rng.uniform(0, 2 * np.pi)
+        found: list[tuple[FacetMotion, FloatArray]] = []
+        for by in (0.0, moved):
+            across, down = np.meshgrid(*(number + phase[:, None] + by * np.array([[np.cos(angle)], [np.sin(angle)]])))
+            turned = spacing_m * np.exp(1j * oblique_rad) * (across + 1j * down)
+            x, y = turned.real, turned.imag
+            _, *true = errors.evaluate(x, y)
+            seen = (np.abs(x) < reach_m) & (np.abs(y) < reach_m)
+            slopes = np.where(seen, np.stack(true) + noise * rng.normal(size=(2, *x.shape)), np.nan)
+            sigma = np.full(x.shape, noise, dtype=np.float32)
+            image = SlopeImage(0, 0, x, y, *slopes, sigma, sigma, np.zeros(x.shape, dtype=np.uint32))
+            tilt = tilt_of(facet, np.stack([x[seen], y[seen]]), slopes[:, seen])
+            found.append((facet_motion(facet, image, np.array([0.0, 0.0, 1.0])), tilt))
+        (before, start), (after, end) = found
+        share = min(float(moved), 1.0)
+        turns.append((end - start) / sigma_of_turn(after, before, share))
+        change = np.sqrt(after.mean_squares_rad2) - np.sqrt(before.mean_squares_rad2)
+        squares.append(change / sigma_of_rms(after, before, share))
+    assert 0.5 < np.sqrt(np.mean(np.square(turns))) < 1.25
+    assert 0.5 < np.sqrt(np.mean(np.square(squares))) < 1.25
 
 
 @pytest.fixture(scope="module")

@@ -107,14 +107,18 @@ def test_errors_of_all_facets_together_are_as_large_as_their_covariance_says(tmp
 def test_facets_displaced_along_the_line_of_sight_are_as_far_off_as_their_covariance_says(tmp_path: Path) -> None:
     """With the places taken as exact, as before they had a sigma, the errors are many times their covariance."""
     knowledge = replace(_KNOWLEDGE, sigma_facet_mm=(0.0, 0.0, 2.0))
-    with_places, without = [], []
-    for result, error, covariance, _ in _results(tmp_path, knowledge):
+    with_places, without, rests = [], [], []
+    for result, error, covariance, rest in _results(tmp_path, knowledge):
+        rests.append(np.mean(rest**2))
         with_places.append(_chi_square(error, covariance))
         modes = result.evaluation.maps[_scene().scene.facets[0].name].common
         assert modes.sources.count(FACET_PLACE) == 3 * len(_scene().scene.facets)
         without.append(_chi_square(*_errors(result, _scene(), FACET_PLACE)[:2]))
     assert 0.8 < np.sqrt(np.mean(with_places)) < 1.25
     assert np.sqrt(np.mean(without)) > 2.0
+    # Single dots see the waviness up to a millimetre aside: 1.54 without its share in their sigma, 1.27 with it, and
+    # up to 1.25 of facets that are in their places.
+    assert np.sqrt(np.mean(rests)) < 1.4
 
 
 def test_places_that_are_not_stated_are_known_as_the_outlines_know_them(tmp_path: Path) -> None:

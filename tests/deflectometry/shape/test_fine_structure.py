@@ -9,7 +9,7 @@ from scipy.ndimage import gaussian_filter
 from deflectometry.pose.pose_observations import UncertainPose
 from deflectometry.shape.common_modes import moved_inputs
 from deflectometry.shape.facet_pixels import PixelSamples
-from deflectometry.shape.fine_structure import fine_responses, fine_share
+from deflectometry.shape.fine_structure import fine_responses, fine_share, with_waviness_out_of_place
 from deflectometry.shape.pixel_slopes import SlopeImage
 from deflectometry.shape.smooth_shape import ShapeSolution, start_surface
 from heliogauge.geometry.surfaces import Facet, plane
@@ -60,3 +60,42 @@ def test_a_width_off_stretches_waviness_by_as_much(laboratory, cam_from_mirror) 
     found = share(wide, cam_from_mirror, waves(0.0), float("nan"))
     # 0.09 m of 9 m, and nothing for the height; the screen is turned against the mirror by hundredths.
     np.testing.assert_allclose(found, [0.01, 0.0], rtol=0.02, atol=5e-5)
+
+
+def wavy_slopes(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Waves of 0.13 and 0.25 m on a smooth shape, shape (2, ...)."""
+    fine = [2e-4 * np.sin(2 * np.pi * (x * np.cos(0.6) + y * np.sin(0.6)) / 0.13) * part for part in (0.83, 0.56)]
+    return np.stack([fine[0] + 1e-3 * x, fine[1] + 1e-4 * np.sin(2 * np.pi * y / 0.25)])
+
+
+def test_waviness_that_stands_aside_is_in_the_sigma_of_samples() -> None:
+    """Slopes measured where the mirror is not: errors over sigma jointly, with shifts of half a millimetre and more."""
+    lattice = np.stack(np.meshgrid(*[np.arange(-0.48, 0.48, 0.024)] * 2))
+    turn = np.array([[np.cos(0.3), -np.sin(0.3)], [np.sin(0.3), np.cos(0.3)]])
+    x, y = np.einsum("ij,jkl->ikl", turn, lattice)
+    noise, place = 2e-6, np.array([[6e-4, 0.0], [2e-4, 3e-4]])
+    surface, with_it, without = start_surface(FACET), [], []
+    for seed in range(10):
+        rng = np.random.default_rng(seed)
+        off = place @ rng.normal(size=2)
+        truth = wavy_slopes(x, y)
+        slopes = wavy_slopes(x + off[0], y + off[1]) + noise * rng.normal(size=truth.shape)
+        sigma = np.full(x.shape, noise, dtype=np.float32)
+        image = SlopeImage(0, 0, x, y, *slopes, sigma, sigma, np.zeros(x.shape, dtype=np.uint32))
+        told = with_waviness_out_of_place(image, surface, place @ place.T)
+        error = slopes - truth
+        error -= error.mean(axis=(1, 2), keepdims=True)
+        with_it.append(np.mean((error / np.stack([told.sigma_x, told.sigma_y])) ** 2))
+        without.append(np.mean((error / noise) ** 2))
+    assert 0.8 < np.sqrt(np.mean(with_it)) < 1.25
+    assert np.sqrt(np.mean(without)) > 1.5
+
+
+def test_noise_alone_is_no_waviness() -> None:
+    image = waves(0.0, 1e-4)
+    rng = np.random.default_rng(1)
+    slopes = 1e-4 * rng.standard_normal((2, *image.x_m.shape))
+    even = replace(image, slope_x=slopes[0], slope_y=slopes[1])
+    told = with_waviness_out_of_place(even, start_surface(FACET), (5e-4) ** 2 * np.eye(2))
+    # A pixel is 6 mm: noise taken for waves would add a seventh in squares.
+    assert float(np.median(told.sigma_x)) < 1.01e-4

@@ -90,9 +90,9 @@ class FrameRow(ShortRepr):
         squares = share @ np.array([motion.mean_squares_rad2 for motion in one.facets.values()])
         slope = _slope(mirror_from_cam.rotate(one.pose.rotation[:, 2]))
         moved = _moved(slope, one.step_rad)
-        sigmas = np.array([_sigma(one.facets[name], start.facets.get(name), moved) for name in one.facets])
+        sigmas = np.array([sigma_of_turn(one.facets[name], start.facets.get(name), moved) for name in one.facets])
         sigma = np.linalg.norm(share[:, None] * sigmas, axis=0)
-        of_rms = np.array([_sigma_of_rms(motion, moved) for motion in one.facets.values()])
+        of_rms = np.array([sigma_of_rms(motion, start.facets.get(name), moved) for name, motion in one.facets.items()])
         return replace(
             self,
             normal_rad=one.normal_rad,
@@ -111,23 +111,36 @@ def _moved(slope: FloatArray, step_rad: float) -> float:
     return min(float(np.linalg.norm(slope)) / step_rad, 1.0)
 
 
-def _sigma(motion: FacetMotion, start: FacetMotion | None, moved: float) -> FloatArray:
+def sigma_of_turn(motion: FacetMotion, start: FacetMotion | None, moved: float) -> FloatArray:
     """Return the standard deviation of a turn against the first frame, (2,) [rad].
 
     moved: By how many dots the pattern has moved.
     """
-    before = motion.sigma_noise_rad if start is None else start.sigma_noise_rad
-    return np.asarray(np.sqrt(motion.sigma_noise_rad**2 + before**2 + (moved * motion.sigma_waves_rad) ** 2))
+    before = motion if start is None else start
+    noise = motion.sigma_noise_rad**2 + before.sigma_noise_rad**2
+    # A line of dots is at the edge in one of both frames.
+    edges = 0.5 * _exchanged(moved) * (motion.edges_rad**2 + before.edges_rad**2)
+    return np.asarray(np.sqrt(noise + (moved * motion.sigma_waves_rad) ** 2 + edges))
 
 
-def _sigma_of_rms(motion: FacetMotion, moved: float) -> FloatArray:
-    """Return the standard deviation of the RMS, (2,) [rad].
+def _exchanged(moved: float) -> float:
+    """Return the variance of the lines of dots that an edge of the mirror shows more or less, in lines squared.
 
-    Where the pattern moves by a dot, one line of dots is seen no longer at each edge and another one at the other.
+    A pattern that moves by a share m of its spacing takes a line over an edge with the probability m; the dots that
+    move with it make up for m of that line. Where the lattice stands oblique to the edge its dots go over one by one,
+    and the variance is less.
     """
-    exchanged = 2.0 * moved / np.sqrt(motion.count)
-    rms = np.sqrt(motion.mean_squares_rad2)
-    return np.asarray(np.hypot(motion.noise_rad / np.sqrt(motion.count), 0.5 * exchanged * motion.spread_rad2 / rms))
+    share = min(moved, 0.5)
+    return share * (1.0 - share)
+
+
+def sigma_of_rms(motion: FacetMotion, start: FacetMotion | None, moved: float) -> FloatArray:
+    """Return the standard deviation of the RMS against the first frame's, (2,) [rad]; as `sigma_of_turn`."""
+    before = motion if start is None else start
+    noise = motion.noise_rad**2 / motion.count
+    # A mean of squares changes by twice the RMS times its own change.
+    edges = 0.5 * _exchanged(moved) * (motion.edges_rad2**2 + before.edges_rad2**2) / (4.0 * motion.mean_squares_rad2)
+    return np.asarray(np.sqrt(noise + edges))
 
 
 def _slope(normal: FloatArray) -> FloatArray:
@@ -138,7 +151,7 @@ def _facet_row(motion: FacetMotion, start: FacetMotion, mirror_from_cam: RigidTr
     tilt = _slope(mirror_from_cam.rotate(motion.normal)) - _slope(mirror_from_cam.rotate(start.normal))
     moved = _moved(tilt, step_rad)
     rms = np.sqrt(motion.mean_squares_rad2)
-    return FacetRow(tilt, _sigma(motion, start, moved), rms, _sigma_of_rms(motion, moved), motion.count)
+    return FacetRow(tilt, sigma_of_turn(motion, start, moved), rms, sigma_of_rms(motion, start, moved), motion.count)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
