@@ -15,14 +15,12 @@ from scipy.spatial import cKDTree
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
+from deflectometry import load_deflectometry
+from deflectometry import run as measure_fringes
 from deflectometry.comparison import compare_results
-from deflectometry.comparison.moved_map import PlaneMotion
-from deflectometry.dots.keys import load_dots
-from deflectometry.dots.pipeline import measure as measure_dots
+from deflectometry.dots import load_dots
+from deflectometry.dots import run as measure_dots
 from deflectometry.exchange import OpencspOptions, import_opencsp
-from deflectometry.keys import load_deflectometry
-from deflectometry.pipeline import measure as measure_fringes
-from deflectometry.shape.smooth_shape import slopes_at
 from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.slopes.map import monomials
 
@@ -41,8 +39,8 @@ def measured(scratch: Path):
         files = [*files, *(OPENCSP / "common" / one for one in (cameras[name], *COMMON))]
         options = OpencspOptions(focal_length_m=150.0, correct_principal_point=name == "fringes")
         import_opencsp(files, scratch / name, options)
-    results["dots"] = measure_dots.run(load_dots(scratch / "dots"))
-    results["fringes"] = measure_fringes.run(load_deflectometry(scratch / "fringes"))
+    results["dots"] = measure_dots(load_dots(scratch / "dots"))
+    results["fringes"] = measure_fringes(load_deflectometry(scratch / "fringes"))
     for name, result in results.items():
         (scratch / f"{name}_out").mkdir()
         result.write(scratch / f"{name}_out")
@@ -55,6 +53,14 @@ def beside(values: np.ndarray, x: np.ndarray, y: np.ndarray, degree: int) -> np.
     return values - (terms @ np.linalg.lstsq(terms, values.T, rcond=None)[0]).T
 
 
+def slopes_of(points_m: np.ndarray, camera_m: np.ndarray, source_m: np.ndarray) -> np.ndarray:
+    """Return the slopes (2, n) of a mirror whose points (3, n) show source points to a camera."""
+    normal = 0.0
+    for away in (source_m - points_m, camera_m[:, None] - points_m):
+        normal = normal + away / np.linalg.norm(away, axis=0)
+    return -normal[:2] / normal[2]
+
+
 def main() -> None:
     if not OPENCSP.is_dir():
         print(f"no published data in {OPENCSP}")
@@ -63,7 +69,7 @@ def main() -> None:
         scratch = Path(name)
         results = measured(scratch)
         compared = compare_results(scratch / "dots_out", scratch / "fringes_out")
-    motion: PlaneMotion = compared.placed.motion
+    motion = compared.placed.motion
     evaluation, setup = results["dots"].evaluation, results["dots"].setup
     ((facet, image),) = evaluation.images.items()
     (surface,) = evaluation.solution.surfaces
@@ -93,7 +99,7 @@ def main() -> None:
     def difference(step: np.ndarray) -> np.ndarray:
         turn = RigidTransform.from_rotation_vector(step[:3], np.zeros(3))
         moved = facet_from_field.apply(turn.apply(dots_m - middle) + middle + step[3:])
-        return np.stack(slopes_at(points, facet_from_cam.translation_m, moved.T)) - slopes
+        return slopes_of(points, facet_from_cam.translation_m, moved.T) - slopes
 
     def misfit(step: np.ndarray) -> np.ndarray:
         left = 1e3 * difference(step)
