@@ -3,9 +3,9 @@
 import numpy as np
 
 from heliogauge.adjust.robust_scale import robust_scale
-from heliogauge.validate import BoolArray, FloatArray, IntArray
+from heliogauge.validate import BoolArray, FloatArray
 from observer.photo_edges.reflection_edges import ReflectionEdges
-from observer.selection.edge_refusal import CONTINUED_STEP_M, STEEPEST_CURVE
+from observer.selection.edge_refusal import CONTINUED_STEP_M, next_on_curve
 
 #: Third differences of a curve: a mirror's wave of 0.5 m and 1 mrad leaves 0.02 mrad in them with rows 20 mm apart.
 _THIRD = np.array([-1.0, 3.0, -3.0, 1.0])
@@ -30,29 +30,14 @@ def scatter_along(edges: ReflectionEdges, which: BoolArray, y_m: FloatArray) -> 
     if step > CONTINUED_STEP_M:
         return 0.0
     chosen = np.flatnonzero(which)
-    chain = [chosen]
-    after = _next_of(edges, chosen, y_m.size, step)
-    place = np.arange(chosen.size)
-    for _ in range(3):
-        place = np.where(place >= 0, after[place], -1)
-        chain.append(np.where(place >= 0, chosen[place], -1))
+    # What goes on from -1 is -1.
+    after = np.append(next_on_curve(edges.chosen(chosen), y_m), -1)
+    chain = [np.arange(chosen.size)]
+    for _ in range(_THIRD.size - 1):
+        chain.append(after[chain[-1]])
     table = np.stack(chain, axis=1)
-    table = table[(table >= 0).all(axis=1)]
+    table = chosen[table[table[:, -1] >= 0]]
     if len(table) < _FEWEST:
         return 0.0
     differences = edges.points_m[table, 0] @ _THIRD
     return robust_scale(differences / np.sqrt(edges.sigma_x_m[table] ** 2 @ _THIRD**2))
-
-
-def _next_of(edges: ReflectionEdges, chosen: IntArray, n_rows: int, step_m: float) -> IntArray:
-    """Return which of the chosen edges goes on with the curve of each in the next row; -1 where none does."""
-    # One group for each photo, side and row; x is less than 40 m, so groups stay apart on one axis.
-    group = (2 * edges.photo[chosen] + (edges.side[chosen] > 0)) * (n_rows + 1) + edges.row[chosen]
-    place = 100.0 * group + edges.points_m[chosen, 0]
-    order = np.argsort(place, kind="stable")
-    sorted_place = place[order]
-    after = np.searchsorted(sorted_place, place + 100.0)
-    either = np.clip(np.stack([after - 1, after]), 0, place.size - 1)
-    off = np.abs(sorted_place[either] - place - 100.0)
-    nearer = np.where(off[0] <= off[1], either[0], either[1])
-    return np.where(off.min(axis=0) < STEEPEST_CURVE * step_m, order[nearer], -1)

@@ -35,6 +35,17 @@ def test_short_curves_are_refused_whatever_lies_beside_them_in_other_photos() ->
     assert not is_alone(edges, np.ones(edges.row.size, dtype=bool), 20 * Y).any()
 
 
+def test_edges_beside_a_curve_in_single_rows_do_not_go_on_with_it() -> None:
+    """As in a rendered photo: 80 mm beside the tube's edge, in some rows of ten."""
+    long = curve(0, np.arange(40), -1.6 + 0.002 * np.arange(40))
+    beside = curve(0, np.array([7, 8, 10, 12]), np.array([-1.52, -1.51, -1.52, -1.51]))
+    edges = ReflectionEdges(
+        *(np.concatenate([getattr(one, name) for one in (long, beside)]) for name in ReflectionEdges.__slots__)
+    )
+    alone = is_alone(edges, np.ones(edges.row.size, dtype=bool), Y)
+    np.testing.assert_array_equal(alone, np.repeat([False, True], [40, 4]))
+
+
 def test_noise_that_does_not_go_on_from_row_to_row_is_no_shadow() -> None:
     rng = np.random.default_rng(1)
     tube = [curve(photo, np.arange(40), 0.1 + 0.05 * np.arange(40)) for photo in range(20)]
