@@ -8,25 +8,17 @@ from pathlib import Path
 DOCS = Path(__file__).resolve().parent
 sys.path[:0] = [str(DOCS), str(DOCS.parent)]
 
-import typer
-from command_pages import command_pages
-from doubt_pages import doubt_pages
 from face_pages import list_facts, write_reference
+from reference_pages import BUILT, write_reference_pages
 
 from heliogauge import __version__
 from heliogauge.instruments import every_kind
-from heliogauge.measurement.key_tables import key_pages
 from heliogauge.measurement.templates import write_template
-from heliogauge.running.cli import app as command_line
 
 # What the code knows is written by the code: templates, keys, commands, doubts and public faces cannot grow old.
-BUILT = DOCS / "_build"
 for kind in every_kind():
     write_template(kind, BUILT / "templates" / kind, force=True)
-(BUILT / "keys.md").write_text(key_pages(every_kind().values()), encoding="utf-8")
-commands = command_pages(typer.main.get_command(command_line), "heliogauge")
-(BUILT / "commands.md").write_text(commands, encoding="utf-8")
-(BUILT / "doubts.md").write_text(doubt_pages(DOCS.parent), encoding="utf-8")
+write_reference_pages()
 write_reference(DOCS / "reference" / "api.md")
 
 project = "heliogauge"

@@ -6,11 +6,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from heliogauge.errors import EstimationError
+from heliogauge.slopes.map import SlopeMap
+from heliogauge.validate import FloatArray
 from observer.planning.planned_flight import Pass
 from observer.planning.simulated_flight import Simulated
 
-#: Rows of a comparison are this far apart [m]: sigmas are medians over many of them.
-ROW_STEP_M = 0.1
+#: The name of the flight that all others are compared with.
+AS_PLANNED = "as planned"
 #: Two passes stand so many quarters of the trough's length beside the one that they replace.
 _ASIDE = 1.0
 #: Photos from the side: as many, and the last ones so far aside as seen from the vertex [rad].
@@ -24,6 +26,7 @@ class Alternative:
     name: How it differs from the planned one.
     photos: Their number.
     sigma_theta_r_rad: Median sigma of theta_r [rad].
+    sigma_without_tilt_rad: The same without the mean tilt of the map [rad].
     sigma_random_rad: Median of what differs from point to point, of dz/dx [rad].
     measured_share: Share of the mirror that is measured.
     sigma_absorber_x_m, sigma_absorber_z_m: RMS along the tube [m].
@@ -32,6 +35,7 @@ class Alternative:
     name: str
     photos: int
     sigma_theta_r_rad: float
+    sigma_without_tilt_rad: float
     sigma_random_rad: float
     measured_share: float
     sigma_absorber_x_m: float
@@ -47,12 +51,12 @@ class Alternative:
         valid = slope_map.valid
         if not valid.any():
             raise EstimationError(f"plan: {name}: nothing of the mirror would be measured")
-        sigma_theta_r = slope_map.sigma_slope()[0][valid] / (1 + slope_map.slope_x[valid] ** 2)
         across, up = path.sigma_at(path.y_m)
         return cls(
             name,
             photos,
-            float(np.median(sigma_theta_r)),
+            float(np.median(theta_r_sigmas(slope_map))),
+            float(np.median(theta_r_sigmas(slope_map, with_tilt=False))),
             float(np.median(slope_map.sigma_random_x[valid])),
             slope_map.measured_share,
             float(np.sqrt(np.mean(across**2))),
@@ -60,8 +64,22 @@ class Alternative:
         )
 
 
+def theta_r_sigmas(slope_map: SlopeMap, *, with_tilt: bool = True) -> FloatArray:
+    """Return the sigma of theta_r at the measured nodes of a map, shape (n,) [rad].
+
+    with_tilt: Whether the mean of all nodes counts; errors of slopes are usually compared without it.
+    """
+    valid = slope_map.valid
+    x, y = (grid[valid] for grid in np.meshgrid(slope_map.x_m, slope_map.y_m))
+    turned = 1 + slope_map.slope_x[valid] ** 2
+    common = slope_map.common.evaluate(x, y)[:, 0] / turned
+    if not with_tilt:
+        common = common - common.mean(axis=1, keepdims=True)
+    return np.asarray(np.sqrt((slope_map.sigma_random_x[valid] / turned) ** 2 + (common**2).sum(axis=0)))
+
+
 def other_flights(passes: Sequence[Pass], length_m: float) -> dict[str, tuple[Pass, ...]]:
-    """Return flights to compare with the planned one, which is the first of them.
+    """Return flights to compare with the planned one.
 
     length_m: Of the collector [m].
     """
@@ -74,7 +92,6 @@ def other_flights(passes: Sequence[Pass], length_m: float) -> dict[str, tuple[Pa
     first = passes[0]
     from_sides = replace(first, reach_m=first.height_m * float(np.tan(_SIDE_RAD)), photos=_SIDE_PHOTOS)
     return {
-        "as planned": tuple(passes),
         "half as many photos": times(0.5),
         "twice as many photos": times(2.0),
         f"the same photos in two passes {2 * aside:.2g} m apart": apart,

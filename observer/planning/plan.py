@@ -22,7 +22,7 @@ from heliogauge.slopes.map import SlopeMap
 from heliogauge.validate import FloatArray
 from observer.files import COLLECTOR, read_absorber, write_collector
 from observer.pipeline.inputs import AXES, build_collector, read_targets
-from observer.planning.alternatives import ROW_STEP_M, Alternative, other_flights
+from observer.planning.alternatives import AS_PLANNED, Alternative, other_flights, theta_r_sigmas
 from observer.planning.keys import ObserverPlanMeasurement, ObserverPlanModel
 from observer.planning.monte_carlo import MonteCarlo, monte_carlo
 from observer.planning.photo_network import Believed, PlannedNetwork, drawn_network
@@ -81,7 +81,7 @@ class PlanResult(InstrumentResult):
         slope_map, path = self.simulated.slope_map, self.simulated.absorber
         valid = slope_map.valid
         sigma, own = slope_map.sigma_slope()[0][valid], slope_map.sigma_random_x[valid]
-        sigma_theta_r = sigma / (1 + slope_map.slope_x[valid] ** 2)
+        sigma_theta_r = theta_r_sigmas(slope_map)
         sigma_x, sigma_z = path.sigma_at(path.y_m)
         eyes = _place_variances(self)
         figures, spread = self.figures, self.spread
@@ -89,6 +89,7 @@ class PlanResult(InstrumentResult):
             "photos_count": len(self.network.poses),
             "sigma_theta_r_median_rad": float(np.median(sigma_theta_r)),
             "sigma_theta_r_95_percent_rad": float(np.percentile(sigma_theta_r, 95)),
+            "sigma_theta_r_without_tilt_median_rad": float(np.median(theta_r_sigmas(slope_map, with_tilt=False))),
             "sigma_slope_x_median_rad": float(np.median(sigma)),
             "sigma_slope_x_95_percent_rad": float(np.percentile(sigma, 95)),
             "sigma_random_slope_x_median_rad": float(np.median(own)),
@@ -198,7 +199,9 @@ def run(measurement: ObserverPlanMeasurement, progress: Progress | None = None) 
         missing,
         figures,
         spread,
-        _alternatives(measurement, collector, passes, progress),
+        _alternatives(
+            measurement, collector, passes, Alternative.of(AS_PLANNED, len(network.poses), simulated), progress
+        ),
         name=model.name,
         doubts=doubts,
         durations_s=dict(progress.durations_s),
@@ -207,22 +210,26 @@ def run(measurement: ObserverPlanMeasurement, progress: Progress | None = None) 
 
 
 def _alternatives(
-    measurement: ObserverPlanMeasurement, collector: Collector, passes: tuple[Pass, ...], progress: Progress
+    measurement: ObserverPlanMeasurement,
+    collector: Collector,
+    passes: tuple[Pass, ...],
+    as_planned: Alternative,
+    progress: Progress,
 ) -> tuple[Alternative, ...]:
     """Evaluate other flights over the same mirror, where that is asked; those that determine nothing are left out."""
     model = measurement.model
     if not model.alternatives:
         return ()
     noise, evaluation = EdgeNoise(model.noise.reflection_px, model.noise.absorber_px), planned_evaluation(model)
-    flights, found = other_flights(passes, collector.length_m), []
+    flights, found = other_flights(passes, collector.length_m), [as_planned]
     with progress.stage("other flights", len(flights)) as stage:
         for name, flown in flights.items():
-            rng = np.random.default_rng([model.mirror.seed, 2])
+            # The mirror is drawn first: all flights pass over the same one.
+            rng = np.random.default_rng([model.mirror.seed, 1])
             poses = tuple(pose for one in flown for pose in one.poses())
             with suppress(EstimationError):
                 network, _ = planned_network(model, measurement.folder, poses)
-                step = max(ROW_STEP_M, 1e-3 * model.evaluation.row_step_mm)
-                scene = planned_scene(measurement, collector, network, step, rng)
+                scene = planned_scene(measurement, collector, network, 1e-3 * model.evaluation.row_step_mm, rng)
                 one = simulate(scene, Believed.of(drawn_network(network, rng)), noise, evaluation, rng)
                 found.append(Alternative.of(name, len(network.poses), one))
             stage.advance()
@@ -234,6 +241,7 @@ def _alternative_columns(alternatives: tuple[Alternative, ...]) -> dict[str, Any
         "flight": [one.name for one in alternatives],
         "photos": [one.photos for one in alternatives],
         "sigma_theta_r_median_rad": [one.sigma_theta_r_rad for one in alternatives],
+        "sigma_theta_r_without_tilt_median_rad": [one.sigma_without_tilt_rad for one in alternatives],
         "sigma_random_slope_x_median_rad": [one.sigma_random_rad for one in alternatives],
         "measured_share": [one.measured_share for one in alternatives],
         "sigma_absorber_x_rms_m": [one.sigma_absorber_x_m for one in alternatives],

@@ -34,7 +34,9 @@ class HasAbsorber(Protocol):
 
 def absorber(results: HasAbsorber) -> Html:
     """Return where the absorber runs."""
-    note = "Bands: 1 sigma. Grey: receiver supports. Stations without a value stand at zero; absorber.csv says why."
+    note = (
+        "Bands: 1 sigma. Grey: receiver supports. Stations along the lower edge: not measured; absorber.csv says why."
+    )
     drawn = beside(absorber_view(results, "x"), absorber_view(results, "z"))
     return join(
         drawn,
@@ -71,7 +73,9 @@ def absorber_view(results: HasAbsorber, axes: str) -> ChartView:
             notes.append(f"{axis}: not seen")
         unseen |= ~seen
     if unseen.any():
-        lines.append(ChartSeries("not measured", y[unseen], np.zeros(int(unseen.sum())), INK, Mark.POINTS, size_px=6.0))
+        # Along the lower edge: at zero they would be taken for stations in the focal line.
+        floor = np.full(int(unseen.sum()), min(ends))
+        lines.append(ChartSeries("not measured (no value)", y[unseen], floor, INK, Mark.POINTS, size_px=4.0))
     # Each support from the lowest to the highest value, with a gap after it.
     supports = np.array(results.collector.support_y_m, dtype=np.float64)
     heights = np.tile([min(ends), max(ends), np.nan], supports.size)

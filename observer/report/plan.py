@@ -29,6 +29,7 @@ _MM, _MRAD = 1e3, 1e3
 LABELS: dict[str, str] = {
     "sigma_theta_r_median_rad": "Sigma of theta_r at a point of the map, median",
     "sigma_theta_r_95_percent_rad": "95 % of the points are below",
+    "sigma_theta_r_without_tilt_median_rad": "The same without the mean tilt, as errors of the slopes are compared",
     "sigma_slope_x_median_rad": "Sigma of dz/dx at a point of the map, median",
     "measured_share": "Share of the mirror that will be measured",
     "sigma_absorber_x_rms_m": "Sigma of the absorber, X_a",
@@ -134,6 +135,7 @@ def alternatives(results: PlanResults) -> Html:
                 f"{factor * float(columns[key][k]):.3g}"
                 for key, factor in (
                     ("sigma_theta_r_median_rad", _MRAD),
+                    ("sigma_theta_r_without_tilt_median_rad", _MRAD),
                     ("sigma_random_slope_x_median_rad", _MRAD),
                     ("measured_share", 100.0),
                     ("sigma_absorber_x_rms_m", _MM),
@@ -147,7 +149,8 @@ def alternatives(results: PlanResults) -> Html:
         "flight",
         "photos",
         "sigma of theta_r [mrad]",
-        "of it from point to point [mrad]",
+        "without the mean tilt [mrad]",
+        "from point to point alone [mrad]",
         "measured [%]",
         "absorber X_a [mm]",
         "Z_a [mm]",

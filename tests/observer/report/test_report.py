@@ -437,7 +437,7 @@ def test_stations_without_a_value_stand_out(tmp_path) -> None:
     np.testing.assert_allclose(across.y[[0, 1, 3, 4]], 1.0)
     np.testing.assert_allclose(along.y, 1.0)
     np.testing.assert_allclose(along.sigma, 0.1)
-    np.testing.assert_allclose(series["not measured"].x, across.x[2])
+    np.testing.assert_allclose(series["not measured (no value)"].x, across.x[2])
 
 
 def test_photos_show_edges_where_the_camera_saw_them_and_why_targets_were_refused(tmp_path) -> None:
