@@ -42,13 +42,17 @@ def command(folder: Path, out: Path) -> float:
     return (after.ru_utime - before.ru_utime) + (after.ru_stime - before.ru_stime)
 
 
-def places_by_the_publishers_way(folder: Path, table: ImagePoints, published_m: np.ndarray) -> np.ndarray:
+def places_by_the_publishers_way(
+    folder: Path, table: ImagePoints, published_m: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Return the dots as rays intersect whose photos are placed by OpenCV's corners of the markers alone (n, 3) [m].
 
     table: Dots of the photos.
     published_m (n, 3): Which dots are sought.
 
     So OpenCSP does it (`CalibrateSofastFixedDots`): corners to a pixel, markers' coordinates and camera taken as exact.
+    Also returned is what one sigma along each direction of each photo's pose does to them (m, n, 3), the poses as
+    uncertain as the corners scatter about them.
     """
     camera = load_screen(folder).network.model.camera[0]
     focal_x = camera.focal_px / (1 + camera.aspect)
@@ -56,7 +60,19 @@ def places_by_the_publishers_way(folder: Path, table: ImagePoints, published_m: 
     lens = np.array([camera.k1, camera.k2, camera.p1, camera.p2])
     known = {one.target: one.xyz_m for one in load_screen(folder).model.control_point}
     finder = cv2.aruco.ArucoDetector(cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_1000))
-    normal, right = np.zeros((len(published_m), 3, 3)), np.zeros((len(published_m), 3))
+    seen_by: list[tuple[np.ndarray, np.ndarray]] = []
+    poses: list[np.ndarray] = []
+    steps: list[np.ndarray] = []
+
+    def intersected() -> np.ndarray:
+        normal, right = np.zeros((len(published_m), 3, 3)), np.zeros((len(published_m), 3))
+        for (rays, there), pose in zip(seen_by, poses, strict=True):
+            world = rays @ cv2.Rodrigues(pose[:3])[0]
+            across = (np.eye(3) - world[:, :, None] * world[:, None]) * there[:, None, None]
+            normal += across
+            right += across @ (-cv2.Rodrigues(pose[:3])[0].T @ pose[3:])
+        return np.linalg.solve(normal, right[..., None])[..., 0]
+
     for number, photo in enumerate(table.photos):
         corners, numbers, _ = finder.detectMarkers(cv2.imread(str(folder / photo), cv2.IMREAD_GRAYSCALE))
         names = [f"{marker}.{k}" for marker in np.ravel(numbers) for k in range(4)]
@@ -64,16 +80,26 @@ def places_by_the_publishers_way(folder: Path, table: ImagePoints, published_m: 
         places = np.array([known[one] for one in names if one in known])
         pixels = np.concatenate([np.reshape(one, (4, 2)) for one in corners])[seen].astype(np.float64)
         _, turn, shift = cv2.solvePnP(places, pixels, matrix, lens)
+        pose = np.concatenate([turn, shift])[:, 0]
+        expected, derivatives = cv2.projectPoints(places, turn, shift, matrix, lens)
+        scatter = np.sum((expected[:, 0] - pixels) ** 2) / (pixels.size - 6)
+        normal = derivatives[:, :6].T @ derivatives[:, :6]
+        steps.append(np.sqrt(scatter) * np.linalg.inv(np.linalg.cholesky(normal)))
         expected = cv2.projectPoints(published_m, turn, shift, matrix, lens)[0][:, 0]
         found = table.pixels_px[table.photo_index == number]
         apart, nearest = cKDTree(found).query(expected)
         rays = cv2.undistortPoints(found[nearest][:, None], matrix, lens)[:, 0]
-        world = np.column_stack([rays, np.ones(len(rays))]) @ cv2.Rodrigues(turn)[0]
-        world /= np.linalg.norm(world, axis=1, keepdims=True)
-        across = (np.eye(3) - world[:, :, None] * world[:, None]) * (apart < 3.0)[:, None, None]
-        normal += across
-        right += across @ (-cv2.Rodrigues(turn)[0].T @ shift[:, 0])
-    return np.linalg.solve(normal, right[..., None])[..., 0]
+        rays = np.column_stack([rays, np.ones(len(rays))])
+        seen_by.append((rays / np.linalg.norm(rays, axis=1, keepdims=True), apart < 3.0))
+        poses.append(pose)
+    found_m, modes = intersected(), []
+    for number, root in enumerate(steps):
+        pose = poses[number]
+        for step in root:
+            poses[number] = pose + step
+            modes.append(intersected() - found_m)
+        poses[number] = pose
+    return found_m, np.array(modes)
 
 
 def published_wall(scratch: Path) -> None:
@@ -98,7 +124,7 @@ def published_wall(scratch: Path) -> None:
     theirs = published[-(31 - rows) - first[1], -(columns - 31) - first[0]]
     away = measured.screen.xyz_m - theirs
     there = np.isfinite(away[..., 0])
-    again = places_by_the_publishers_way(folder, result.network.result.measured.points, theirs[there])
+    again, modes = places_by_the_publishers_way(folder, result.network.result.measured.points, theirs[there])
     sigma = measured.sigma_points_m(columns / 63, rows / 63)
     own = measured.screen.sigma_at(columns / 63, rows / 63)
 
@@ -114,6 +140,17 @@ def published_wall(scratch: Path) -> None:
     row("  their mean x / y / z [mm]", three(np.nanmean(away, axis=(0, 1))), "", "")
     row("  the same of places found in the publisher's way", three(rms(again - theirs[there])), "", "")
     row("  ours off the places found in his way", three(rms(measured.screen.xyz_m[there] - again)), "", "")
+    # The noise of the dots is the same in both ways: it counts, though it cancels, so that chi is below 1.
+    his = np.sqrt(np.sum(modes**2, axis=0))
+    some = np.flatnonzero(there)[::25]
+    at = (columns / 63).ravel()[some], (rows / 63).ravel()[some]
+    apart = (measured.screen.xyz_m[there] - again)[::25]
+    alone = joint_chi_square(measured, *at, apart, has_own=True)
+    both = joint_chi_square(measured, *at, apart, has_own=True, more=modes[:, ::25])
+    row("  sigma of his places, by how the corners scatter", three(rms(his)), "", "none stated")
+    row("  sigma of the difference, of both", three(np.sqrt(rms(his) ** 2 + np.mean(sigma**2, axis=(0, 1)))), "", "")
+    row("  chi of the difference, jointly, by our sigmas alone", f"{np.sqrt(alone):.2f}", "", "")
+    row("  the same by those of both", f"{np.sqrt(both):.2f}", "1 at most", "")
     row("sigma x / y / z [mm]", three(np.sqrt(np.mean(sigma**2, axis=(0, 1)))), "", "none stated")
     row("of it each dot's own [mm]", three(np.sqrt(np.mean(own**2, axis=(0, 1)))), "", "")
     row("processor time of the command [s]", f"{cpu:.1f}", "1", "21")
@@ -123,15 +160,24 @@ def published_wall(scratch: Path) -> None:
 
 
 def joint_chi_square(
-    measured: MeasuredScreen, u: np.ndarray, v: np.ndarray, error_m: np.ndarray, *, has_own: bool
+    measured: MeasuredScreen,
+    u: np.ndarray,
+    v: np.ndarray,
+    error_m: np.ndarray,
+    *,
+    has_own: bool,
+    more: np.ndarray | None = None,
 ) -> float:
     """Return the chi-square of errors of points by their joint covariance, over its degrees of freedom.
 
     has_own: Each point has errors of its own.
+    more (m, n, 3): Further errors that points share [m].
 
     What a scale bar does to all points is one error: squared ratios of single points count it hundreds of times.
     """
     shared = np.array([one.warp.shifts_m(u, v).ravel() for one in measured.shared])
+    if more is not None:
+        shared = np.concatenate([shared, more.reshape(len(more), -1)])
     covariance = shared.T @ shared
     if has_own:
         covariance += np.diag(measured.screen.sigma_at(u, v).ravel() ** 2)
