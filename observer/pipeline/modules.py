@@ -67,8 +67,9 @@ def run(
         reasons = "\n".join(f"  {name}: {reason}" for name, reason in failed.items())
         raise EstimationError(f"{measurement.model.name}: none of {len(failed)} modules could be measured\n{reasons}")
     with progress.stage("overview"):
-        places = {one.name: np.array(one.place_m) for one in done}
-        loops = {one.name: one.loop for one in done if one.loop is not None}
+        # Those that failed have a place in the field, too.
+        places = {one.name: np.array(one.place_m) for one in measurement.model.module}
+        loops = {one.name: one.loop for one in measurement.model.module if one.loop is not None}
         found = pipeline_overview.run(
             [folder / one.name for one in done], base=folder, places_m=places, loops=loops, failed=failed
         )

@@ -14,7 +14,7 @@ from observer.files import ModuleMap
 CHANGES_TITLE = "Change of theta_r against the first orientation, without its mean"
 _MRAD = 1e3
 #: Maps are not drawn higher [px], and not more of them in a row.
-_HIGHEST_PX, _MOST_IN_ROW = 430.0, 6
+_HIGHEST_PX, _MOST_IN_ROW = 430.0, 3
 #: Room beside a map for the names of its axes, and beside the last one for the colours [px].
 _BESIDE_PX, _BAR_PX = 78.0, 72.0
 _TITLE_PX = 44.0

@@ -55,6 +55,8 @@ _GAINS = (
     (0.0, "gains less", "#e9cf63"),
 )
 _NOTHING = ("nothing sure to gain", "#3f7f4f")
+#: Share of all gains that is printed as 100 %.
+_ALL_GAINS = 0.995
 #: Panels that the first screen names; modules from which on it shows the field.
 _MOST_PANELS, _FIELD = 3, 4
 #: Maps that can be looked into in a page, about 0.1 MB each.
@@ -253,11 +255,18 @@ def work_list(results: OverviewResults) -> TableView | Html:
     for key, title, unit in (
         ("turn_rad", "turn its normal to +x by", "rad"),
         ("mount_move_m", "move its mount at larger x by", "m"),
-        ("gain_ratio", "gain of its module", ""),
     ):
         columns.append(TableColumn(title, [_number(turns, key, k, unit) for k in rows], number[key]))
-    columns.append(TableColumn("of all gains, down to here", [f"{100 * one:.0f} %" for one in share], share.tolist()))
-    return TableView("panels to turn", tuple(columns))
+    gains = [light_text(*one) for one in zip(number["gain_ratio"], number["sigma_gain_ratio"], strict=True)]
+    columns.append(
+        TableColumn(
+            "gain [% of its light]", [one.removesuffix(" % of the light") for one in gains], number["gain_ratio"]
+        )
+    )
+    columns.append(TableColumn("of all gains", [f"{100 * one:.0f} %" for one in share], share.tolist()))
+    # The rest together gains less than is printed.
+    most = 1 + int(np.argmax(share >= _ALL_GAINS))
+    return TableView("panels to turn", tuple(columns), most_rows=min(most, TableView.most_rows))
 
 
 def first_view(results: OverviewResults) -> MapView | ChartView:

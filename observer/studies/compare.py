@@ -26,6 +26,7 @@ from observer.files import (
     ORIENTATION_CHANGES,
     ORIENTATION_PROFILES,
     ORIENTATION_SAGS,
+    OVERVIEW_TABLE,
     read_collector,
     write_collector,
 )
@@ -247,6 +248,12 @@ def _refuse_other_collector(first: OneOrientation, one: OneOrientation) -> None:
 
 def _read(folder: Path) -> OneOrientation:
     if not (folder / "absorber_spans.csv").is_file():
+        if (folder / OVERVIEW_TABLE).is_file():
+            name = read_table_csv(folder / OVERVIEW_TABLE, ("result",))["result"][0]
+            raise InputError(
+                f"{folder}: results of several modules; compare each with itself: give {folder / name} and the same "
+                "module's folder of the other date"
+            )
         raise InputError(
             f"{folder}: no absorber_spans.csv; give results of `heliogauge observer measure` or "
             "`heliogauge observer absorber`"

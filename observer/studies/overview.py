@@ -251,12 +251,13 @@ def _table(result: Result) -> dict[str, list[Any]]:
         "failed": [*([""] * len(result.modules)), *result.failed.values()],
         "warnings": [*(len(module.doubts) for module in result.modules), *none],
     }
+    labels = columns["result"]
     if result.loops:
-        columns["loop"] = [*(result.loops.get(label, "") for label in result.labels), *none]
+        columns["loop"] = [result.loops.get(label, "") for label in labels]
     if result.places_m:
         for k, axis in enumerate("xyz"):
-            own = [result.places_m.get(label) for label in result.labels]
-            columns[f"place_{axis}_m"] = [*("" if one is None else float(one[k]) for one in own), *none]
+            own = [result.places_m.get(label) for label in labels]
+            columns[f"place_{axis}_m"] = ["" if one is None else float(one[k]) for one in own]
     for key in keys:
         values = [module.numbers.get(key) for module in result.modules]
         columns[key] = [*("" if value is None else value for value in values), *none]

@@ -133,6 +133,8 @@ def test_a_module_that_fails_is_told_and_stops_nobody(tmp_path: Path, solved: di
     table = read_table_csv(out / "overview.csv")
     assert table["result"] == ["A", "B"]
     assert table["failed"] == ["", "reflection: only 0 edges"]
+    # Where it stands is known without its photos: the map of the field shows it.
+    assert table["place_x_m"] == ["0.0", "7.0"]
     summary = read_summary(out)
     assert summary.numbers == {"modules_count": 1, "failed_count": 1}
     assert summary.facets == {"A": {"rms_theta_r_rad": 3e-3}}

@@ -178,6 +178,11 @@ def test_what_is_not_a_result_is_said(tmp_path: Path) -> None:
     one = result_at(tmp_path / "one", 0.0, with_map=False)
     with pytest.raises(InputError, match="1 result given"):
         run([one])
+    field = tmp_path / "field"
+    field.mkdir()
+    (field / "overview.csv").write_text("result,name\nloop-1,Loop 1\n")
+    with pytest.raises(InputError, match=r"several modules; compare each with itself: give .*loop-1"):
+        run([field, tmp_path])
     with pytest.raises(InputError, match=r"no absorber_spans\.csv; give results of"):
         run([one, tmp_path])
     with pytest.raises(InputError, match=r"one and .*one are the same result"):

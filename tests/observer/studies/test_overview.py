@@ -171,6 +171,12 @@ def test_the_work_list_has_the_panels_of_all_modules_by_their_gains(tmp_path):
     ]
     listed = report.work_list(results)._repr_html_()
     assert [f"{one} %" for one in (60, 87, 100) if f"{one} %" in listed] == ["60 %", "87 %", "100 %"]
+    # What gains nothing that is printed waits until it is asked for.
+    module(tmp_path, "e", [1e-5], 1)
+    run([*modules, tmp_path / "e"], base=tmp_path, failed={"d": "no photos"}).write(tmp_path)
+    longer = report.work_list(report.open_overview(tmp_path))
+    assert (len(longer.columns[0].texts), longer.most_rows) == (4, 3)
+    assert next(iter(longer.columns[5].texts)) == "0.900 \u00b1 0.010"
     order = list(report.modules(results).columns[0].texts)
     assert order == ["a", "c", "b", "d"]
 
