@@ -35,4 +35,4 @@ def write_reference_pages(folder: Path = BUILT) -> tuple[Path, ...]:
 
 
 if __name__ == "__main__":
-    print(*write_reference_pages(), sep="\n")
+    sys.stdout.writelines(f"{path}\n" for path in write_reference_pages())
