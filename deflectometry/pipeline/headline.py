@@ -81,6 +81,8 @@ def reasons(numbers: Numbers, facets: Mapping[str, Numbers] | None = None) -> di
             # One reason for all facets: the number is that of the mirror, where it has one.
             ending = f": curvature {_curvature_words(numbers, key)}" if numbers.get(key) is None else ""
             found[key] = f"flat within its sigma{ending}"
+        elif "curl" in key:
+            found[key] = "no node of the map is measured with all of its neighbours"
         elif "canting" in key:
             found[key] = f"less than {100 * LEAST_SHARE:.0f} % of the facet is measured"
     return found
@@ -172,9 +174,12 @@ def _uncertainty_numbers(slope_map: SlopeMap, nodes: MeasuredNodes) -> Numbers:
 
 
 def curl_numbers(slope_map: SlopeMap) -> Numbers:
-    """Return the curl of a map, which no surface has, and what its errors of measurement make of it."""
-    found, expected = curl_rms(slope_map)
-    return {"curl_rms_per_m": found, "curl_expected_rms_per_m": expected}
+    """Return the curl of a map, which no surface has, and what its errors of measurement make of it.
+
+    Returns: None for both where no node is measured with all of its neighbours.
+    """
+    names = ("curl_rms_per_m", "curl_expected_rms_per_m")
+    return {name: value if np.isfinite(value) else None for name, value in zip(names, curl_rms(slope_map), strict=True)}
 
 
 def joined_curl(maps: Mapping[str, SlopeMap], curls: Mapping[str, Numbers] | None = None) -> Numbers:
@@ -189,7 +194,7 @@ def joined_curl(maps: Mapping[str, SlopeMap], curls: Mapping[str, Numbers] | Non
     weight = np.array([np.count_nonzero(one.valid) for one in maps.values()], dtype=np.float64)
     known = np.isfinite(values).all(axis=1)
     if not known.any():
-        return dict.fromkeys(names, float("nan"))
+        return dict.fromkeys(names)
     mean = weight[known] @ values[known] ** 2 / weight[known].sum()
     return dict(zip(names, np.sqrt(mean).tolist(), strict=True))
 

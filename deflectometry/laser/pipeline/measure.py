@@ -206,7 +206,7 @@ def _doubts(model: LaserModel, scan: LaserScan, found: ScanSlopes, heard: Instru
             "scan_contradicts_itself",
             "the slopes have more smooth curl, which no surface has, than noise and the stated sigmas of the "
             f"instrument make (probability {heard.probability:.1g}); nothing was corrected by it: check roll, scales "
-            "and places, and state their sigmas as they are",
+            "and places, whether each row has its own beam's spot, and state the sigmas as they are",
             {"agreement_probability": heard.probability},
         )
     stated = (

@@ -281,3 +281,13 @@ def test_sigmas_that_are_missing_are_asked_for(drawn: Path) -> None:
     doubt = {one.code: one for one in measured(drawn).doubts}["laser_sigmas_missing"]
     assert "sigma_distance_mm" in doubt.text
     assert doubt.numbers["inputs_count"] == 2
+
+
+def test_a_scan_without_every_other_spot_gives_what_it_can(drawn: Path) -> None:
+    """Holes beside every node leave no curl to compute; the summary says so instead of refusing to be written."""
+    lines = (drawn / "scan.csv").read_text().splitlines()
+    lost = [line if row % 2 else ",".join([*line.split(",")[:3], "", ""]) for row, line in enumerate(lines[1:])]
+    (drawn / "scan.csv").write_text("\n".join([lines[0], *lost]) + "\n")
+    summary = run(load_laser(drawn)).summarise()
+    assert summary.numbers["curl_rms_per_m"] is None
+    assert "all of its neighbours" in summary.not_determined["curl_rms_per_m"]
