@@ -28,7 +28,7 @@ _NUMBERS = (
     ("seen_share", "Share of the mirror that sees the pattern"),
     ("sample_spacing_m", "Distance of samples on the mirror"),
 )
-_TEXTS = ("limits", "best", "mean normal", "resolution", "noise")
+_TEXTS = ("limits", "best", "mean normal", "resolution", "noise", "pattern", "target")
 
 
 def first(folder: Path) -> FirstScreen:
@@ -61,7 +61,9 @@ def alternatives(folder: Path) -> Html:
     columns = [TableColumn("what is done otherwise", [table["change"][n] for n in rows])]
     for name in names:
         gains = [float(table[f"gain_{name}"][n] or "nan") for n in rows]
-        columns.append(TableColumn(LIMITED[name], [_short(one) for one in gains], gains))
+        columns.append(
+            TableColumn(LIMITED[name], [f"{one:.2f}" if np.isfinite(one) else "\u2013" for one in gains], gains)
+        )
     seen = [float(table["seen_share"][n] or "nan") for n in rows]
     columns.append(TableColumn("mirror seen", [f"{one:.1%}" if np.isfinite(one) else "\u2013" for one in seen], seen))
     if any(table["reason"][n] for n in rows):
