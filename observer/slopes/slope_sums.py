@@ -18,8 +18,6 @@ if TYPE_CHECKING:
 
 #: Sums that are solved for at once; ten take 16 MB for 400 rows of 250 nodes.
 _AT_ONCE = 10
-#: Combinations of rows with a smaller share of the largest one's variance are left out.
-_NEGLIGIBLE = 1e-9
 #: Panels that suffice to estimate how much neighbouring nodes err together.
 _PANELS = 10
 
@@ -55,7 +53,7 @@ class SlopeSums:
     ) -> None:
         self._lines, self._grid, self._prior = lines, grid, prior
         self._covariance, self._free = covariance_common, free
-        self._alike = alike
+        self._others = None if alike is None else alike - np.eye(grid.n_rows)
 
     def __call__(self, weights: FloatArray) -> FloatArray:
         """Return the covariance of sums.
@@ -82,15 +80,6 @@ class SlopeSums:
         return assemble(self._lines, self._grid).under(self._prior)
 
     @cached_property
-    def _alike_root(self) -> FloatArray | None:
-        """Root of the correlation of the rows, shape (r, q): as many combinations of rows as it takes."""
-        if self._alike is None:
-            return None
-        variance, combinations = np.linalg.eigh(self._alike)
-        some = variance > _NEGLIGIBLE * variance[-1]
-        return np.asarray(combinations[:, some] * np.sqrt(variance[some]))
-
-    @cached_property
     def _derivatives(self) -> "tuple[csr_array, csr_array]":
         rows = assemble(self._lines, self._grid)
         return rows.derivatives(), derivatives_of(self._lines, len(self._covariance))
@@ -100,7 +89,7 @@ class SlopeSums:
 
         Rows in which a sum has no weights are left out: a panel is a fifth of the mirror.
         """
-        count, factor = len(weights), self._system.factor.root
+        count, root = len(weights), self._system.factor.root
         solved = np.zeros((count, self._grid.n_rows, 2 * self._grid.x_m.size))
         spans = [_span(one) for one in np.asarray(weights.any(axis=2))]
         for first, last in sorted(set(spans) - {(0, 0)}):
@@ -109,20 +98,14 @@ class SlopeSums:
                 some = numbers[start : start + _AT_ONCE]
                 nodes = np.zeros((len(some), last - first, 2 * self._grid.x_m.size))
                 nodes[..., 0::2] = weights[some, first:last]
-                solved[some, first:last] = BandedFactor(factor[first:last]).solve(nodes)
+                solved[some, first:last] = BandedFactor(root[first:last]).solve(nodes)
         own = weights.reshape(count, -1) @ solved[..., 0::2].reshape(count, -1).T
-        root = self._alike_root
-        if root is not None:
-            # Of rows that are alike some dozen combinations are all there is: R is much less than its r x r entries.
-            combined = np.stack(
-                [root[first:last].T @ one[first:last] for one, (first, last) in zip(solved, spans, strict=True)]
-            )
-            for sign, each in ((1.0, combined), (-1.0, solved)):
-                flat = each.reshape(count, -1)
-                for start in range(0, count, _AT_ONCE):
-                    few = slice(start, start + _AT_ONCE)
-                    pulled = _pulled(each[few].reshape(-1, each.shape[2]), self._system.bands)
-                    own[:, few] += sign * (flat @ pulled.reshape(-1, flat.shape[1]).T)
+        if self._others is not None:
+            flat = solved.reshape(count, -1)
+            # One after the other: a sum's slopes stay in the processor's cache.
+            for number, (first, last) in enumerate(spans):
+                pulled = self._others[:, first:last] @ _pulled(solved[number, first:last], self._system.bands)
+                own[:, number] += flat @ pulled.reshape(-1)
         return solved, np.asarray(0.5 * (own + own.T))
 
 
