@@ -139,7 +139,7 @@ class PhotoView:
     @cached_property
     def static(self) -> Html:
         """The still pictures, drawn once."""
-        return side_by_side(self.stills or [self._still()])
+        return side_by_side(self.stills or [self.photo_still(0)])
 
     def _repr_html_(self) -> str:
         return self.static.text
@@ -185,9 +185,9 @@ class PhotoView:
         axes.set_ylabel("row [px]", fontsize=8, color=FAINT, labelpad=2)
         return figure
 
-    def _still(self) -> Html:
-        """Draw the first photo with its marks."""
-        photo = self.photos[0]
+    def photo_still(self, number: int) -> Html:
+        """Draw the still picture of one photo with its marks."""
+        photo = self.photos[number]
         counts = ", ".join(f"{len(one.xy_px)} {one.name}" for one in photo.marks)
         title, note = f"{self.name}: {photo.name}", "; ".join(filter(None, (counts, photo.note)))
         sheet = photo_sheet(photo)

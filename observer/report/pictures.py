@@ -1,5 +1,7 @@
 """What the camera saw, in a trough's report: photos with what was found, slices of the mirror through all of them."""
 
+from dataclasses import replace
+
 import numpy as np
 import numpy.typing as npt
 
@@ -62,7 +64,9 @@ def photo_view(results: TroughResults) -> PhotoView | None:
             found.append(_with_marks(results, name, image, marks, outline))
     if not found:
         return None
-    return PhotoView("Photos with what was found in them", tuple(found))
+    view = PhotoView("Photos with what was found in them", tuple(found))
+    # On paper: the outlines, and the edges and targets of one photo.
+    return replace(view, stills=[view.photo_still(number) for number in range(min(2, len(found)))])
 
 
 def _outlined(stored: StoredOverlay) -> Photo:

@@ -1,6 +1,8 @@
 """The report of a trough: what is stored comes back, and the pictures say what the geometry says."""
 
+import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -456,6 +458,8 @@ def test_photos_show_edges_where_the_camera_saw_them_and_why_targets_were_refuse
         "mirror and absorber as designed",
         "mirror and absorber as measured",
     }
+    # Print shows still pictures alone: the outlines, and the edges and targets of one photo.
+    assert "targets not used" in view.static.text
     marks = {one.name: one for one in photo.marks}
     assert photo.mark == "photo-a"
     np.testing.assert_allclose(marks["targets"].xy_px, place[:1])
@@ -487,3 +491,10 @@ def test_an_absorber_measured_alone_has_its_report(tmp_path) -> None:
     assert first.count("<img") == 1
     assert "5 stations" in report.absorber(results).text
     assert "too few targets" in report.refused(results).text
+
+
+def test_photos_are_in_the_printed_report() -> None:
+    """The cell of photos carries the tag that print keeps, with its heading."""
+    cells = json.loads((Path(report_pictures.__file__).parent / "report.ipynb").read_text())["cells"]
+    number = next(k for k, cell in enumerate(cells) if "report.photos(" in "".join(cell["source"]))
+    assert all("print" in cell["metadata"]["tags"] for cell in cells[number - 1 : number + 1])
