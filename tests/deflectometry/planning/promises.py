@@ -98,11 +98,11 @@ def drawn_dots() -> Drawn:
 
 
 def drawn_tower(scale: float = 0.25, facets: tuple[int, ...] = (0, 1, 5)) -> Drawn:
-    """Return some facets of a heliostat seen at night from its tower, each within 0.2 mm of its stated place."""
+    """Return some facets of a heliostat seen at night from its tower, the place of each known to 1 mm."""
     scene = tower_scene(scale=scale)
     scene = replace(scene, facets=tuple(scene.facets[k] for k in facets))
     known = tower_knowledge(scale, sigma_place_mm=SIGMA_PLACE_MM)
-    known = replace(known, sigma_facet_mm=(0.2, 0.2, 0.2))
+    known = replace(known, sigma_facet_mm=(1.0, 1.0, 1.0))
     return Drawn(scene, known, 260.0, 5.0)
 
 
