@@ -171,7 +171,7 @@ class Truth:
         """Return errors of slopes across at some nodes, whitened by their joint covariance, shape (n,).
 
         Beside them the standard deviation that the mean of (error / sigma)^2 of these nodes has by chance: all share
-        the errors of targets and tube, so that it is near 0.5, not ``sqrt(2 / n)``.
+        the errors of targets and tube, so that it is near 0.6, not ``sqrt(2 / n)``.
         """
         found, reflector = result.slope_map, result.reflector
         chosen = np.zeros(found.valid.shape, dtype=bool)
