@@ -1,6 +1,6 @@
 """Photos whose targets contradict the others: of another object with the same codes, or of one that moved."""
 
-from collections.abc import Iterator
+from typing import NamedTuple
 
 import numpy as np
 
@@ -11,10 +11,21 @@ from photogrammetry.start_values.network import LeftOut
 from photogrammetry.start_values.resection import spans_an_area
 
 
-def foreign_photos(
+class ContradictingPhotos(NamedTuple):
+    """Photos with more false image points than chance explains, or whose others confirm no pose.
+
+    foreign: Those to leave out.
+    doubtful: Those of which more image points agree, all over the object, than contradict: they stay.
+    """
+
+    foreign: tuple[LeftOut, ...]
+    doubtful: tuple[LeftOut, ...]
+
+
+def contradicting_photos(
     every: ImagePoints, agreeing: ImagePoints, points_m: FloatArray, false_rows: IntArray, significance: float
-) -> Iterator[LeftOut]:
-    """Yield photos with false image points whose others do not confirm a pose.
+) -> ContradictingPhotos:
+    """Find photos with false image points whose others do not confirm a pose, or that are too many for chance.
 
     every: All image points of the network.
     agreeing: Those that agree with it.
@@ -22,10 +33,11 @@ def foreign_photos(
     false_rows: Rows of `every` that contradict the network.
     significance: Probability of naming any sound photo of all.
 
-    Named are photos whose agreeing targets lie on one line, which determines no pose: those along the rim of another
-    trough may have the same distances. Named are also photos that more image points contradict than agree, and more
+    Foreign are photos whose agreeing targets lie on one line, which determines no pose: those along the rim of another
+    trough may have the same distances. Foreign are also photos that more image points contradict than agree, and more
     than chance explains; the share of false ones is that of the other photos.
     """
+    foreign, doubtful = [], []
     shown = every.n_targets_in_photo
     false = np.bincount(every.photo_index[false_rows], minlength=len(every.photos))
     places = {
@@ -38,10 +50,11 @@ def foreign_photos(
         # One false image point more than were found: a share of 0 cannot be known.
         chance = (int(false.sum()) - hits + 1) / (every.n - trials + 2)
         by_chance = binomial_tail(hits, trials, chance) > significance / len(every.photos)
-        if spans_an_area(own) and (hits < len(own) or by_chance):
-            continue
-        text = (
-            f"{hits} of its {trials} image points contradict the other photos, and the rest confirms no pose: does it "
-            "show another object with the same codes, or had this one moved?"
-        )
-        yield LeftOut(name, text)
+        asked = "does it show another object with the same codes, or had this one moved?"
+        if not spans_an_area(own) or (hits >= len(own) and not by_chance):
+            text = f"{hits} of its {trials} image points contradict the other photos, and the rest confirms no pose"
+            foreign.append(LeftOut(name, f"{text}: {asked}"))
+        elif not by_chance:
+            text = f"{hits} of its {trials} image points contradict the other photos, which chance does not explain"
+            doubtful.append(LeftOut(name, f"{text}; it is used, as more of them agree: {asked}"))
+    return ContradictingPhotos(tuple(foreign), tuple(doubtful))

@@ -241,6 +241,7 @@ def check_network(solved: Solved) -> Iterator[Doubt]:
     yield from _photos_left_out(solved.network.photos_left_out)
     for one in solved.weak:
         yield Doubt("not_determined_left_out", f"{one.name}: {one.reason}; the network goes on without")
+    yield from _doubtful_photos(solved.doubtful)
     yield from _unused_values(solved.unused)
     scaled = any(isinstance(one, Distance) for one in bundle.problem.constraints)
     if bundle.system.movements.count == 7 and not scaled:
@@ -280,6 +281,13 @@ def _photos_left_out(photos: Sequence[LeftOut]) -> Iterator[Doubt]:
         more = ", ..." if len(photos) > _LISTED else ""
         text = f"{len(photos)} photos are left out: {listed}{more}"
         yield Doubt("photos_not_in_network", text, {"photos_count": len(photos)})
+
+
+def _doubtful_photos(photos: Sequence[LeftOut]) -> Iterator[Doubt]:
+    if photos:
+        more = "" if len(photos) == 1 else f" (and {len(photos) - 1} more photos)"
+        text = f"photo {photos[0].name}{more}: {photos[0].reason}"
+        yield Doubt("photos_contradict_others", text, {"photos_count": len(photos)})
 
 
 def _unused_values(unused: Sequence[LeftOut]) -> Iterator[Doubt]:

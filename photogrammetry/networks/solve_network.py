@@ -1,6 +1,6 @@
 """From image points to an adjusted network: start values, eccentricity, outliers, sigmas."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
@@ -20,7 +20,7 @@ from photogrammetry.bundle.problem import BundleProblem, CameraModel
 from photogrammetry.bundle.state import INTRINSIC_NAMES, BundleState, intrinsics_of
 from photogrammetry.bundle.statistics import Rejected, adjust_and_reject, examine_image_points
 from photogrammetry.image_points import ImagePoints
-from photogrammetry.networks.foreign_photos import foreign_photos
+from photogrammetry.networks.foreign_photos import ContradictingPhotos, contradicting_photos
 from photogrammetry.start_values.network import LeftOut, Network, StartValues, build_network
 
 #: Known lengths that differ from the network by this share, and by ten sigma, are mistakes and no measurements.
@@ -144,6 +144,7 @@ class Solved:
     image_sigma_factor: By what the stated sigmas of the image points were multiplied.
     unused: Constraints whose targets are not in the network.
     weak: Photos, targets and intrinsics that are not determined: left out, or held near their start.
+    doubtful: Photos that are used though more of their image points contradict the others than chance explains.
     """
 
     network: Network
@@ -153,6 +154,7 @@ class Solved:
     image_sigma_factor: float
     unused: tuple[LeftOut, ...]
     weak: tuple[LeftOut, ...] = ()
+    doubtful: tuple[LeftOut, ...] = ()
 
 
 def solve_network(
@@ -225,6 +227,7 @@ def solve_from(
         shift = eccentricities_px(table, discs, state, place)
         table = replace(table, pixels_px=table.pixels_px - shift)
     rejected: tuple[Rejected, ...] = ()
+    doubtful: tuple[LeftOut, ...] = ()
     network = replace(network, suspicious=network.suspicious if options.reject else ())
     if options.reject:
         # Without constraints: a wrong scale bar must not make the image points of its targets look wrong.
@@ -240,7 +243,7 @@ def solve_from(
             rejected = (*(one for one, is_back in zip(waiting, back, strict=True) if not is_back), *rejected)
         whole, table, state = table, alone.problem.observations, alone.state
         network = _without_innocent(network, table)
-        foreign = tuple(_foreign(whole, alone, rejected, options))
+        foreign, doubtful = _contradicting(whole, alone, rejected, options)
         network, rejected = _without_photos(network, whole, rejected, foreign)
         keep = ~np.isin(np.array(table.photos)[table.photo_index], [one.name for one in foreign])
         table, state = _without_empty(table.subset(keep), state)
@@ -249,7 +252,7 @@ def solve_from(
     if options.rescale:
         bundle, factor = _rescale(bundle)
     largest = float(np.linalg.norm(shift, axis=1).max(initial=0.0))
-    return Solved(network, bundle, rejected, largest, factor, unused, weak)
+    return Solved(network, bundle, rejected, largest, factor, unused, weak, doubtful)
 
 
 class _Adjusted(NamedTuple):
@@ -330,10 +333,10 @@ def _without_innocent(network: Network, table: ImagePoints) -> Network:
     return replace(network, suspicious=tuple(one for one in network.suspicious if one.name in names))
 
 
-def _foreign(
+def _contradicting(
     table: ImagePoints, alone: BundleResult, rejected: tuple[Rejected, ...], options: SolveOptions
-) -> Iterator[LeftOut]:
-    """Yield photos that contradict the others as a whole.
+) -> ContradictingPhotos:
+    """Find photos that contradict the others as a whole.
 
     table: All image points.
     alone: The adjustment of those that agree.
@@ -341,7 +344,7 @@ def _foreign(
     agreeing = alone.problem.observations
     false = ~np.isin(table.pair_keys, agreeing.pair_keys)
     false[[one.row for one in rejected if not one.is_outlier]] = False
-    return foreign_photos(
+    return contradicting_photos(
         table, agreeing, alone.state.points_m, np.flatnonzero(false), significance=options.family_significance
     )
 

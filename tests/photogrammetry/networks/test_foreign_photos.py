@@ -9,6 +9,7 @@ from photogrammetry.bundle.constraints import KnownPlaces
 from photogrammetry.bundle.datum import Datum
 from photogrammetry.bundle.problem import CameraModel
 from photogrammetry.image_points import ImagePoints
+from photogrammetry.networks.quality import check_network
 from photogrammetry.networks.solve_network import Knowledge, NetworkCameras, Solved, SolveOptions, solve_network
 from photogrammetry.start_values import StartValues
 
@@ -19,7 +20,7 @@ NAMES = tuple(str(k + 1) for k in range(len(TARGETS)))
 SIGMA_PX = 0.05
 
 
-def solved(shifted: range, shift_m: float, seed: int = 0) -> Solved:
+def solved(shifted: range, shift_m: float, seed: int = 0, moved_rows: range = range(6, 12)) -> Solved:
     """A flight of 20 photos; in the last one five targets of one rim and some others, which are elsewhere."""
     rng = np.random.default_rng(seed)
     places = TARGETS + rng.normal(0, 1e-3, TARGETS.shape)
@@ -32,7 +33,8 @@ def solved(shifted: range, shift_m: float, seed: int = 0) -> Solved:
         poses[photo] = RigidTransform(turn, -turn @ np.array([x, 0.1 * number % 0.3, 15.0]))
         is_last = number == 19
         own = [*range(5), *shifted] if is_last else range(12)
-        moved = places + np.array([shift_m, 0, 0]) * (is_last & (TARGETS[:, :1] > 0))
+        is_moved = np.isin(np.arange(12), moved_rows)[:, None] & is_last
+        moved = places + np.array([shift_m, 0, 0]) * is_moved
         pixels.append(CAMERA.project(poses[photo].apply(moved[[*own]])) + rng.normal(0, SIGMA_PX, (len(own), 2)))
         photos += [photo] * len(own)
         names += [NAMES[k] for k in own]
@@ -54,8 +56,18 @@ def test_photo_of_another_object(shifted: range, shift_m: float) -> None:
     assert len(found.bundle.problem.observations.photos) == 19
 
 
+def test_a_photo_that_agrees_more_than_it_contradicts_is_used_and_named() -> None:
+    """Five along one rim and one of the other agree, four contradict: what agrees spans an area."""
+    found = solved(range(6, 11), 0.5, moved_rows=range(7, 11))
+    assert found.network.photos_left_out == ()
+    assert [one.name for one in found.doubtful] == ["photo19"]
+    [doubt] = [one for one in check_network(found) if one.code == "photos_contradict_others"]
+    assert "photo19: 4 of its 10 image points contradict" in doubt.text
+
+
 def test_sound_photos_stay() -> None:
     for seed in range(4):
         found = solved(range(6, 11), 0.0, seed)
         assert found.network.photos_left_out == ()
+        assert found.doubtful == ()
         assert len(found.bundle.problem.observations.photos) == 20
