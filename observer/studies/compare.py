@@ -249,11 +249,7 @@ def _refuse_other_collector(first: OneOrientation, one: OneOrientation) -> None:
 def _read(folder: Path) -> OneOrientation:
     if not (folder / "absorber_spans.csv").is_file():
         if (folder / OVERVIEW_TABLE).is_file():
-            name = read_table_csv(folder / OVERVIEW_TABLE, ("result",))["result"][0]
-            raise InputError(
-                f"{folder}: results of several modules; compare each with itself: give {folder / name} and the same "
-                "module's folder of the other date"
-            )
+            raise InputError(_several_modules(folder))
         raise InputError(
             f"{folder}: no absorber_spans.csv; give results of `heliogauge observer measure` or "
             "`heliogauge observer absorber`"
@@ -279,6 +275,19 @@ def _read(folder: Path) -> OneOrientation:
         spans,
         read_slope_map(slopes) if slopes.is_file() else None,
         _read_panels(folder, collector) if (folder / ANGLES).is_file() else None,
+    )
+
+
+def _several_modules(folder: Path) -> str:
+    """Say what to give in place of the results of a flight over several modules."""
+    table = read_table_csv(folder / OVERVIEW_TABLE, ("result",))
+    failed = table.get("failed", [""] * len(table["result"]))
+    names = [name for name, reason in zip(table["result"], failed, strict=True) if not reason]
+    if not names:
+        return f"{folder}: results of several modules, none of which was measured; there is nothing to compare"
+    return (
+        f"{folder}: results of several modules; compare each with itself: give {folder / names[0]} and the same "
+        "module's folder of the other date"
     )
 
 

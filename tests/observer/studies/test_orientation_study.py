@@ -183,6 +183,14 @@ def test_what_is_not_a_result_is_said(tmp_path: Path) -> None:
     (field / "overview.csv").write_text("result,name\nloop-1,Loop 1\n")
     with pytest.raises(InputError, match=r"several modules; compare each with itself: give .*loop-1"):
         run([field, tmp_path])
+    # One that failed has no folder.
+    (field / "overview.csv").write_text("result,name,failed\nloop-1,Loop 1,no targets\nloop-2,Loop 2,\n")
+    with pytest.raises(InputError, match=r"several modules; compare each with itself: give .*loop-2"):
+        run([field, tmp_path])
+    for nothing in ("", "loop-1,Loop 1,no targets\n"):
+        (field / "overview.csv").write_text(f"result,name,failed\n{nothing}")
+        with pytest.raises(InputError, match=r"several modules, none of which was measured"):
+            run([field, tmp_path])
     with pytest.raises(InputError, match=r"no absorber_spans\.csv; give results of"):
         run([one, tmp_path])
     with pytest.raises(InputError, match=r"one and .*one are the same result"):
