@@ -28,8 +28,15 @@ _PRIOR_M = 0.1
 #: between supports 4 m apart has 5 mm. Which of these it is, the bearings decide: a straight tube's stations help each
 #: other, and clouds or the glass beside one of them do not bend it.
 _BENDS_M = (0.01, 0.005, 0.0025)
-#: How far a tube may sag between two supports, loose in them or clamped [m].
-_SAG_M = 0.01
+#: The tube's wall [m]; Young's modulus of its steel [Pa]; densities of steel, glass and oil at 20 degrees C [kg/m^3].
+#: Receivers of LS-2 and later: 70 mm outside, 66 inside, glass of 115 and 109 mm (Forristall 2003, NREL/TP-550-34169);
+#: austenitic steel, borosilicate glass; diphenyl with its oxide.
+_WALL_M, _STEEL_PA, _STEEL_KG_M3, _GLASS_KG_M3, _OIL_KG_M3 = 2e-3, 1.95e11, 7.9e3, 2.23e3, 1.06e3
+#: A tube may hang so many times as far as its weight bends it. What the sun heats from below bends as well, by
+#: ``alpha dT L^2 / (8 D)``, 6 mm over 4 m where its two sides differ by 13 K: as much again as by the weight where it
+#: lies loose; some of either may have set at 400 degrees C.
+_SET_TIMES = 2.0
+_GRAVITY_M_S2 = 9.81
 #: The most that is nearly as probable as the most probable one, by exp(-2), is believed.
 _EVIDENCE_LOSS = 2.0
 #: What the background does to the bisector is for this part of it alike along the whole tube; the rest stays alike over
@@ -129,11 +136,11 @@ def solve_absorber(
         )
     x, z = start.at(stations_m)
     path = AbsorberPath(stations_m, x, z, np.zeros((2 * stations_m.size, 2 * stations_m.size)))
-    supports = np.unique(collector.support_y_m)
+    beams = _beams(stations_m, collector)
     # The second round averages around the tube as found, so that its slope does not count as scatter.
     for _ in range(2):
         directions = _averaged(bearings, photos, path, collector.absorber_diameter_m)
-        path, used, residuals, with_poses = _adjust(directions, photos, path, supports)
+        path, used, residuals, with_poses = _adjust(directions, photos, path, beams)
     n_photos = np.bincount(directions.station[used], minlength=stations_m.size)
     fate = _fates(path, n_photos)
     if np.count_nonzero(fate == StationFate.MEASURED) < max(1.0, _LEAST_SHARE * path.n):
@@ -206,8 +213,11 @@ class _Adjusted(NamedTuple):
     with_poses: FloatArray
 
 
-def _adjust(directions: _Directions, photos: Photos, start: AbsorberPath, supports_m: FloatArray) -> _Adjusted:
-    """Adjust a path to averaged bearings."""
+def _adjust(directions: _Directions, photos: Photos, start: AbsorberPath, beams_m: FloatArray) -> _Adjusted:
+    """Adjust a path to averaged bearings.
+
+    beams_m (n, k): Shapes that the tube may take between its supports.
+    """
     place, derivatives = _bearing_derivatives(directions, photos, start)
     modes = reduce_to_modes(derivatives, directions.photo, photos.covariance)
     index, value, size = _sparse_rows(directions, place, modes, start)
@@ -221,7 +231,7 @@ def _adjust(directions: _Directions, photos: Photos, start: AbsorberPath, suppor
     for _ in range(_MOST_ROUNDS):
         normal, right = _normal_equations(index[used], value[used], directions, used, size)
         normal_left, wanted, following = _reduce_to_stations(normal + prior, right, 2 * start.n)
-        smooth = _probable_smoothness(normal_left, wanted, bent, start.y_m, supports_m)
+        smooth = _probable_smoothness(normal_left, wanted, bent, start.y_m, beams_m)
         inverse = np.linalg.inv(normal_left + smooth)
         stations = inverse @ (wanted - smooth @ bent)
         step = np.concatenate([stations, following[:, -1] - following[:, :-1] @ stations])
@@ -335,7 +345,7 @@ def _reduce_to_stations(normal: FloatArray, right: FloatArray, n: int) -> _ForSt
 
 
 def _probable_smoothness(
-    normal: FloatArray, wanted: FloatArray, bent_m: FloatArray, stations_m: FloatArray, supports_m: FloatArray
+    normal: FloatArray, wanted: FloatArray, bent_m: FloatArray, stations_m: FloatArray, beams_m: FloatArray
 ) -> FloatArray:
     """Return the prior's precision of both coordinates along the stations, as smooth as the bearings show.
 
@@ -343,7 +353,7 @@ def _probable_smoothness(
     """
     evidence, priors = [], []
     for bend in _BENDS_M:
-        smooth = np.asarray(np.kron(np.eye(2), _smoothness(stations_m, bend, supports_m)), dtype=np.float64)
+        smooth = np.asarray(np.kron(np.eye(2), _smoothness(stations_m, bend, beams_m)), dtype=np.float64)
         pulled = wanted - smooth @ bent_m
         misfit = bent_m @ smooth @ bent_m - pulled @ np.linalg.solve(normal + smooth, pulled)
         determinants = np.linalg.slogdet(smooth)[1] - np.linalg.slogdet(normal + smooth)[1]
@@ -352,24 +362,40 @@ def _probable_smoothness(
     return priors[int(np.argmax(np.array(evidence) > max(evidence) - _EVIDENCE_LOSS))]
 
 
-def _smoothness(stations_m: FloatArray, bend_m: float, supports_m: FloatArray) -> FloatArray:
+def _smoothness(stations_m: FloatArray, bend_m: float, beams_m: FloatArray) -> FloatArray:
     """Return the prior's precision of a coordinate along the stations."""
     n = stations_m.size
     precision = np.eye(n) / _PRIOR_M**2 / n
     if n >= 3:
         step = float(np.mean(np.diff(stations_m)))
-        beams = np.diff(_beams(stations_m, supports_m), 2, axis=0)
+        beams = np.diff(beams_m, 2, axis=0)
         covariance = bend_m**2 * step**3 * np.eye(n - 2) + beams @ beams.T
         second = np.diff(np.eye(n), 2, axis=0)
         precision += second.T @ np.linalg.solve(covariance, second)
     return np.asarray(0.5 * (precision + precision.T))
 
 
-def _beams(stations_m: FloatArray, supports_m: FloatArray) -> FloatArray:
+def sag_of_tube_m(collector: Collector, span_m: float) -> float:
+    """Return how far the tube may hang between two supports, as a standard deviation [m].
+
+    ``5 w L^4 / (384 E I)`` of a beam of even weight w that lies loose in them, filled with oil and with its glass, and
+    some set. In clamps it bends a fifth of that, but which it is, and what set there, is not known.
+    """
+    outer = collector.absorber_diameter_m
+    inner = outer - 2 * min(_WALL_M, outer / 4)
+    ring, oil = outer**2 - inner**2, inner**2
+    around = collector.glass
+    glass = 0.0 if around is None else around.outer_diameter_m**2 - around.inner_diameter_m**2
+    weight = _GRAVITY_M_S2 * np.pi / 4 * (_STEEL_KG_M3 * ring + _GLASS_KG_M3 * glass + _OIL_KG_M3 * oil)
+    stiffness = _STEEL_PA * np.pi / 64 * (outer**4 - inner**4)
+    return float(_SET_TIMES * 5 * weight * span_m**4 / (384 * stiffness))
+
+
+def _beams(stations_m: FloatArray, collector: Collector) -> FloatArray:
     """Return the shapes of beams between supports, straight beyond them.
 
     stations_m (n,): Places along the tube [m].
-    supports_m (k,): Ascending places where the tube is held [m].
+    collector: The tube, and the k places where it is held.
     Returns (n, 3 (k - 1)): For one standard deviation of each of three shapes between two supports [m].
 
     ``E I d^4 w / d y^4 = q`` under an even weight q: the curvature is a parabola, whatever moments the supports put on
@@ -378,13 +404,12 @@ def _beams(stations_m: FloatArray, supports_m: FloatArray) -> FloatArray:
     The curvature need not go on evenly at a support, which hides the place where a tube in clamps bends most.
     """
     found = [np.zeros((stations_m.size, 0))]
-    second = _SAG_M * np.diag([1.6, 1.6, 8.0])
-    slope, place = (np.polynomial.legendre.legint(second, m, lbnd=-1) for m in (1, 2))
-    for first, last in pairwise(supports_m.tolist()):
+    slope, place = (np.polynomial.legendre.legint(np.diag([1.6, 1.6, 8.0]), m, lbnd=-1) for m in (1, 2))
+    for first, last in pairwise(collector.held_y_m.tolist()):
         t = (2 * stations_m - first - last) / (last - first)
         inside = np.clip(t, -1, 1)
         bent, leaning = (np.polynomial.legendre.legval(inside, one) for one in (place, slope))
-        found.append((bent + leaning * (t - inside)).T)
+        found.append(sag_of_tube_m(collector, last - first) * (bent + leaning * (t - inside)).T)
     return np.concatenate(found, axis=1)
 
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from heliogauge.doubts import Doubt
+from heliogauge.doubts import Doubt, Severity
 from heliogauge.flags import SampleFlag
 from heliogauge.validate import BoolArray
 from observer.absorber.forgotten_glass import glass_doubt
@@ -141,6 +141,16 @@ def absorber_doubts(
             {"seen_m": solution.diameter_m, "stated_m": collector.absorber_diameter_m},
         )
     measured = measured_stations(path, solution)
+    inner = supports_of(path, measured, collector)[1:-1]
+    if collector.support_y_m.size == 0 and inner.size:
+        places = ", ".join(f"{y:.2f}" for y in inner)
+        yield Doubt(
+            "absorber_supports_not_stated",
+            f"absorber: hidden about y = {places} m, as by supports, of which support_y_m says nothing: it is taken to "
+            "bend there as anywhere; state the supports, those at the ends too, if these are some",
+            {"supports_count": int(inner.size)},
+            Severity.NOTE,
+        )
     if measured.mean() < _WARN_SHARE:
         seen = path.y_m[measured]
         yield Doubt(

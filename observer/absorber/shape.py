@@ -83,10 +83,11 @@ def supports_of(path: AbsorberPath, measured: BoolArray, collector: Collector) -
     collector: Length and supports.
     Returns (k,): Ascending places, at least two [m].
     """
-    if collector.support_y_m.size >= 2:
-        return collector.support_y_m
+    held = collector.held_y_m
+    if held.size >= 2:
+        return held
     half = collector.length_m / 2
-    inner = collector.support_y_m.tolist()
+    inner = held.tolist()
     if not inner:
         seen = path.y_m[measured]
         wide = np.flatnonzero(np.diff(seen) > _SUPPORT_GAP_M + float(np.max(np.diff(path.y_m), initial=0.0)))

@@ -117,6 +117,13 @@ class Collector(ShortRepr):
         return self.absorber_diameter_m if self.glass is None else self.glass.outer_diameter_m
 
     @property
+    def held_y_m(self) -> FloatArray:
+        """Ascending places where the tube is held, shape (k,): supports nearer than their width are one [m]."""
+        places = np.unique(self.support_y_m)
+        groups = np.split(places, np.flatnonzero(np.diff(places) >= self.support_width_m) + 1) if places.size else []
+        return np.array([group.mean() for group in groups], dtype=np.float64)
+
+    @property
     def n_panels(self) -> int:
         """Number of panels."""
         return (len(self.panel_edges_x_m) - 1) * (len(self.panel_edges_y_m) - 1)

@@ -42,7 +42,7 @@ class GlassBeside(NamedTuple):
 
 def count_receivers(collector: Collector) -> int:
     """Return how many pieces of glass there are: one between each two neighbouring supports, at least one."""
-    return max(np.unique(collector.support_y_m).size - 1, 1)
+    return max(collector.held_y_m.size - 1, 1)
 
 
 def glass_beside_tube(collector: Collector, path: AbsorberPath, y_m: FloatArray) -> GlassBeside:
@@ -52,7 +52,7 @@ def glass_beside_tube(collector: Collector, path: AbsorberPath, y_m: FloatArray)
     y_m (m,): Places along the trough [m].
     Returns: Of each place; zeros where no two supports are listed.
     """
-    supports, half = np.unique(collector.support_y_m), collector.support_width_m / 2
+    supports, half = collector.held_y_m, collector.support_width_m / 2
     if supports.size < 2:
         return GlassBeside(np.zeros(y_m.size, dtype=np.intp), np.zeros(y_m.size), np.zeros(y_m.size))
     receiver = np.clip(np.searchsorted(supports, y_m, side="right") - 1, 0, supports.size - 2)

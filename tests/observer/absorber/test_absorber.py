@@ -8,7 +8,7 @@ import pytest
 from heliogauge.camera.model import Camera
 from heliogauge.errors import EstimationError
 from heliogauge.geometry.rigid import RigidTransform
-from observer.absorber.position import AbsorberSolution, StationFate, bearing_derivatives, solve_absorber
+from observer.absorber.position import AbsorberSolution, StationFate, bearing_derivatives, sag_of_tube_m, solve_absorber
 from observer.photo_edges.edges import Edges
 from observer.photo_edges.tube_bearings import Bearings, bearing, paired_edges, tube_bearings
 from observer.photo_edges.views import Shot, View
@@ -16,6 +16,7 @@ from observer.slopes.pose_modes import Photos
 from observer.trough.absorber_path import AbsorberPath
 from observer.trough.collector import Collector, ls2
 from observer.trough.expectation import Expectation
+from observer.trough.glass import count_receivers
 from tests.observer.drawn_tube import Axis, drawn_tube, looking
 
 LS2 = ls2()
@@ -242,6 +243,40 @@ def test_a_tube_clamped_at_its_supports_is_bridged_there() -> None:
     sigma_m = path.sigma_at(stations)[1]
     assert (np.abs(path.z_m - height(stations)) < sigma_m).all()
     assert sigma_m[np.abs(stations) < 3].max() < 1e-3
+
+
+def sigma_of_a_long_tube_m(supports_m: list[float], width_m: float) -> float:
+    """Return the largest sigma of the height within half a metre of the middle, where 0.7 m are hidden."""
+    collector = Collector(5.76, 7.0, 1.71, 0.070, support_y_m=np.array(supports_m), support_width_m=width_m)
+    photos = photos_at([*np.linspace(-3.5, -1.5, 5), *np.linspace(1.5, 3.5, 5)], height_m=15.0, sigma=1e-6)
+    rows = np.arange(-3.3, 3.3, 0.05)
+    rows = rows[np.abs(rows) > 0.35]
+    photo, y = np.repeat(np.arange(10), rows.size), np.tile(rows, 10)
+    angle = bearing(np.zeros(y.size), np.full(y.size, 1.71), photos.eyes_m[photo])
+    bearings = Bearings(photo, y, angle, np.full(y.size, 1e-4), np.full(y.size, 0.07), np.full(y.size, 1e-5))
+    stations = np.linspace(-3.5, 3.5, 29)
+    found = solve_absorber(bearings, photos, AbsorberPath.straight(0.0, 1.71, 3.5), stations, collector)
+    return float(found.path.sigma_at(np.linspace(-0.5, 0.5, 11))[1].max())
+
+
+def test_between_supports_beside_each_other_the_tube_has_no_kink() -> None:
+    """A tube that may hang by 10 mm between any two has 10 mm there, at 0.7 with one support."""
+    one = sigma_of_a_long_tube_m([-3.5, 0.0, 3.5], 0.3)
+    double = Collector(5.76, 7.0, 1.71, 0.070, support_y_m=np.array([3.5, -0.02, 0.02, -3.5]))
+    np.testing.assert_allclose(double.held_y_m, [-3.5, 0.0, 3.5], atol=1e-12)
+    assert count_receivers(double) == 2
+    # Both of one bellows, told twice to a nanometre, and each with a bellows of its own.
+    for apart, width in ((0.04, 0.3), (1e-9, 0.3), (0.04, 0.02)):
+        two = sigma_of_a_long_tube_m([-3.5, -apart / 2, apart / 2, 3.5], width)
+        assert two == pytest.approx(one, rel=0.1), (apart, width)
+
+
+def test_a_tube_hangs_by_its_weight_with_the_fourth_power_of_the_span() -> None:
+    # 70 x 2 mm of steel, 3.4 kg/m, with 2.4 of glass and 3.6 of oil on 4.06 m: 5 w L^4 / (384 E I) of 9.3 kg/m and
+    # E I = 48.2 kN m^2 is 6.7 mm.
+    assert sag_of_tube_m(LS2, 4.06) == pytest.approx(2 * 6.7e-3, rel=0.02)
+    assert sag_of_tube_m(LS2, 2.03) == pytest.approx(sag_of_tube_m(LS2, 4.06) / 16)
+    assert sag_of_tube_m(SHORT, 4.06) == pytest.approx(2 * 5.0e-3, rel=0.02)
 
 
 def test_a_stripe_as_wide_as_the_tube_is_not_taken_for_it() -> None:

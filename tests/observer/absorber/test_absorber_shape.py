@@ -131,6 +131,9 @@ def test_numbers_and_what_is_warned_of() -> None:
     np.testing.assert_allclose(numbers["absorber_tilt_x_rad"], 4e-4, atol=1e-9)
     assert numbers["absorber_stations_measured_count"] == VISIBLE.sum()
     assert list(absorber_doubts(path, solution_of(path), COLLECTOR, is_design=False)) == []
+    unlisted = replace(COLLECTOR, support_y_m=np.zeros(0))
+    (doubt,) = absorber_doubts(path, solution_of(path), unlisted, is_design=False)
+    assert "hidden about y = 0.00 m, as by supports, of which support_y_m says nothing" in doubt.text
     (doubt,) = absorber_doubts(path, solution_of(path, 0.075), COLLECTOR, is_design=False)
     assert "looks 75.0 mm thick" in doubt.text
     # With pixels of 12.3 mm 3 % are a sixth of one, as much as blur does.
