@@ -140,7 +140,7 @@ def adjust_rolling(
         settled = is_alike and _has_settled(left, found)
         share = _part_of_the_way(share, was_left, left) if is_alike else 1.0
         before = found.photos
-        network, moved = _adjusted(adjust, measured, network, path, path.of_all(found), moved, share)
+        network, moved, share = _adjusted(adjust, measured, network, path, path.of_all(found), moved, share)
         # A part of the way is no sign that it is short.
         if settled:
             path.follow(network)
@@ -199,17 +199,17 @@ def _adjusted(
     wanted: Mapping[str, FloatArray],
     moved: Mapping[str, FloatArray],
     whole: float,
-) -> tuple[photogrammetry_pipeline.Result, Mapping[str, FloatArray]]:
+) -> tuple[photogrammetry_pipeline.Result, Mapping[str, FloatArray], float]:
     """Adjust to a part of the way to new motions, or to less of it where that cannot be adjusted.
 
     whole: The part, at most 1.
-    Returns: The network, and the motions to which its image points were moved.
+    Returns: The network, the motions to which its image points were moved, and the part of the way that this is.
     EstimationError: Not even an eighth of the way.
     """
-    for share in whole * np.array(_SHARES):
+    for share in (whole * part for part in _SHARES):
         reached = {name: (1 - share) * moved.get(name, np.zeros(3)) + share * motion for name, motion in wanted.items()}
         try:
-            return adjust(_at_rest(measured, network, path.poses, reached)), reached
+            return adjust(_at_rest(measured, network, path.poses, reached)), reached, share
         except EstimationError as error:
             refused = error
     raise refused

@@ -19,7 +19,7 @@ _CONTRAST_READ = 0.01
 #: Rounds in which photos with and without the tube are told apart; what changes later is below a thousandth.
 _ROUNDS = 50
 #: Rows further apart do not show how an edge goes on [m].
-CONTINUED_STEP_M = 0.05
+_CONTINUED_STEP_M = 0.05
 #: From one row to the next an edge moves by at most so many distances of the rows.
 _STEEPEST_CURVE = 4.0
 #: With more than this share of edges that step the wrong way and go on from row to row there are shadows in the
@@ -126,13 +126,22 @@ def is_alone(edges: ReflectionEdges, which: BoolArray, y_m: FloatArray) -> BoolA
     Returns (m,): Edges of short curves; none where rows are too far apart to tell.
     """
     alone = np.zeros(which.size, dtype=bool)
-    step = float(y_m[1] - y_m[0]) if y_m.size > 1 else np.inf
-    if step > CONTINUED_STEP_M:
+    if row_step_m(y_m) > _CONTINUED_STEP_M:
         return alone
     chosen = np.nonzero(which)[0]
     curve = curves_of(edges.chosen(chosen), y_m)
     alone[chosen] = np.bincount(curve)[curve] < _LEAST_CURVE
     return alone
+
+
+def row_step_m(y_m: FloatArray) -> float:
+    """Return the distance of equally spaced rows to a nanometre, infinite for one row [m].
+
+    y_m (r,): Rows [m].
+
+    Rows stated to be 50 mm apart are by rounding up to 1e-16 m further.
+    """
+    return round(float(y_m[1] - y_m[0]), 9) if y_m.size > 1 else np.inf
 
 
 def next_on_curve(edges: ReflectionEdges, y_m: FloatArray) -> IntArray:

@@ -245,6 +245,10 @@ def solve_reflector(
         )
     used = lines.chosen(keep)
     likeness = _likeness(used, edges.chosen(keep), errors, grid, expected.y_m)
+
+    def enlarged(rows: IntArray) -> float:
+        return likeness.counted(expected.y_m[rows])
+
     alone = replace(roughness, alike=None)
     if roughness.alike is not None:
         # Row by row, as they are looked at there: what cameras from all rows leave of each row looks like such slopes.
@@ -263,11 +267,11 @@ def solve_reflector(
         with_shares=~unknowns.is_place,
         looks_like=lambda rows, columns: unknowns.place_as_slope(expected, expected.y_m[rows], grid.x_m[columns]),
         most_rows=most_rows,
-        likeness=likeness,
+        enlarged=enlarged,
     )
     others = [
         solve_jointly(
-            used, grid, one.roughness, unknowns.covariance, with_shares=None, most_rows=most_rows, likeness=likeness
+            used, grid, one.roughness, unknowns.covariance, with_shares=None, most_rows=most_rows, enlarged=enlarged
         )
         for one in models[1:]
     ]

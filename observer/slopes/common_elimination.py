@@ -48,8 +48,6 @@ class Reduced:
     root (c, c): Its lower Cholesky root.
     evidence: Logarithm of how probable the lines are with slopes and common unknowns integrated out, but for a
         constant.
-    carried (r, n, 2, c): By how much the slopes across and along at chosen nodes change against each common
-        unknown; n is 0 where none were asked for.
     beside: Amounts of the patterns that were asked for.
     """
 
@@ -57,7 +55,6 @@ class Reduced:
     normal: FloatArray
     root: FloatArray
     evidence: float
-    carried: FloatArray
     beside: Beside
 
 
@@ -94,13 +91,10 @@ class Reduction:
             for i, (first, last) in enumerate(pairwise(self._first))
         ]
 
-    def under(
-        self, prior: Roughness, *, columns: IntArray | None = None, beside: tuple[FloatArray, FloatArray] | None = None
-    ) -> Reduced:
+    def under(self, prior: Roughness, *, beside: tuple[FloatArray, FloatArray] | None = None) -> Reduced:
         """Eliminate the slopes and estimate the common unknowns.
 
         prior: How slopes may vary.
-        columns (n,): Nodes at which it is wanted what the slopes have from the common unknowns.
         beside: Changes of the lines' misfits by patterns whose amounts are wanted [rad], and the prior standard
             deviations of these. They have no influence on the common unknowns.
         numpy.linalg.LinAlgError: They are not determined.
@@ -116,16 +110,8 @@ class Reduction:
         left = self._values - by_slopes @ solved.reshape(-1)
         if count == 0:
             normal, root, common = np.zeros((0, 0)), np.zeros((0, 0)), np.zeros(0)
-            carried = np.zeros((self._rows.grid.n_rows, 0, 2, 0))
         else:
-            nothing = np.zeros((self._rows.grid.n_rows, 0, 2, count))
-            chosen = np.zeros(0, dtype=np.intp) if columns is None else columns
-            if isinstance(system, AlikeSystem):
-                normal = self._projected_alike(system)
-                # Slopes are solved row by row.
-                carried = self._projected(self._rows.under(prior), chosen)[1] if chosen.size else nothing
-            else:
-                normal, carried = self._projected(system, chosen)
+            normal = self._projected_alike(system) if isinstance(system, AlikeSystem) else self._projected(system)
             precision, spread = _precision(self._covariance)
             normal += precision
             root, narrowed = root_of(normal)
@@ -133,7 +119,7 @@ class Reduction:
             common = -solve_with(root, gradient)
             evidence -= 0.5 * (narrowed + spread + float(gradient @ common))
         if beside is None:
-            return Reduced(common, normal, root, evidence, carried, Beside(np.zeros(0), np.zeros((0, 0))))
+            return Reduced(common, normal, root, evidence, Beside(np.zeros(0), np.zeros((0, 0))))
         patterns = beside[0][self._order] / self._sigma[:, None]
         pulls = np.stack([self._rows.right_sides(one) for one in patterns.T])
         seen = patterns - (by_slopes @ system.factor.solve(pulls).reshape(len(pulls), -1).T)
@@ -141,20 +127,36 @@ class Reduction:
         normal = patterns.T @ seen + np.diag(beside[1] ** -2.0) - coupling.T @ solve_with(root, coupling)
         spread_beside = np.linalg.inv(normal)
         amount = -spread_beside @ (patterns.T @ left + coupling.T @ common)
-        return Reduced(common, normal, root, evidence, carried, Beside(amount, spread_beside))
+        return Reduced(common, normal, root, evidence, Beside(amount, spread_beside))
 
-    def _projected(self, system: RowSystem, columns: IntArray) -> tuple[FloatArray, FloatArray]:
-        """Return the normal matrix of the common unknowns by the lines, the slopes following along, and what these do.
+    def carried(self, prior: Roughness, columns: IntArray) -> FloatArray:
+        """Return by how much the slopes across and along change against each common unknown, each row by itself.
 
-        Shapes (c, c) and (r, n, 2, c).
+        Shapes: result (r, n, 2, c).
+        columns (n,): Nodes at which it is wanted.
         """
-        count, grid = len(self._covariance), self._rows.grid
-        normal = np.zeros((count, count))
+        count, grid, system = len(self._covariance), self._rows.grid, self._rows.under(prior)
         carried = np.zeros((grid.n_rows, columns.size, 2, count))
-        # Memory that the processor's caches and the allocator keep: some rows at a time.
-        most = max(1, _ENTRIES_AT_ONCE // (int(np.diff(self._first).max(initial=1)) * max(count, 2 * grid.x_m.size)))
-        for first in range(0, grid.n_rows, most):
-            last = min(first + most, grid.n_rows)
+        for first, last in self._some_rows():
+            solved = self._solved(system, first, last)
+            for i in range(first, last):
+                by_common = self._by_row[i][1]
+                lines = by_common.shape[1]
+                chosen = solved[i - first, :, :lines].reshape(-1, 2, lines)[columns].reshape(-1, lines)
+                carried[i] = (by_common @ chosen.T).T.reshape(columns.size, 2, count)
+        return carried
+
+    def _some_rows(self) -> list[tuple[int, int]]:
+        """Return rows, from the first to before the last, that the processor's caches and the allocator keep."""
+        n_rows, width = self._rows.grid.n_rows, max(len(self._covariance), 2 * self._rows.grid.x_m.size)
+        most = max(1, _ENTRIES_AT_ONCE // (int(np.diff(self._first).max(initial=1)) * width))
+        return [(first, min(first + most, n_rows)) for first in range(0, n_rows, most)]
+
+    def _projected(self, system: RowSystem) -> FloatArray:
+        """Return the normal matrix of the common unknowns by the lines, the slopes following along, shape (c, c)."""
+        count = len(self._covariance)
+        normal = np.zeros((count, count))
+        for first, last in self._some_rows():
             solved = self._solved(system, first, last)
             some = slice(self._first[first], self._first[last])
             projected = np.empty((some.stop - some.start, count))
@@ -166,11 +168,8 @@ class Reduction:
                 own.flat[:: lines + 1] += 1.0
                 projected[done : done + lines] = (by_common @ own).T
                 done += lines
-                if columns.size:
-                    chosen = solved[i - first, :, :lines].reshape(-1, 2, lines)[columns].reshape(-1, lines)
-                    carried[i] = (by_common @ chosen.T).T.reshape(columns.size, 2, count)
             normal += self._derivatives[some].T @ projected
-        return normal, carried
+        return normal
 
     @cached_property
     def _of_all_rows(self) -> "tuple[csr_array, FloatArray]":

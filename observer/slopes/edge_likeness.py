@@ -56,11 +56,12 @@ def edge_likeness(normalised: FloatArray, curve: IntArray, row: IntArray, y_m: F
 
     Autocovariance along the curves, to which share and length are fitted, each lag by the number of its pairs. Slopes
     of a row follow the errors of its edges by a share that is the same in the next rows, which leaves the correlation
-    as it is.
+    as it is. Where nothing is left of any edge, or that of one is unknown, nothing is said to be alike.
     """
-    if row.size < _FEWEST_PAIRS or y_m.size < 3:
-        return APART
     value = np.clip(normalised, -_MOST_SIGMAS, _MOST_SIGMAS)
+    variance = float(np.mean(value**2)) if value.size else 0.0
+    if row.size < _FEWEST_PAIRS or y_m.size < 3 or not 0.0 < variance < np.inf:
+        return APART
     # One line for each curve; where a curve has two edges in a row one of them stands for both.
     table = np.full((int(curve.max()) + 1, y_m.size), np.nan)
     table[curve, row] = value
@@ -73,7 +74,7 @@ def edge_likeness(normalised: FloatArray, curve: IntArray, row: IntArray, y_m: F
     if not enough.any():
         return APART
     lags, pairs = lags[enough], pairs[enough]
-    found = shared[enough] / pairs / np.mean(value**2)
+    found = shared[enough] / pairs / variance
     step = float(y_m[1] - y_m[0])
     lengths = np.geomspace(step, _LONGEST * float(np.ptp(y_m)), _LENGTHS)
     shapes = np.exp(-lags * step / lengths[:, None])

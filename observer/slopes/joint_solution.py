@@ -9,7 +9,6 @@ import numpy.typing as npt
 
 from heliogauge.validate import BoolArray, FloatArray, IntArray
 from observer.slopes.common_elimination import Reduced, Reduction, inverse_of, root_of
-from observer.slopes.edge_likeness import APART, EdgeLikeness
 from observer.slopes.row_spline import Likeness, Roughness, RowGrid, TouchingLines, assemble
 
 #: Rows that suffice to estimate the common unknowns; with all of them the solution would cost as much as all else. With
@@ -42,6 +41,8 @@ _INTERVALS = 32
 
 #: From rows and columns of nodes to by how much those unknowns that are apart look like slope there, shape (s, n, l).
 LooksLikeSlope = Callable[[IntArray, IntArray], FloatArray]
+#: From rows to by what factor sigmas of edges are larger for what is found from these rows together.
+Enlarged = Callable[[IntArray], float]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -220,7 +221,7 @@ def solve_jointly(
     with_shares: bool | BoolArray | None = True,
     looks_like: LooksLikeSlope | None = None,
     most_rows: int | None = None,
-    likeness: EdgeLikeness = APART,
+    enlarged: Enlarged | None = None,
 ) -> SlopeErrors:
     """Solve for slopes and common unknowns.
 
@@ -234,7 +235,8 @@ def solve_jointly(
         together.
     most_rows: Largest number of rows that the common unknowns are estimated from, where rows are so much alike that
         more of them say nothing new.
-    likeness: How far edges of different rows err together.
+    enlarged: By what factor sigmas of edges are larger for the common unknowns, because edges of different rows err
+        together (`observer.slopes.edge_likeness`); None where each errs by itself.
 
     The common unknowns are estimated from a sample of rows, the slopes of all rows with them.
     """
@@ -242,12 +244,15 @@ def solve_jointly(
     rows = common_rows(lines, grid, count) if most_rows is None else sample_rows(lines, grid, most_rows)
     is_shown = with_shares is not None and with_shares is not False
     columns = share_columns(grid) if is_shown else None
-    reduced = None
+    reduced, carried = None, None
     if count or is_shown:
         own, fewer = _sampled(lines, grid, rows)
-        if fewer.y_m is not None:
-            own = replace(own, sigma_rad=likeness.counted(fewer.y_m) * own.sigma_rad)
-        reduced = Reduction(own, fewer, covariance).under(prior, columns=columns)
+        factor = 1.0 if enlarged is None else enlarged(rows)
+        weaker = replace(own, sigma_rad=factor * own.sigma_rad)
+        reduced = Reduction(weaker, fewer, covariance).under(prior)
+        if columns is not None:
+            # Slopes follow the common unknowns as they are solved below: row by row, with the edges' own sigmas.
+            carried = Reduction(own, fewer, covariance).carried(prior, columns)
     common = np.zeros(0) if reduced is None else reduced.common
     all_rows = assemble(lines, grid)
     system = all_rows.under(prior)
@@ -256,11 +261,11 @@ def solve_jointly(
     random = _of_nodes(system.factor.inverse_blocks(), grid.x_m.size)
     posterior = np.zeros((0, 0)) if with_shares is None or reduced is None else inverse_of(reduced.root)
     nothing = np.zeros((0, rows.size, grid.x_m.size))
-    if columns is None or reduced is None:
+    if columns is None or reduced is None or carried is None:
         return SlopeErrors(slopes, random, np.zeros_like(slopes), common, posterior, rows, nothing, nothing)
     apart = np.zeros(count, dtype=bool) if not isinstance(with_shares, np.ndarray) else ~with_shares
     beside = None if looks_like is None else looks_like(rows, columns)
-    variance, modes = _shares(reduced, apart, beside)
+    variance, modes = _shares(reduced, carried, apart, beside)
     shared = _between_rows(_between_columns(variance, columns, grid), rows, grid.n_rows)
     shown = [np.moveaxis(_between_columns(np.moveaxis(one, 0, -1), columns, grid), -1, 0) for one in modes]
     to_tube = None if beside is None else TubeShare(shared[..., 2], shown[2])
@@ -318,8 +323,12 @@ def _sampled(lines: TouchingLines, grid: RowGrid, rows: IntArray) -> tuple[Touch
     return replace(some, row=number[some.row]), grid.chosen(rows)
 
 
-def _shares(reduced: Reduced, apart: BoolArray, beside: FloatArray | None) -> tuple[FloatArray, list[FloatArray]]:
+def _shares(
+    reduced: Reduced, carried: FloatArray, apart: BoolArray, beside: FloatArray | None
+) -> tuple[FloatArray, list[FloatArray]]:
     """Return what the slopes have from the common unknowns.
+
+    carried (r, n, 2, c): By how much they change against each of these.
 
     That is the variance, shape (r, n, 2), and the strongest independent changes of dz/dx, shape (k, r, n) each, by the
     unknowns that are not apart with the others held, and by these, the former following along. With what those apart
@@ -327,8 +336,8 @@ def _shares(reduced: Reduced, apart: BoolArray, beside: FloatArray | None) -> tu
     """
     from scipy.linalg import blas
 
-    n_rows, n_columns, _, count = reduced.carried.shape
-    root, carried = reduced.root, reduced.carried.reshape(-1, count)
+    n_rows, n_columns, _, count = carried.shape
+    root, carried = reduced.root, carried.reshape(-1, count)
     if apart.any():
         # Those that are apart as the last ones: the root then splits what both do.
         order = np.argsort(apart, kind="stable")

@@ -10,7 +10,9 @@ import numpy as np
 import pytest
 
 from observer.planning.simulated_edges import Scene
+from observer.selection import solve_and_refuse
 from observer.selection.solve_and_refuse import solve_reflector
+from observer.slopes.edge_likeness import APART, EdgeLikeness
 from observer.slopes.pose_modes import Photos
 from observer.slopes.row_spline import Roughness
 from observer.trough.collector import Collector
@@ -128,3 +130,23 @@ def test_dense_photos_of_long_troughs_have_true_sigmas() -> None:
         found.append(solved(drawn, scene, 2e-3, np.random.default_rng([seed, 4])))
     assert 0.6 < np.mean([one.at_nodes for one in found]) < 1.3
     assert 0.7 < np.mean(np.concatenate([one.whitened for one in found]) ** 2) < 1.6
+
+
+def test_cameras_far_away_count_edges_that_err_together_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of each panel one row: 1.6 m apart, errors alike over 50 m have a correlation of 0.87."""
+    rng = np.random.default_rng(4)
+    scene = short_scene(mirror(4, 0.5), photos=24, rows=8)
+    believed = believed_with_errors(scene, rng)
+    edges = own_measurement(scene, own_edges(scene, 0.05), believed.views, rng)
+    poses = Photos(tuple(pose for _, pose in believed.views), believed.covariance)
+    # A mirror that errs so much turns the order of edges from 12 m on.
+    expected = Expectation(scene.truth.collector, scene.truth.absorber, scene.truth.y_m, slope_error_rad=0.05)
+    assert expected.goes_either_way(poses.eyes_m).all()
+    found = []
+    for likeness in (APART, EdgeLikeness(0.9, 50.0)):
+        monkeypatch.setattr(solve_and_refuse, "_likeness", lambda *_, one=likeness: one)
+        found.append(solve_reflector(edges, poses, expected, 0.05, Roughness(1e-3, 2e-3), shaped=False))
+    # What edges say besides what was known: less, but not by more than the square of their sigmas, which is 1.87.
+    known = np.linalg.inv(found[0].unknowns.covariance)
+    apart, alike = (np.trace(np.linalg.inv(one.errors.covariance_common) - known) for one in found)
+    assert 1.05 < apart / alike < 1.87

@@ -35,6 +35,13 @@ def test_short_curves_are_refused_whatever_lies_beside_them_in_other_photos() ->
     assert not is_alone(edges, np.ones(edges.row.size, dtype=bool), 20 * Y).any()
 
 
+def test_rows_at_the_limit_show_how_edges_go_on_wherever_they_are() -> None:
+    short = curve(0, np.arange(10, 14), np.full(4, -0.5))
+    for start in (0.0, -0.15, -1.9, 7.3):
+        rows = start + 0.05 * np.arange(50)
+        assert is_alone(short, np.ones(4, dtype=bool), rows).all()
+
+
 def test_edges_beside_a_curve_in_single_rows_do_not_go_on_with_it() -> None:
     """As in a rendered photo: 80 mm beside the tube's edge, in some rows of ten."""
     long = curve(0, np.arange(40), -1.6 + 0.002 * np.arange(40))

@@ -8,7 +8,9 @@ from scipy.optimize import least_squares
 from scipy.stats import chi2
 
 from heliogauge.camera.model import Camera
+from heliogauge.errors import EstimationError
 from heliogauge.geometry.rigid import RigidTransform
+from observer.pipeline import rolling_shutter
 from observer.pipeline.rolling_shutter import Shutter, adjust_rolling, motions_of, shutter_doubts, unstated_doubt
 from observer.shutter import readout
 from observer.shutter.readout import Known
@@ -229,6 +231,30 @@ def test_a_photo_lost_on_the_way_is_moved_as_its_own_part_of_the_path_says():
     assert found.motions.photos == flight.names
     assert found.motions.readout == pytest.approx(alike.motions.readout, abs=0.1 * alike.motions.sigma_readout)
     np.testing.assert_allclose(found.motions.motions_m, alike.motions.motions_m, atol=1e-4)
+
+
+def test_the_next_part_of_the_way_is_found_from_the_part_that_was_really_gone(monkeypatch):
+    flight, calls, gone = Flight(11, readout_s=0.03), [], []
+    part_of_the_way = rolling_shutter._part_of_the_way
+
+    def refused_at_first(measured):
+        calls.append(measured)
+        if len(calls) in (2, 3):
+            raise EstimationError("these image points fit no poses")
+        return flight.network(measured)
+
+    def noted(last, was_left_m, left_m):
+        gone.append((last, was_left_m - left_m, was_left_m))
+        return part_of_the_way(last, was_left_m, left_m)
+
+    monkeypatch.setattr(rolling_shutter, "_part_of_the_way", noted)
+    found = adjust_rolling(refused_at_first, flight.measured(), Shutter(speed_m_s=SPEED_M_S))
+    # All of the way and half of it were refused, a quarter was not.
+    last, changed_m, was_left_m = gone[0]
+    assert last == 0.25
+    assert np.linalg.norm(changed_m) == pytest.approx(0.25 * np.linalg.norm(was_left_m), rel=0.35)
+    alike = flight.rolled().motions
+    assert found.motions.readout == pytest.approx(alike.readout, abs=0.1 * alike.sigma_readout)
 
 
 def test_a_stated_readout_is_used_with_its_sigma():

@@ -56,7 +56,7 @@ def test_rows_that_are_alike_are_those_of_dense_algebra(order: int) -> None:
     reduction, evidences, dense_evidences = Reduction(lines, grid, covariance), [], []
     columns = np.array([2, 7])
     for prior in (alike(1e-3, order, 0.8), alike(1e-2, order, 20.0)):
-        found = reduction.under(prior, columns=columns)
+        found = reduction.under(prior)
         before = np.clip(((lines.x_m - grid.x_m[0]) / grid.step_m).astype(int), 0, grid.x_m.size - 2)
         share = (lines.x_m - grid.x_m[before]) / grid.step_m
         apart = ~grid.joined[before]
@@ -83,8 +83,8 @@ def test_rows_that_are_alike_are_those_of_dense_algebra(order: int) -> None:
             -0.5 * (np.linalg.slogdet(whole)[1] + lines.misfit_rad @ np.linalg.solve(whole, lines.misfit_rad))
         )
         # Slopes follow row by row, by the rows' own roughness.
-        rows = reduction.under(replace(prior, alike=None), columns=columns)
-        np.testing.assert_allclose(found.carried, rows.carried, rtol=1e-12)
+        rows = reduction.carried(replace(prior, alike=None), columns)
+        np.testing.assert_allclose(reduction.carried(prior, columns), rows, rtol=1e-12)
     # But for a constant.
     assert np.diff(evidences) == pytest.approx(np.diff(dense_evidences), rel=1e-6)
 

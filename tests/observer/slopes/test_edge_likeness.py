@@ -45,6 +45,15 @@ def test_few_edges_do_not_tell() -> None:
     assert edge_likeness(value[:50], curve[:50], row[:50], Y) is APART
 
 
+def test_edges_that_leave_nothing_or_are_unknown_do_not_tell() -> None:
+    value, curve, row = errors(0.9, 0.4, 10)
+    assert edge_likeness(np.zeros(value.size), curve, row, Y) is APART
+    for one in (np.nan, np.inf, -np.inf):
+        value[7] = one
+        found = edge_likeness(value, curve, row, Y)
+        assert np.isfinite(found.counted(Y))
+
+
 def test_the_mean_over_rows_varies_as_often_as_is_counted() -> None:
     alike = EdgeLikeness(0.3, 0.4)
     value, _, _ = errors(alike.share, alike.length_m, 4000)

@@ -297,13 +297,28 @@ def test_modes_are_as_many_as_hold_the_variance_that_is_shared(count: int) -> No
 
 def test_rows_whose_edges_err_together_say_less_of_what_they_have_in_common() -> None:
     rng = np.random.default_rng(8)
-    grid = replace(small_grid(6), y_m=np.linspace(0, 1, 6))
+    grid, y_m = small_grid(6), np.linspace(0, 1, 6)
     lines, covariance = random_lines(rng, grid, 600, 3), 0.5 * np.eye(3)
     likeness = EdgeLikeness(0.4, 0.5)
-    larger = replace(lines, sigma_rad=likeness.counted(grid.y_m) * lines.sigma_rad)
-    found = solve_jointly(lines, grid, Roughness(1e-4), covariance, likeness=likeness)
+    larger = replace(lines, sigma_rad=likeness.counted(y_m) * lines.sigma_rad)
+    found = solve_jointly(lines, grid, Roughness(1e-4), covariance, enlarged=lambda rows: likeness.counted(y_m[rows]))
     common = solve_jointly(larger, grid, Roughness(1e-4), covariance)
     np.testing.assert_allclose(found.common, common.common, rtol=1e-9)
     np.testing.assert_allclose(found.covariance_common, common.covariance_common, rtol=1e-9)
     # Each row by itself knows as much as before.
     np.testing.assert_allclose(found.random, solve_jointly(lines, grid, Roughness(1e-4), covariance).random, rtol=1e-12)
+
+
+def test_slopes_have_from_the_common_unknowns_what_their_own_edges_make_of_these() -> None:
+    """The common unknowns are known less well than by edges that err by themselves; slopes follow them by all edges."""
+    rng = np.random.default_rng(8)
+    grid, prior, covariance, factor = small_grid(6), Roughness(1e-4), 0.5 * np.eye(3), 1.62
+    lines = random_lines(rng, grid, 600, 3)
+    found = solve_jointly(lines, grid, prior, covariance, enlarged=lambda rows: factor)
+    _, inverse = dense(grid, lines, prior, covariance)
+    _, weaker = dense(grid, replace(lines, sigma_rad=factor * lines.sigma_rad), prior, covariance)
+    np.testing.assert_allclose(found.covariance_common, weaker[-3:, -3:], rtol=1e-8)
+    carried = np.linalg.solve(inverse[-3:, -3:], inverse[-3:, :-3])
+    shared = np.diag(carried.T @ weaker[-3:, -3:] @ carried).reshape(found.shared.shape)
+    np.testing.assert_allclose(found.shared, shared, rtol=1e-5)
+    np.testing.assert_allclose(np.square(found.modes).sum(axis=0), shared[..., 0], rtol=0.02, atol=0.02 * shared.max())
