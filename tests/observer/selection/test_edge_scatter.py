@@ -45,7 +45,7 @@ def test_waves_are_no_noise_whatever_the_distance_of_rows(step_mm: int) -> None:
     assert found == (pytest.approx(1.0, rel=0.1) if step_mm <= 25 else 0.0)
 
 
-@pytest.mark.parametrize("start_m", [0.0, -1.9, -3.9, 7.3])
+@pytest.mark.parametrize("start_m", [0.0, 0.3, 7.3])
 def test_rounding_does_not_move_rows_apart(start_m: float) -> None:
     edges, y = curves(1.0, 0.025)
     assert scatter_along(edges, np.ones(y.size * 16, dtype=bool), start_m + y) > 0.0
