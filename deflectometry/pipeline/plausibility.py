@@ -13,11 +13,13 @@ from deflectometry.pipeline.curl_test import curl_doubt
 from deflectometry.pipeline.evaluate import Evaluation, Reflection
 from deflectometry.pipeline.headline import flag_words
 from deflectometry.pipeline.stated_inputs import StatedInput
+from deflectometry.pose.find_pose import LocatedMirror
 from deflectometry.setup.camera_and_screen import Setup
 from deflectometry.shape.smooth_shape import Align
 from heliogauge.doubts import Doubt, Severity
 from heliogauge.errors import EstimationError
 from heliogauge.geometry.rigid import RigidTransform
+from heliogauge.validate import FloatArray
 
 Numbers = Mapping[str, float | int | None]
 
@@ -144,10 +146,19 @@ def turn_in_sigmas(evaluation: Evaluation | Reflection) -> float:
         return 0.0
     before, after = located.pose.cam_from_mirror, evaluation.solution.cam_from_mirror
     turn = RigidTransform(after.rotation @ before.rotation.T, np.zeros(3)).rotation_vector_rad
-    covariance = located.pose.covariance[:3, :3] + (_MOUNTING_RAD**2 + evaluation.sigma_turn_rad**2) * np.eye(3)
+    covariance = _covariance_of_turn(located) + (_MOUNTING_RAD**2 + evaluation.sigma_turn_rad**2) * np.eye(3)
     other = located.evidence.other_tilt_rad
     covariance = covariance + 0.25 * np.outer(other, other)
     return float(np.sqrt(turn @ np.linalg.solve(covariance, turn)))
+
+
+def _covariance_of_turn(located: LocatedMirror) -> FloatArray:
+    """Return the covariance (3, 3) of the turn by the outline, with what follows from facets beside their places."""
+    covariance = located.pose.covariance[:3, :3]
+    for one in located.places:
+        by_place = one.pose_by_place[:3]
+        covariance = covariance + by_place @ one.covariance_m2 @ by_place.T
+    return covariance
 
 
 def _turn_doubt(evaluation: Evaluation) -> Iterator[Doubt]:
@@ -157,7 +168,7 @@ def _turn_doubt(evaluation: Evaluation) -> Iterator[Doubt]:
     located = evaluation.located
     before, after = located.pose.cam_from_mirror, evaluation.solution.cam_from_mirror
     turn = RigidTransform(after.rotation @ before.rotation.T, np.zeros(3)).rotation_vector_rad
-    sigma = float(np.sqrt(np.trace(located.pose.covariance[:3, :3])))
+    sigma = float(np.sqrt(np.trace(_covariance_of_turn(located))))
     yield Doubt(
         "reflection_contradicts_outline",
         f"the reflection gives another orientation of the mirror than its outline: "

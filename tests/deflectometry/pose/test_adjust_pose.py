@@ -222,6 +222,36 @@ def test_no_mirror_and_wrong_size_are_refused() -> None:
 
 # --- ensembles ------------------------------------------------------------------------------------------------------
 
+
+def test_facets_beside_their_places_tell_no_tilts_apart() -> None:
+    """Nine facets 201 m away, squarely before the camera, each 1 mm beside its place.
+
+    The scatter that they make gives two tilts 4 degrees apart, of which neither is right.
+    """
+    camera = Camera(375, 275, 15125.0, 15125.0, 187.0, 137.5)
+    square = RigidTransform.from_rotation_vector([np.pi, 0, 0], [0.1, 0.05, 201.0]).moved([0.012, 0, 0.02, 0, 0, 0])
+    rng = np.random.default_rng(1)
+    stated, true = [], []
+    for number in range(9):
+        place = np.array([(number % 3 - 1) * 1.53, (number // 3 - 1) * 1.03, 0.0])
+        for facets, where in ((stated, place), (true, place + 1e-3 * rng.standard_normal(3))):
+            pose = RigidTransform.from_rotation_vector([0, 0, 0], where)
+            facets.append(Facet(str(number), _rectangle(1.5, 1.0).outline_m, paraboloid(200.0), pose))
+    known = Knowledge(sigma_places_m=(np.full(3, 1e-3),) * 9)
+    found = pose_from_outline(_draw(square, true, camera=camera), camera, stated, known)
+    assert "mirror_tilt_ambiguous" in [one.code for one in found.doubts]
+    # Half of the way to the other tilt is where the mirror is.
+    off = _off(found.cam_from_mirror, square)[:3]
+    covariance = found.covariance[:3, :3] + 0.25 * np.outer(found.other_tilt_rad, found.other_tilt_rad)
+    assert np.linalg.norm(found.other_tilt_rad) > 0.03
+    assert off @ np.linalg.solve(covariance, off) < 16.3
+    # Turned by 6 degrees, they are known to be.
+    turned = square.moved([0, 0.1, 0, 0, 0, 0])
+    found = pose_from_outline(_draw(turned, true, camera=camera), camera, stated, known)
+    assert "mirror_tilt_ambiguous" not in [one.code for one in found.doubts]
+    assert found.cam_from_mirror.rotation[:, 2] @ turned.rotation[:, 2] > np.cos(0.02)
+
+
 WIDE_CAMERA = Camera(300, 330, 840.0, 840.0, 150.0, 165.0)
 WIDE_POSE = RigidTransform.from_rotation_vector([np.pi, 0, 0], [0.05, 0.02, 11.0]).moved([0.1, 0.2, 0.06, 0, 0, 0])
 
