@@ -19,9 +19,11 @@ from deflectometry.planning.prospect import NOISE, Change, FacetProspect, Prospe
 from heliogauge.doubts import Doubt
 from heliogauge.errors import EstimationError, InputError
 from heliogauge.geometry.rigid import RigidTransform
+from heliogauge.geometry.surfaces import Quadric
 from heliogauge.measurement.designs import build_design
 from heliogauge.measurement.load import MEASUREMENT_FILE, read_measurement
 from heliogauge.running.progress import Progress, SilentProgress
+from heliogauge.validate import FloatArray
 
 #: Sigmas of what all beams share: key, and what it is of.
 _SHARED = {
@@ -34,6 +36,19 @@ _SHARED = {
 }
 #: Distances that are tried, over the planned one; scans in place of one: their mean has half of the noise.
 _DISTANCE_FACTORS, _SCANS = (0.8, 1.25), 4
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Sent:
+    """Beams that will be sent, with the spots that will be seen.
+
+    twice: How many have none because their lines cross more than once.
+    away: How many come back to no target, however large.
+    """
+
+    scan: LaserScan
+    twice: int
+    away: int
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -69,19 +84,17 @@ class PlannedScan:
         plan, mirror = self.plan, self.model.mirror
         laser_m = np.array([-mirror.offset_m[0], -mirror.offset_m[1], mirror.distance_m])
         design = build_design(mirror)
-        if self.model.scan.lines_file is None:
-            scan, twice = predicted_beams(plan, design, laser_m), 0
-        else:
-            crossed = predicted_lines(plan, design, laser_m)
-            scan, twice = crossed.scan, int(np.count_nonzero(crossed.twice))
+        sent = self._sent(plan, design, laser_m)
+        scan = sent.scan
         count = int(np.count_nonzero(scan.seen))
+        hole = _hole(sent, plan)
         if count < FEWEST_BEAMS:
             raise EstimationError(
                 f"{count} of {scan.seen.size} beams will have a spot, and {FEWEST_BEAMS} are needed: "
-                f"{_hole(scan, twice, plan) or 'send more'}"
+                f"{hole or 'send more'}"
             )
         one = evaluate_scan(self.model, scan, Options(), SilentProgress())
-        share, hole = count / scan.seen.size, _hole(scan, twice, plan)
+        share = count / scan.seen.size
         reach = np.nanmax(np.abs(scan.spots_m[:2]), axis=1)
         return Prospect(
             slope_map=one.as_measured,
@@ -92,7 +105,19 @@ class PlannedScan:
             texts={
                 "target": f"spots reach {reach[0]:.3g} m to the sides and {reach[1]:.3g} m up and down from the laser"
             },
-            doubts=tuple(_doubts(share, hole)),
+            doubts=(*_doubts(share, hole), *_doubts_of_target(plan, laser_m, reach)),
+        )
+
+    def _sent(self, plan: LaserPlanSection, design: Quadric, laser_m: FloatArray) -> _Sent:
+        """Return all beams with the spots that will be seen, and why others will not be."""
+        endless = plan.model_copy(update={"target_m": None})
+        if self.model.scan.lines_file is None:
+            scan, without_rim = predicted_beams(plan, design, laser_m), predicted_beams(endless, design, laser_m)
+            return _Sent(scan, 0, int(np.count_nonzero(~without_rim.seen)))
+        crossed = predicted_lines(plan, design, laser_m)
+        every = crossed if plan.target_m is None else predicted_lines(endless, design, laser_m)
+        return _Sent(
+            crossed.scan, int(np.count_nonzero(crossed.twice)), int(np.count_nonzero(~(every.scan.seen | every.twice)))
         )
 
     def limits(self, prospect: Prospect) -> Mapping[str, Mapping[str, float]]:
@@ -122,7 +147,18 @@ class PlannedScan:
             sigma = _value(self.model, key)
             if sigma:
                 yield self._change(f"{words} known twice as well", key, 0.5 * sigma, words)
-        yield self._change(f"the mean of {_SCANS} scans", "scan.sigma_spot_mm", scan.sigma_spot_mm / _SCANS**0.5, NOISE)
+        # Each beam has both by itself.
+        own = {"scan.sigma_spot_mm": scan.sigma_spot_mm, "scan.sigma_direction_mrad": scan.sigma_direction_mrad}
+        own = {key: sigma for key, sigma in own.items() if sigma}
+        less = {key: sigma / _SCANS**0.5 for key, sigma in own.items()}
+        yield Change(
+            f"the mean of {_SCANS} scans",
+            ", ".join(own),
+            ", ".join(f"{one:g}" for one in own.values()),
+            ", ".join(f"{one:g}" for one in less.values()),
+            self._changed(less),
+            (NOISE,),
+        )
         more = self._changed({"plan.columns": 2 * plan.columns, "plan.rows": 2 * plan.rows})
         what = "beams" if scan.lines_file is None else "lines"
         yield Change(
@@ -150,17 +186,21 @@ def _value(model: LaserModel, key: str) -> Any:
     return getattr(getattr(model, table), name)
 
 
-def _hole(scan: LaserScan, twice: int, plan: LaserPlanSection) -> str:
+def _hole(sent: _Sent, plan: LaserPlanSection) -> str:
     """Say why beams will have no spot."""
-    lost = int(np.count_nonzero(~scan.seen)) - twice
+    size = sent.scan.seen.size
+    beside = int(np.count_nonzero(~sent.scan.seen)) - sent.twice - sent.away
     said = []
-    if twice:
+    if sent.twice:
+        said.append(f"{sent.twice / size:.1%} of the pairs of lines cross more than once: come nearer to the mirror")
+    if sent.away:
         said.append(
-            f"{twice / scan.seen.size:.1%} of the pairs of lines cross more than once: come nearer to the mirror"
+            f"{sent.away / size:.1%} of the beams leave the mirror away from the laser and meet no target, however "
+            "large: take twice the focal length as distance"
         )
-    if lost > 0 and plan.target_m is not None:
+    if beside > 0 and plan.target_m is not None:
         said.append(
-            f"{lost / scan.seen.size:.1%} of the beams come back beside the target of {plan.target_m[0]:g} m x "
+            f"{beside / size:.1%} of the beams come back beside the target of {plan.target_m[0]:g} m x "
             f"{plan.target_m[1]:g} m: make it larger, or take twice the focal length as distance"
         )
     return "; ".join(said)
@@ -170,6 +210,19 @@ def _doubts(share: float, hole: str) -> Iterator[Doubt]:
     if hole:
         yield Doubt(
             "plan_beams_without_spot", f"{share:.1%} of the mirror will be measured: {hole}", {"seen_share": share}
+        )
+
+
+def _doubts_of_target(plan: LaserPlanSection, laser_m: FloatArray, reach_m: FloatArray) -> Iterator[Doubt]:
+    """Name a target that nobody has stated and that is larger than a flat mirror's, which is twice the mirror."""
+    beside = np.abs(np.array(plan.center_m) - laser_m[:2])
+    flat_m = 2 * beside + np.array([plan.width_m, plan.height_m])
+    if plan.target_m is None and (reach_m > flat_m).any():
+        yield Doubt(
+            "plan_target_large",
+            f"all this takes a target of {2 * reach_m[0]:.3g} m x {2 * reach_m[1]:.3g} m around the laser, more than a "
+            "flat mirror would: state plan.target_m as it is, or take twice the focal length as distance",
+            {"target_width_m": float(2 * reach_m[0]), "target_height_m": float(2 * reach_m[1])},
         )
 
 

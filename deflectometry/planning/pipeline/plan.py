@@ -153,6 +153,7 @@ class PlanResult(InstrumentResult):
         lines += [
             f"  sees the pattern {100 * self.prospect.seen_share:.1f} % of the mirror, samples "
             f"{1e3 * self.prospect.spacing_m:.3g} mm apart",
+            *(f"  {name:<16} {self.prospect.texts[name]}" for name in ("target",) if name in self.prospect.texts),
             f"  limited by       {words_of_limits(self.limits, 1)}",
             f"  better           {self._best()}",
         ]

@@ -100,19 +100,53 @@ def test_a_target_that_is_too_small_is_a_hole(tmp_path: Path) -> None:
     write_laser_scan(tmp_path / "s", SCENE, 0)
     prospect = planned(tmp_path / "s", {"plan": {"target_m": [3.0, 1.5]}}).prospect()
     assert 0.4 < prospect.seen_share < 0.95
+    assert "plan_target_large" not in {one.code for one in prospect.doubts}
     (hole,) = [one for one in prospect.doubts if one.code == "plan_beams_without_spot"]
     assert "beside the target of 3 m x 1.5 m" in hole.text
+    assert "meet no target" not in hole.text
 
 
-def test_a_plan_by_the_command(tmp_path: Path) -> None:
+@pytest.mark.parametrize(("focal_m", "distance_m", "away"), [(0.4, 6.0, True), (1.71, 20.0, False)])
+def test_beams_that_miss_any_target_and_a_target_beyond_a_flat_mirrors_are_named(
+    tmp_path: Path, focal_m: float, distance_m: float, away: bool
+) -> None:
+    """No target is stated: spots reach tens of metres, from f = 0.4 m beams go on behind the mirror."""
+    write_laser_scan(tmp_path / "s", SCENE, 0)
+    prospect = planned(
+        tmp_path / "s", {"mirror": {"focal_length_m": focal_m, "distance_m": distance_m}, "plan": {}}
+    ).prospect()
+    doubts = {one.code: one for one in prospect.doubts}
+    assert ("plan_beams_without_spot" in doubts) is away
+    if away:
+        # A beam to x, down by a = atan(x / (d - z)), comes back up by 2 b - a for the slope b = atan(x / 2 f) there.
+        x = PLAN["width_m"] * ((np.arange(28) + 0.5) / 28 - 0.5)
+        back = 2 * np.arctan(x / (2 * focal_m)) - np.arctan(x / (distance_m - x**2 / (4 * focal_m)))
+        lost = np.mean(np.abs(back) > np.pi / 2)
+        assert lost > 0.05
+        assert prospect.seen_share == pytest.approx(1 - lost)
+        assert f"{lost:.1%} of the beams leave the mirror away from the laser" in doubts["plan_beams_without_spot"].text
+    assert doubts["plan_target_large"].numbers["target_width_m"] > 10.0
+
+
+def test_four_scans_halve_all_that_each_beam_has_by_itself(tmp_path: Path) -> None:
+    write_laser_scan(tmp_path / "s", SCENE, 0)
+    own = {"sigma_spot_mm": 0.5, "sigma_direction_mrad": 0.08}
+    (mean,) = [one for one in planned(tmp_path / "s", {"scan": own}).changes() if one.words == "the mean of 4 scans"]
+    assert isinstance(mean.planned, PlannedScan)
+    assert (mean.planned.model.scan.sigma_spot_mm, mean.planned.model.scan.sigma_direction_mrad) == (0.25, 0.04)
+    assert (mean.before, mean.after) == ("0.5, 0.08", "0.25, 0.04")
+
+
+def test_a_plan_by_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The table of the scan is not there yet."""
     write_laser_scan(tmp_path / "s", SCENE, 0)
     (tmp_path / "s" / "scan.csv").unlink()
     file = tmp_path / "s" / "measurement.toml"
     file.write_text(file.read_text() + "\n[plan]\n" + "\n".join(f"{key} = {one}" for key, one in PLAN.items()))
     with pytest.raises(SystemExit) as ended:
-        cli.main(["deflectometry", "plan", str(tmp_path / "s"), "-o", str(tmp_path / "out"), "--no-report", "-q"])
+        cli.main(["deflectometry", "plan", str(tmp_path / "s"), "-o", str(tmp_path / "out"), "--no-report"])
     assert ended.value.code == 0
+    assert "target           spots reach" in capsys.readouterr().out
     table = read_table_csv(tmp_path / "out" / ALTERNATIVES_FILE, ("change", "gain_curvature_x"))
     assert table["change"][1] == "the mirror's distance known twice as well"
     assert float(table["gain_curvature_x"][1]) == pytest.approx(1.8, abs=0.15)
