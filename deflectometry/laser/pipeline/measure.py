@@ -114,7 +114,8 @@ def run(measurement: LaserMeasurement, options: Options | None = None, progress:
     """
     options, progress, model = options or Options(), progress or SilentProgress(), measurement.model
     with progress.stage("read scan"):
-        lines = None if model.scan.lines_file is None else read_lines(measurement.scan_file)
+        sigma_spot_m = 1e-3 * model.scan.sigma_spot_mm
+        lines = None if model.scan.lines_file is None else read_lines(measurement.scan_file, sigma_spot_m)
         scan = read_scan(measurement.scan_file) if lines is None else lines.scan
     one = evaluate_scan(model, scan, options, progress)
     return LaserResult(
@@ -245,12 +246,13 @@ def _doubts(model: LaserModel, scan: LaserScan, found: ScanSlopes, heard: Instru
 
 
 def _doubts_of_lines(lines: CrossedLines | None) -> Iterator[Doubt]:
-    twice = 0 if lines is None else int(np.count_nonzero(lines.twice))
+    twice = 0 if lines is None else int(np.count_nonzero(lines.unclear))
     if lines is not None and twice:
         yield Doubt(
             "lines_cross_twice",
-            f"{twice} of {lines.twice.size} pairs of lines cross more than once on the target: the mirror sends "
-            "several beams to one point there, as near twice the focal length. They are left out; others may have a "
-            "wrong crossing where their own was not seen: measure from nearer to the mirror",
-            {"twice_count": twice, "pairs_count": int(lines.twice.size)},
+            f"{twice} of {lines.unclear.size} pairs of lines cross more than once on the target, or where a line is no "
+            "longer than its noise: the mirror sends several beams to one point there, as near twice the focal length. "
+            "They are left out; others may have a wrong crossing where their own was not seen: measure from nearer to "
+            "the mirror",
+            {"twice_count": twice, "pairs_count": int(lines.unclear.size)},
         )

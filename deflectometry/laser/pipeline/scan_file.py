@@ -53,12 +53,13 @@ def read_scan(file: Path) -> LaserScan:
     return scan
 
 
-def read_lines(file: Path) -> CrossedLines:
+def read_lines(file: Path, sigma_spot_m: float) -> CrossedLines:
     """Read the table of two sweeps of a line laser.
 
     file: CSV with columns sweep (two names), line (a number of each sweep's own), normal_x, normal_y, normal_z (of any
         length, of the sheet of light, which contains the laser), spot_x_m, spot_y_m; a row for each point of a line, in
         their order on the line; an empty spot is a gap.
+    sigma_spot_m: Standard deviation of each point of a line across it [m].
     Returns: The beams in which the sheets cut each other, with the spots where their lines cross.
     InputError: A column is missing, not two sweeps, a line with several sheets, spots nowhere, or too few crossings.
     EstimationError: Sheets of both sweeps are nearly parallel.
@@ -77,7 +78,8 @@ def read_lines(file: Path) -> CrossedLines:
         *(
             _sweep(file, name, line[own], normals[:, own], spots_m[:, own])
             for name, own in ((name, sweep == name) for name in names)
-        )
+        ),
+        sigma_spot_m,
     )
     _refuse_few(file, found.scan, "pairs of lines cross once on the target")
     return found

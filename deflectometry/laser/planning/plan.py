@@ -42,12 +42,12 @@ _DISTANCE_FACTORS, _SCANS = (0.8, 1.25), 4
 class _Sent:
     """Beams that will be sent, with the spots that will be seen.
 
-    twice: How many have none because their lines cross more than once.
+    unclear: How many have none because their lines cross more than once, or one of them is a point there.
     away: How many come back to no target, however large.
     """
 
     scan: LaserScan
-    twice: int
+    unclear: int
     away: int
 
 
@@ -114,10 +114,13 @@ class PlannedScan:
         if self.model.scan.lines_file is None:
             scan, without_rim = predicted_beams(plan, design, laser_m), predicted_beams(endless, design, laser_m)
             return _Sent(scan, 0, int(np.count_nonzero(~without_rim.seen)))
-        crossed = predicted_lines(plan, design, laser_m)
-        every = crossed if plan.target_m is None else predicted_lines(endless, design, laser_m)
+        sigma_spot_m = 1e-3 * self.model.scan.sigma_spot_mm
+        crossed = predicted_lines(plan, design, laser_m, sigma_spot_m)
+        every = crossed if plan.target_m is None else predicted_lines(endless, design, laser_m, sigma_spot_m)
         return _Sent(
-            crossed.scan, int(np.count_nonzero(crossed.twice)), int(np.count_nonzero(~(every.scan.seen | every.twice)))
+            crossed.scan,
+            int(np.count_nonzero(crossed.unclear)),
+            int(np.count_nonzero(~(every.scan.seen | every.unclear))),
         )
 
     def limits(self, prospect: Prospect) -> Mapping[str, Mapping[str, float]]:
@@ -189,10 +192,13 @@ def _value(model: LaserModel, key: str) -> Any:
 def _hole(sent: _Sent, plan: LaserPlanSection) -> str:
     """Say why beams will have no spot."""
     size = sent.scan.seen.size
-    beside = int(np.count_nonzero(~sent.scan.seen)) - sent.twice - sent.away
+    beside = int(np.count_nonzero(~sent.scan.seen)) - sent.unclear - sent.away
     said = []
-    if sent.twice:
-        said.append(f"{sent.twice / size:.1%} of the pairs of lines cross more than once: come nearer to the mirror")
+    if sent.unclear:
+        said.append(
+            f"{sent.unclear / size:.1%} of the pairs of lines cross more than once, or where a line is no longer than "
+            "its noise: come nearer to the mirror"
+        )
     if sent.away:
         said.append(
             f"{sent.away / size:.1%} of the beams leave the mirror away from the laser and meet no target, however "

@@ -24,8 +24,11 @@ def predicted_beams(plan: LaserPlanSection, design: Quadric, laser_m: FloatArray
     return single_beams(directions, _spots(plan, design, laser_m, directions))
 
 
-def predicted_lines(plan: LaserPlanSection, design: Quadric, laser_m: FloatArray) -> CrossedLines:
-    """Return the beams in which the sheets of two sweeps will cut each other, with the spots where lines cross."""
+def predicted_lines(plan: LaserPlanSection, design: Quadric, laser_m: FloatArray, sigma_spot_m: float) -> CrossedLines:
+    """Return the beams in which the sheets of two sweeps will cut each other, with the spots where lines cross.
+
+    sigma_spot_m: Standard deviation of each point of a line across it [m].
+    """
     sweeps = []
     for axis, count in enumerate((plan.columns, plan.rows)):
         # Of a line the middle is aimed; the fan within its sheet covers the mirror from rim to rim.
@@ -41,7 +44,7 @@ def predicted_lines(plan: LaserPlanSection, design: Quadric, laser_m: FloatArray
         seen = np.isfinite(spots[0])
         line = np.repeat(np.arange(count), _POINTS_OF_LINE)[seen]
         sweeps.append(Sweep(normals / np.linalg.norm(normals, axis=1, keepdims=True), line, spots[:2, seen].T))
-    return cross_lines(*sweeps)
+    return cross_lines(*sweeps, sigma_spot_m)
 
 
 def _places(plan: LaserPlanSection, axis: int, count: int) -> FloatArray:

@@ -187,7 +187,7 @@ def test_lines_cross_where_both_sheets_met() -> None:
         )
         for normals, turn in ((across_normals, True), (along_normals, False))
     ]
-    scan = cross_lines(*sweeps).scan
+    scan = cross_lines(*sweeps, 1e-4).scan
     met = -3 * scan.directions[:2] / scan.directions[2]
     assert scan.spots_m[:2] == pytest.approx(2 * met, abs=1e-12)
     # Turned by 1 mrad, each sheet moves its beams by 1 mrad across itself.
@@ -204,12 +204,12 @@ def test_a_gap_in_a_line_leaves_its_other_crossings_alone() -> None:
     across = np.array([[3, 0, x] for x in places]) / np.hypot(3, places)[:, None]
     lines = np.array([(2 * x, 2 * y) for x in places for y in along])
     crossing = Sweep(across[:, [1, 0, 2]], np.repeat(np.arange(5), 105), lines[:, ::-1])
-    whole = cross_lines(Sweep(across, crossing.line, lines), crossing).scan
+    whole = cross_lines(Sweep(across, crossing.line, lines), crossing, 1e-4).scan
     # Beams meet the lines at along = 0, which is point 52, among others.
     lines = np.where(
         (np.arange(105 * 5) % 105 >= 46)[:, None] & (np.arange(105 * 5) % 105 <= 50)[:, None], np.nan, lines
     )
-    broken = cross_lines(Sweep(across, crossing.line, lines), crossing).scan
+    broken = cross_lines(Sweep(across, crossing.line, lines), crossing, 1e-4).scan
     assert broken.seen.all()
     assert broken.spot_steps == pytest.approx(whole.spot_steps, abs=1e-9)
 
@@ -227,6 +227,18 @@ def test_lines_that_fold_are_named(tmp_path: Path) -> None:
     write_line_sweep(tmp_path / "s", replace(line_scene(), columns=25, rows=17, distance_of_curvature=1.0))
     doubt = {one.code: one for one in measured(tmp_path / "s").doubts}["lines_cross_twice"]
     assert doubt.numbers["twice_count"] > 0.1 * doubt.numbers["pairs_count"]
+
+
+@pytest.mark.parametrize("length_m", [0.0, 2e-4, 4e-4])
+def test_a_line_no_longer_than_its_noise_crosses_nothing(length_m: float) -> None:
+    """Without noise even a line of 0.2 mm crosses once; of 0.1 mm of noise in each point its direction is nothing."""
+    normals = np.array([[1.0, 0.0, 0.0]]), np.array([[0.0, 1.0, 0.0]])
+    along = np.linspace(-0.5, 0.5, 12)
+    long = Sweep(normals[0], np.zeros(12, dtype=np.intp), np.stack([np.zeros(12), along], axis=1))
+    short = Sweep(normals[1], np.zeros(12, dtype=np.intp), np.stack([1.2 * length_m * along, np.zeros(12)], axis=1))
+    found = cross_lines(long, short, 1e-4)
+    assert found.scan.seen.tolist() == [length_m > 3e-4]
+    assert found.unclear.tolist() == [length_m < 3e-4]
 
 
 def no_sweep(table: dict[str, list[str]]) -> dict[str, list[str]]:

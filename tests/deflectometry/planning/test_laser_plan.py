@@ -128,6 +128,14 @@ def test_beams_that_miss_any_target_and_a_target_beyond_a_flat_mirrors_are_named
     assert doubts["plan_target_large"].numbers["target_width_m"] > 10.0
 
 
+def test_lines_from_twice_the_focal_length_are_named(tmp_path: Path) -> None:
+    """Without noise each pair crosses once, for lines along x only where cubes of x are apart: within the noise."""
+    write_line_sweep(tmp_path / "s", replace(line_scene(), columns=25, rows=17, distance_of_curvature=1.0))
+    (hole,) = planned(tmp_path / "s").prospect().doubts
+    assert "where a line is no longer than its noise" in hole.text
+    assert 0.05 < 1.0 - hole.numbers["seen_share"] < 0.3
+
+
 def test_four_scans_halve_all_that_each_beam_has_by_itself(tmp_path: Path) -> None:
     write_laser_scan(tmp_path / "s", SCENE, 0)
     own = {"sigma_spot_mm": 0.5, "sigma_direction_mrad": 0.08}
