@@ -74,13 +74,11 @@ def read_lines(file: Path, sigma_spot_m: float) -> CrossedLines:
     normals, spots_m = np.stack([table[name] for name in NORMALS]), np.stack([table[name] for name in SPOTS])
     _refuse_far(file, spots_m)
     sweep, line = np.array(texts["sweep"]), np.array(texts["line"])
-    found = cross_lines(
-        *(
-            _sweep(file, name, line[own], normals[:, own], spots_m[:, own])
-            for name, own in ((name, sweep == name) for name in names)
-        ),
-        sigma_spot_m,
+    first, second = (
+        _sweep(file, name, line[own], normals[:, own], spots_m[:, own])
+        for name, own in ((name, sweep == name) for name in names)
     )
+    found = cross_lines(first, second, sigma_spot_m)
     _refuse_few(file, found.scan, "pairs of lines cross once on the target")
     return found
 

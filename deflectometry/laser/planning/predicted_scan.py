@@ -44,7 +44,7 @@ def predicted_lines(plan: LaserPlanSection, design: Quadric, laser_m: FloatArray
         seen = np.isfinite(spots[0])
         line = np.repeat(np.arange(count), _POINTS_OF_LINE)[seen]
         sweeps.append(Sweep(normals / np.linalg.norm(normals, axis=1, keepdims=True), line, spots[:2, seen].T))
-    return cross_lines(*sweeps, sigma_spot_m)
+    return cross_lines(sweeps[0], sweeps[1], sigma_spot_m)
 
 
 def _places(plan: LaserPlanSection, axis: int, count: int) -> FloatArray:
