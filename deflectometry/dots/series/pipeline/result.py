@@ -23,7 +23,8 @@ class FacetRow(ShortRepr):
     """One facet in one frame.
 
     tilt_rad, sigma_tilt_rad (2,): Slope of its mean normal against the first frame, in the mirror's frame there [rad].
-    rms_rad, sigma_rms_rad (2,): RMS of the angles from the design in x and y [rad].
+    rms_rad, sigma_rms_rad (2,): RMS of the angles from the design in x and y; the sigma is that of its change against
+        the first frame [rad].
     count: Dots.
     """
 
@@ -49,7 +50,8 @@ class FrameRow(ShortRepr):
     normal_rad (2,): Angles of the mirror's mean normal in the screen's frame, as mean_normal of the first frame [rad].
     turn_rad, sigma_turn_rad (2,): Slope of the mean normal against the first frame, in the mirror's frame there; the
         sigma is that of dots and surface, errors of the set-up are the same in both [rad].
-    rms_rad, sigma_rms_rad (2,): RMS of the angles from the design in x and y [rad].
+    rms_rad, sigma_rms_rad (2,): RMS of the angles from the design in x and y; the sigma is that of its change against
+        the first frame [rad].
     count: Dots.
     probability: Of the place in the pattern.
     flag: Why it is not measured, or open; empty where all is well.
@@ -135,9 +137,9 @@ def _exchanged(moved: float) -> float:
 
 
 def sigma_of_rms(motion: FacetMotion, start: FacetMotion | None, moved: float) -> FloatArray:
-    """Return the standard deviation of the RMS against the first frame's, (2,) [rad]; as `sigma_of_turn`."""
+    """Return the standard deviation of a change of the RMS against the first frame, (2,) [rad]; as `sigma_of_turn`."""
     before = motion if start is None else start
-    noise = motion.noise_rad**2 / motion.count
+    noise = motion.noise_rad**2 / motion.count + before.noise_rad**2 / before.count
     # A mean of squares changes by twice the RMS times its own change.
     edges = 0.5 * _exchanged(moved) * (motion.edges_rad2**2 + before.edges_rad2**2) / (4.0 * motion.mean_squares_rad2)
     return np.asarray(np.sqrt(noise + edges))
@@ -200,8 +202,9 @@ class SeriesResult(InstrumentResult):
             }
         start = self.first.summarise()
         texts = dict(start.texts) | {
-            "series": "turns are slopes of the mean normal against the first frame; their sigmas are those of dots and "
-            "surface, errors of the set-up are shared by all frames and stand in the first frame's numbers"
+            "series": "turns are slopes of the mean normal against the first frame; their sigmas, and those of changes "
+            "of SDx and SDy against the first frame, are those of dots and surface; errors of the set-up are shared by "
+            "all frames and stand in the first frame's numbers"
         }
         return self._summary(dict(start.numbers) | numbers, texts, start.not_determined, start.facets, start.geometry_m)
 
