@@ -1,4 +1,4 @@
-"""What each camera sees over what it should: found with the slopes, and which camera contradicts the others."""
+"""What each camera sees over what it should: found with slopes and profile, and which camera contradicts the others."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -17,6 +17,7 @@ from deflectometry.gazing.node_slopes import (
     solve_nodes,
 )
 from deflectometry.gazing.sun_profile import SunProfile
+from deflectometry.setup.setup_steps import principal_steps
 from heliogauge.errors import EstimationError
 from heliogauge.validate import FloatArray, IntArray
 
@@ -37,16 +38,24 @@ class Gains:
 
     logarithm (c,): Adjusted.
     shift_m (c, 2): By what each camera stands beside its stated place, in x and y of the mirror.
-    covariance (3 c, 3 c): Of the logarithms, of all shifts in x, of all shifts in y.
+    covariance (3 c, 3 c): Of the logarithms, of all shifts in x, of all shifts in y, were the profile exactly known.
     misfit (c,): RMS of each camera's residuals over their sigmas, the share that two slopes took away restored.
-    by_profile (3 c, k): What one sigma of each of the profile's radiances does to all of them.
+    profile: The sun's, adjusted with them; its steps are what stays unknown of it.
+    by_profile (3 c, k): What each of its steps does to logarithms and shifts.
     """
 
     logarithm: FloatArray
     shift_m: FloatArray
     covariance: FloatArray
     misfit: FloatArray
+    profile: SunProfile
     by_profile: FloatArray
+
+    @property
+    def sigma(self) -> FloatArray:
+        """Standard deviation of the logarithms, shape (c,)."""
+        variance = np.diag(self.covariance) + (self.by_profile**2).sum(axis=1)
+        return np.asarray(np.sqrt(variance[: self.logarithm.size]))
 
     @property
     def factors(self) -> FloatArray:
@@ -75,34 +84,38 @@ def spread_nodes(facets: Sequence[Brightness], count: int = _NODES) -> list[Brig
 
 
 def fit_gains(facets: Sequence[Brightness], profile: SunProfile, prior: FloatArray, places: FloatArray) -> Gains:
-    """Find gains and places of all cameras and the slopes of some nodes together.
+    """Find gains and places of all cameras, the sun's profile and the slopes of some nodes together.
 
     facets: Nodes of each facet, from `spread_nodes`.
+    profile: As the camera on the sun measured it.
     prior (c, c): Covariance of the logarithms before: of each camera's level, and of the reflectance.
     places (c, c): Covariance of each coordinate of the cameras' places against the mirror [m^2].
-    Returns: Gains, and places across the sight.
+    Returns: Gains, places across the sight, and the adjusted profile.
 
     Two slopes leave of c brightnesses c - 2 that know gains and places: the slopes are eliminated from the normal
-    equations node by node (Schur complement). Both are found at once: a camera that stands 2 mm beside its stated place
-    looks like one with another gain.
+    equations node by node (Schur complement). All are found at once: a camera that stands 2 mm beside its stated place
+    looks like one with another gain. What tells both from slopes is how steep the profile is where each camera looks;
+    noise of a profile that is taken as exact makes that steepness wrong for all nodes alike, and its product with the
+    profile's own residuals pulls the gains (errors in variables). So the profile's radiances are unknowns as well,
+    observed by the camera on the sun with their sigmas and by all nodes.
     """
-    count = len(prior)
+    count, unknown = len(prior), 0 if profile.steps is None else profile.steps.shape[1]
     # Exact places keep a hair of freedom, so that their covariance has an inverse.
     loose = places + 1e-12 * np.eye(count)
-    inverse_prior = np.zeros((3 * count, 3 * count))
+    inverse_prior = np.eye(3 * count + unknown)
     for first, one in ((0, prior), (count, loose), (2 * count, loose)):
         inverse_prior[first : first + count, first : first + count] = np.linalg.inv(one)
-    values: FloatArray = np.zeros(3 * count)
-    normal, by_profile = inverse_prior, np.zeros((3 * count, profile.sigma_relative.size))
+    values: FloatArray = np.zeros(3 * count + unknown)
+    normal = inverse_prior
     squares, freedom = np.zeros(count), np.zeros(count)
     for _ in range(_ROUNDS):
         normal, right = inverse_prior.copy(), -inverse_prior @ values
-        squares, freedom, by_profile = np.zeros(count), np.zeros(count), np.zeros(by_profile.shape)
-        gains = np.exp(values[:count])
+        squares, freedom = np.zeros(count), np.zeros(count)
+        gains, adjusted = np.exp(values[:count]), profile.adjusted(values[3 * count :])
         for stated in facets:
-            seen = stated.moved(values[count:].reshape(2, count).T)
-            found = solve_nodes(seen, profile, gains)
-            model, residual, weight, kept = _eliminated(seen, found, profile, gains)
+            seen = stated.moved(values[count : 3 * count].reshape(2, count).T)
+            found = solve_nodes(seen, adjusted, gains)
+            model, residual, weight, kept = _eliminated(seen, found, adjusted, gains)
             left = np.diagonal(kept, axis1=1, axis2=2)
             share_left = np.divide(left, weight, out=np.zeros(left.shape), where=weight > 0)
             # Where the slopes take a camera's light as it is, its residual says nothing.
@@ -111,23 +124,29 @@ def fit_gains(facets: Sequence[Brightness], profile: SunProfile, prior: FloatArr
             freedom += (share_left * tested).sum(axis=0)
             # Nodes that no slopes explain would draw the gains to themselves.
             share = 1.0 / np.maximum(1.0, found.misfit / (4.0 * max(count - 2, 1)))
-            by_place = d_light_d_place(seen, found.slopes, profile, gains)
-            design = np.concatenate([_diagonal(one) for one in (model, by_place[..., 0], by_place[..., 1])], axis=2)
-            weighted = np.einsum("n,nci,ncd->nid", share, design, kept)
-            normal += np.einsum("nid,ndj->ij", weighted, design)
-            right += np.einsum("nid,nd->i", weighted, residual)
-            by_profile -= np.einsum("nid,dnk->ik", weighted, light_of_profile(seen, found.slopes, profile, gains))
+            by_place = d_light_d_place(seen, found.slopes, adjusted, gains)
+            by_radiance = np.moveaxis(light_of_profile(seen, found.slopes, adjusted, gains), 0, 1)
+            own = [_diagonal(one) for one in (model, by_place[..., 0], by_place[..., 1])]
+            design = np.concatenate([*own, by_radiance], axis=2)
+            weighted = share[:, None, None] * (kept @ design)
+            normal += np.tensordot(weighted, design, axes=((0, 1), (0, 1)))
+            right += np.tensordot(weighted, residual, axes=((0, 1), (0, 1)))
         step = np.linalg.solve(normal, right)
         # A twentieth of what is unknown in any direction: the next round would change nothing that matters.
         if step @ normal @ step < 0.05**2:
             break
-        values = values + np.clip(step, -0.5, 0.5)
+        values = values + np.append(np.clip(step[: 3 * count], -0.5, 0.5), step[3 * count :])
+    adjusted, covariance = profile.adjusted(values[3 * count :]), np.linalg.inv(normal)
+    # What stays unknown of the profile takes gains and places along; the rest is theirs were it known.
+    left_of_profile = principal_steps(np.asarray(covariance[3 * count :, 3 * count :], dtype=np.float64)).T
+    own_normal = normal[: 3 * count, : 3 * count]
     return Gains(
         values[:count],
-        values[count:].reshape(2, count).T,
-        np.asarray(np.linalg.inv(normal), dtype=np.float64),
+        values[count : 3 * count].reshape(2, count).T,
+        np.asarray(np.linalg.inv(own_normal), dtype=np.float64),
         np.asarray(np.sqrt(squares / np.maximum(freedom, 1e-9))),
-        np.asarray(np.linalg.solve(normal, by_profile)),
+        adjusted if profile.steps is None else replace(adjusted, steps=profile.steps @ left_of_profile),
+        np.asarray(-np.linalg.solve(own_normal, normal[: 3 * count, 3 * count :] @ left_of_profile)),
     )
 
 
@@ -137,7 +156,7 @@ def _diagonal(values: FloatArray) -> FloatArray:
 
 
 def light_of_profile(seen: Brightness, slopes: FloatArray, profile: SunProfile, gains: FloatArray) -> FloatArray:
-    """Return what one sigma of each of the profile's radiances does to each camera's light, shape (c, n, k)."""
+    """Return what each step of the profile does to each camera's light, shape (c, n, k)."""
     off = deviations(seen, slopes)
     return np.asarray(
         gains[:, None, None] * profile.steps_at(np.hypot(off[..., 0], off[..., 1])).mean(axis=2), dtype=np.float64
@@ -193,7 +212,7 @@ def contradicting_camera(found: Gains, prior: FloatArray) -> LeftOutCamera | Non
         return None
     number = int(wrong[0])
     gain = float(found.factors[number])
-    return LeftOutCamera(number, gain, gain * float(np.sqrt(found.covariance[number, number])))
+    return LeftOutCamera(number, gain, gain * float(found.sigma[number]))
 
 
 def refuse_exchanged(

@@ -37,7 +37,7 @@ class GazingSigmas:
 
     eyes_m (c,): Of each coordinate of each camera's place.
     mirror_m: Of the mirror's place across the sight, against a frame that does not turn with it.
-    distance_m: Of the mirror's place along the sight.
+    distance_m: Of the mirror's place along z, or along the sight in a frame that turns with it.
     sun_rad: Of the sun's direction, each way.
     sun_scale: Of the scale of the sun's profile.
     """
@@ -69,7 +69,7 @@ class _Effects:
     """What one sigma of each source does to the slopes of one facet, as polynomials.
 
     sources: Of the first coefficients.
-    stated (k, 2, t), profile (m, 2, t): Coefficients, of the sources and of each of the profile's radiances.
+    stated (k, 2, t), profile (m, 2, t): Coefficients, of the sources and of each step of the profile.
     """
 
     sources: tuple[str, ...]
@@ -79,14 +79,12 @@ class _Effects:
     scale_m: float
 
 
-def common_modes(
-    facets: Sequence[SolvedFacet], profile: SunProfile, gains: Gains, sigmas: GazingSigmas
-) -> list[CommonModes]:
+def common_modes(facets: Sequence[SolvedFacet], gains: Gains, sigmas: GazingSigmas) -> list[CommonModes]:
     """Return what gains, places, sun and profile that are one sigma off do to the slopes of each facet.
 
-    The radiances of the profile, each with its own error, are joined to the few combinations that matter.
+    The steps of the profile are joined to the few combinations that matter.
     """
-    effects = [_effects(one, profile, gains, sigmas) for one in facets]
+    effects = [_effects(one, gains.profile, gains, sigmas) for one in facets]
     parts = [one.profile.reshape(len(one.profile), -1) for one in effects]
     _, size, principal = np.linalg.svd(np.concatenate(parts, axis=1), full_matrices=False)
     squares = np.cumsum(size**2)
@@ -134,7 +132,7 @@ def _effects(facet: SolvedFacet, profile: SunProfile, gains: Gains, sigmas: Gazi
 
 
 def _moved_by_profile(seen: Brightness, slopes: FloatArray, profile: SunProfile, gains: Gains) -> FloatArray:
-    """Return what the light lacks of the model for one sigma of each of the profile's radiances, shape (k, c, n).
+    """Return what the light lacks of the model for each step of the profile, shape (k, c, n).
 
     The gains and places that follow the wrong profile are in it.
     """
@@ -170,8 +168,10 @@ def _moved(
         eyes[camera] += sigma * along
         yield "distance", through(replace(seen, eyes_m=eyes))
     if sigmas.distance_m > 0:
-        # The mirror's own place moves all cameras alike.
-        yield "distance", through(replace(seen, eyes_m=seen.eyes_m + sigmas.distance_m * along))
+        # The mirror's own place moves all cameras alike; a frame that turns with it feels only what is along the sight.
+        sight = (seen.eyes_m.mean(axis=0) - seen.places_m.mean(axis=(0, 1, 2))) if sigmas.mirror_m == 0 else along
+        eyes = seen.eyes_m + sigmas.distance_m * sight / np.linalg.norm(sight)
+        yield "distance", through(replace(seen, eyes_m=eyes))
     if sigmas.sun_rad > 0:
         across = np.linalg.svd(seen.sun[None])[2][1:]
         for one in across:

@@ -1,6 +1,6 @@
 """The sun as a camera measured it: radiance over the angle from its centre."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -23,12 +23,12 @@ class SunProfile:
 
     angle_rad (n,): Ascending angles from the centre, the first 0 [rad].
     relative (n,): Radiance there, 1 in the middle.
-    sigma_relative (n,): Its standard deviations, each by itself; empty: exactly known.
+    steps (n, k): What one sigma of each independent source of error does to it; None: exactly known.
     """
 
     angle_rad: FloatArray
     relative: FloatArray
-    sigma_relative: FloatArray = field(default_factory=lambda: np.zeros(0))
+    steps: FloatArray | None = None
     _values: FloatArray = field(init=False, repr=False)
     _slopes: FloatArray = field(init=False, repr=False)
 
@@ -48,14 +48,18 @@ class SunProfile:
         object.__setattr__(self, "_slopes", freeze(np.diff(values, append=relative[-1])))
 
     def steps_at(self, angle_rad: FloatArray) -> FloatArray:
-        """Return what one sigma of each measured radiance adds at angles of any shape, shape (..., n)."""
+        """Return what one sigma of each source of error adds at angles of any shape, shape (..., k)."""
         from scipy.interpolate import CubicSpline
 
-        if not self.sigma_relative.size:
+        if self.steps is None:
             return np.zeros((*angle_rad.shape, 0))
-        flat = np.zeros(self.sigma_relative.size)
-        each = CubicSpline(self.angle_rad, np.diag(self.sigma_relative), bc_type=((1, flat), (2, flat)))
+        flat = np.zeros(self.steps.shape[1])
+        each = CubicSpline(self.angle_rad, self.steps, bc_type=((1, flat), (2, flat)))
         return np.asarray(each(np.minimum(angle_rad, self.limit_rad)))
+
+    def adjusted(self, amounts: FloatArray) -> "SunProfile":
+        """Return the profile with each source of error by an amount (k,) of its sigmas elsewhere."""
+        return self if self.steps is None else replace(self, relative=self.relative + self.steps @ amounts)
 
     @property
     def limit_rad(self) -> float:
@@ -145,7 +149,37 @@ def measure_sun(light: FloatArray, focal_px: float, what: str) -> SunImage:
     variance = _ring_variance(part[used], distance[used] - at[ring[used]], ring[used])
     at[0], relative[0] = 0.0, relative[:3] @ count[:3] / count[:3].sum()
     sigma_ring = np.sqrt(variance / np.append(count[:3].sum(), count[1:])) / level
-    return SunImage(SunProfile(np.arctan(at / focal_px), relative, sigma_ring), level, sigma, radius)
+    angle = np.arctan(at / focal_px)
+    return SunImage(SunProfile(angle, *_smoothed(angle, relative, sigma_ring)), level, sigma, radius)
+
+
+def _smoothed(angle_rad: FloatArray, relative: FloatArray, sigma: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the smoothing spline through radiances (n,) of known sigmas, and its one-sigma steps (n, k).
+
+    How steep the profile is decides what light says of slopes, levels and places: a curve through each ring's noise is
+    as steep as the noise is. How smooth the spline is follows from the smallest expected error by the data themselves
+    (unbiased risk for known sigmas, Craven & Wahba 1979, section 1, doi 10.1007/BF01404567): a sharp limb leaves it
+    nearly as measured. Its covariance includes what smoothing takes away (Wahba 1983, J. R. Stat. Soc. B 45, 133).
+    """
+    from scipy.interpolate import CubicSpline
+
+    # An image without noise still has steps of light.
+    sigma = np.maximum(sigma, 1e-6)
+    flat, share = np.zeros(angle_rad.size), angle_rad / angle_rad[-1]
+    bend = CubicSpline(share, np.eye(angle_rad.size), bc_type=((1, flat), (2, flat)))(share, 2)
+    width = np.diff(share)[:, None]
+    # The integral of the squared second derivative, which is a straight line between knots.
+    first, last = bend[:-1], bend[1:]
+    rough = (first.T @ (width * first) + last.T @ (width * last)) / 3
+    rough += (first.T @ (width * last) + last.T @ (width * first)) / 6
+    size, axes = np.linalg.eigh(sigma[:, None] * rough * sigma)
+    size = np.maximum(size, 1e-12 * size[-1])
+    seen = axes.T @ (relative / sigma)
+    kept = 1.0 / (1.0 + np.geomspace(1e-2 / size[-1], 1e2 / size[0], 400)[:, None] * size)
+    risk = (((1.0 - kept) * seen) ** 2).sum(axis=1) + 2 * kept.sum(axis=1)
+    best = kept[np.argmin(risk)]
+    steps = sigma[:, None] * axes * np.sqrt(best)
+    return np.asarray(sigma * (axes @ (best * seen))), np.asarray(steps)
 
 
 def _ring_variance(light: FloatArray, beside: FloatArray, ring: IntArray) -> FloatArray:

@@ -128,7 +128,7 @@ def run(
         solved = []
         for grid, (bright, nodes, saturated) in zip(grids, seen, strict=True):
             few = bright.of_cameras(kept).moved(gains.shift_m)
-            found = solve_nodes(few, of_sun.profile, gains.factors)
+            found = solve_nodes(few, gains.profile, gains.factors)
             solved.append(SolvedFacet(grid, nodes, saturated, few, found))
             stage.advance()
     with progress.stage("maps"):
@@ -136,7 +136,7 @@ def run(
         sigmas = gazing_sigmas(measurement, chosen)
         frame = "facet frame: x across, y up, seen from the front, z out of the mirror [m]"
         largest = 1e-3 * model.evaluation.largest_sigma_mrad
-        all_modes = common_modes(solved, of_sun.profile, gains, sigmas)
+        all_modes = common_modes(solved, gains, sigmas)
         as_nominal = {
             one.grid.facet.name: facet_map(_scaled(one, factor), modes, largest, frame)
             for one, modes in zip(solved, all_modes, strict=True)
@@ -258,7 +258,6 @@ def _turned(slope_map: SlopeMap, pointing: Pointing) -> SlopeMap:
 def _camera_rows(
     cameras: Sequence[GazingCamera], chosen: Sequence[int], gains: Gains, left_out: LeftOutCamera | None
 ) -> Iterator[CameraRow]:
-    sigma = np.sqrt(np.diag(gains.covariance))
     for number, one in enumerate(cameras):
         if number in chosen:
             place = chosen.index(number)
@@ -266,7 +265,7 @@ def _camera_rows(
                 one.name,
                 one.oriented.eye_m,
                 float(gains.factors[place]),
-                float(gains.factors[place] * sigma[place]),
+                float(gains.factors[place] * gains.sigma[place]),
                 float(gains.misfit[place]),
                 one.oriented.residual_rms_px,
                 "",

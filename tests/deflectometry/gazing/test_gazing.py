@@ -20,6 +20,7 @@ from data_synth.sky.gazing_scene import (
 )
 from data_synth.sky.heliostat import DrawnHeliostat
 from deflectometry.gazing import facet_maps
+from deflectometry.gazing.camera_gains import fit_gains
 from deflectometry.gazing.keys import GazingMeasurement, load_gazing
 from deflectometry.gazing.node_slopes import Brightness, expected, solve_nodes
 from deflectometry.gazing.pipeline import measure as pipeline
@@ -28,7 +29,7 @@ from deflectometry.gazing.pipeline.measure import run
 from deflectometry.gazing.pipeline.pointing import pointing_by_points
 from deflectometry.gazing.pipeline.result import GazingResult
 from deflectometry.gazing.planning.spacing import judge_spacing
-from deflectometry.gazing.sun_profile import SunProfile, measure_sun
+from deflectometry.gazing.sun_profile import SunImage, SunProfile, measure_sun
 from deflectometry.pipeline.choices import Options
 from deflectometry.setup.setup_steps import principal_steps
 from deflectometry.shape.smooth_shape import Align
@@ -120,6 +121,67 @@ def test_profile_is_the_sun_that_was_drawn() -> None:
         measure_sun(cloudy, 7000.0, "sun")
     with pytest.raises(EstimationError, match="border"):
         measure_sun(image[:, 40:], 7000.0, "sun")
+
+
+def noisy_sun(rng: np.random.Generator, *, sharp: bool = False) -> tuple[SunImage, SunImage]:
+    """Return the sun of an image with 1 % noise and without, with a soft or a sharp limb."""
+
+    def darkened(angle: np.ndarray) -> np.ndarray:
+        return np.where(angle < RADIUS, 0.4 + 0.6 * np.sqrt(np.maximum(1 - (angle / RADIUS) ** 2, 0)), 1e-3)
+
+    image = sun_light(darkened if sharp else super_gaussian(RADIUS, EXPONENT), 150, 7000.0)
+    noise = 0.01 * rng.standard_normal(image.shape)
+    return measure_sun(image + noise, 7000.0, "sun"), measure_sun(image, 7000.0, "sun")
+
+
+@pytest.mark.parametrize("sharp", [False, True])
+def test_profile_errs_by_its_steps_and_is_no_steeper_than_the_sun(*, sharp: bool) -> None:
+    """Chi-square of the profile at many angles, and how steep noise makes it in the middle of the disc."""
+    rng, chi, steep = np.random.default_rng(5), [], []
+    for _ in range(30):
+        found, truth = noisy_sun(rng, sharp=sharp)
+        angle = found.profile.limit_rad * np.linspace(0.1, 0.9, 40)
+        off = found.profile.at(angle) * found.level / truth.level - truth.profile.at(angle)
+        chi.append(off**2 / (found.profile.steps_at(angle) ** 2).sum(axis=1))
+        steep.append(found.profile.derivative(angle[:10]) - truth.profile.derivative(angle[:10]))
+    assert 0.6 < np.mean(chi) < 1.3
+    # A curve through all rings is 13 per radian too steep; a sharp limb leaves it so.
+    assert sharp or np.sqrt(np.mean(np.square(steep))) < 2.0
+
+
+@pytest.mark.slow
+def test_gains_and_places_scatter_as_their_sigmas_where_the_profile_is_noisy(tmp_path: Path, monkeypatch: Any) -> None:
+    """Light of one heliostat drawn 80 times, as are levels, places and the image of the sun, which is as noisy."""
+    asked: list[Any] = []
+
+    def listen(*arguments: Any) -> Any:
+        asked.append(arguments)
+        return fit_gains(*arguments)
+
+    monkeypatch.setattr(pipeline, "fit_gains", listen)
+    measured(tmp_path / "drawn", replace(SMALL, known=no_errors()))
+    facets = [one.chosen(np.arange(0, one.x_m.size, 8)) for one in asked[0][0]]
+    facets = [replace(one, sigma=one.sigma / np.sqrt(8)) for one in facets]
+    rng, weak, chi = np.random.default_rng(7), [], []
+    for _ in range(80):
+        of_sun, truth = noisy_sun(rng)
+        level = rng.normal(0, 0.01, 4)
+        shift = rng.normal(0, 2e-3, (4, 2))
+        drawn = []
+        for number, one in enumerate(facets):
+            slopes = np.stack(true_slopes(SMALL, number, one.x_m, one.y_m), axis=1)
+            light = np.exp(level)[:, None] * expected(one.moved(shift), slopes, truth.profile)
+            drawn.append(one.with_value(light + one.sigma * rng.standard_normal(light.shape)))
+        found = fit_gains(drawn, of_sun.profile, np.diag(np.full(4, 1e-4)) + 1e-6, np.diag(np.full(4, 4e-6)))
+        # The profile's own level is that of its noisy middle.
+        off = np.concatenate([found.logarithm - level - np.log(of_sun.level / truth.level), *(found.shift_m - shift).T])
+        covariance = found.covariance + found.by_profile @ found.by_profile.T
+        weak.append(off[0] ** 2 / covariance[0, 0])
+        chi.append(off @ np.linalg.solve(covariance, off) / off.size)
+
+    # The level that is known least; an error of sigma by 1.25 is seen.
+    assert np.mean(weak) == pytest.approx(1.0, abs=3 * np.sqrt(2 / 80))
+    assert np.mean(chi) == pytest.approx(1.0, abs=3 * np.sqrt(2 / (80 * 12)))
 
 
 def measured(folder: Path, scene: GazingScene, seed: int = 0, **options: object) -> GazingResult:
@@ -215,8 +277,9 @@ def test_common_modes_are_what_solving_again_gives(tmp_path: Path, monkeypatch: 
 
     monkeypatch.setattr(pipeline, "common_modes", listen)
     measured(tmp_path / "drawn", SMALL, 2)
-    ((facets, profile, gains, sigmas),) = asked
-    modes = facet_maps.common_modes(facets, profile, gains, sigmas)[0]
+    ((facets, gains, sigmas),) = asked
+    modes = facet_maps.common_modes(facets, gains, sigmas)[0]
+    profile = gains.profile
     facet, count = facets[0], len(gains.logarithm)
     seen, slopes = facet.seen, facet.found.slopes
     light = gains.factors[:, None] * expected(seen, slopes, profile)
