@@ -9,7 +9,7 @@ import numpy as np
 from deflectometry.pose.mirrors_in_image import FoundMirrors, Region, enclosing_polygon
 from heliogauge.camera.model import Camera
 from heliogauge.errors import EstimationError, InputError
-from heliogauge.geometry.rigid import RigidTransform, rotation_between
+from heliogauge.geometry.rigid import RigidTransform, rotation_between, rotation_from_vector
 from heliogauge.geometry.surfaces import Facet
 from heliogauge.validate import FloatArray
 
@@ -144,6 +144,8 @@ def _planar_poses(camera: Camera, model_m: FloatArray, image_px: FloatArray) -> 
     flat = (model_m - center) @ plane_from_mirror.T
     flat[:, 2] = 0.0
     directions = rays[:, :2] / rays[:, 2:]
+    beside_from_plane = _beside_image(flat, directions)
+    flat = flat @ beside_from_plane.T
     if len(flat) == 3:
         # Three points fit up to four poses exactly; IPPE needs a fourth.
         count, vectors, shifts = cv2.solveP3P(flat, directions, np.eye(3), np.zeros(5), flags=cv2.SOLVEPNP_P3P)
@@ -151,12 +153,16 @@ def _planar_poses(camera: Camera, model_m: FloatArray, image_px: FloatArray) -> 
         count, vectors, shifts, _ = cv2.solvePnPGeneric(
             flat, directions, np.eye(3), np.zeros(5), flags=cv2.SOLVEPNP_IPPE
         )
+        if not np.isfinite(vectors).any():
+            # IPPE takes the root of a rounding error where nothing is foreshortened: both tilts are one.
+            done, vector, shift = cv2.solvePnP(flat, directions, np.eye(3), np.zeros(5), flags=cv2.SOLVEPNP_SQPNP)
+            count, vectors, shifts = int(done), (vector,), (shift,)
     poses = []
     for number in range(int(count)):
         vector, shift = np.asarray(vectors[number]).ravel(), np.asarray(shifts[number]).ravel()
         if not (np.isfinite(vector).all() and np.isfinite(shift).all()):
             continue
-        from_plane = RigidTransform.from_rotation_vector(vector, shift).rotation
+        from_plane = RigidTransform.from_rotation_vector(vector, shift).rotation @ beside_from_plane
         rotation = from_plane @ plane_from_mirror
         pose = RigidTransform(rotation, shift - rotation @ center)
         # The front shows where the normal points against the line of sight.
@@ -164,6 +170,20 @@ def _planar_poses(camera: Camera, model_m: FloatArray, image_px: FloatArray) -> 
             off = camera.project(pose.apply(model_m)) - image_px
             poses.append(PoseStart(pose, float(np.sqrt((off**2).sum(axis=1).mean()))))
     return sorted((pose for pose in poses if np.isfinite(pose.rms_px)), key=lambda pose: pose.rms_px)
+
+
+def _beside_image(flat_m: FloatArray, directions: FloatArray) -> FloatArray:
+    """Return the turn (3, 3) of a flat set of points, seen from the front, to a quarter turn from how its image lies.
+
+    IPPE of OpenCV loses rotation vectors of no turn (NaN) and of half turns (zero), both of which are common: a square
+    that faces the camera. From a quarter turn in the image a tilt of less than a right angle leads to neither: the
+    whole turn is one of 90 to 120 degrees.
+    """
+    half_turn = np.diag([1.0, -1.0, -1.0])
+    model = (flat_m @ half_turn)[:, :2] @ [1.0, 1.0j]
+    image = (directions - directions.mean(axis=0)) @ [1.0, 1.0j]
+    roll = np.angle(np.vdot(model, image)) - np.pi / 2
+    return np.asarray(rotation_from_vector([0.0, 0.0, roll]) @ half_turn)
 
 
 def point_poses(camera: Camera, points_m: FloatArray, image_px: FloatArray) -> list[PoseStart]:

@@ -10,8 +10,10 @@ import pytest
 
 from deflectometry.pose.adjust_pose import MirrorPose, pose_from_outline, pose_from_points
 from deflectometry.pose.mirror_outline import beside_another, mirror_masks, sample_outlines
+from deflectometry.pose.mirrors_in_image import find_mirrors
 from deflectometry.pose.outline_edges import correlation_points, edge_blur_px, edge_margin_px
 from deflectometry.pose.pose_observations import DistanceObservation, Knowledge, KnownPoints
+from deflectometry.pose.start_poses import point_poses, start_poses
 from heliogauge.camera.distortion import BrownDistortion
 from heliogauge.camera.model import Camera
 from heliogauge.errors import EstimationError, InputError
@@ -152,6 +154,22 @@ def test_expected_roll_decides_which_corner_is_which(roll: float) -> None:
         _draw(pose, [_rectangle()]), CAMERA, [_rectangle()], Knowledge(roll_rad=roll + 0.1, side_share=0.0)
     )
     assert np.abs(_off(found.cam_from_mirror, pose)).max() < 0.01
+
+
+@pytest.mark.parametrize("roll", [0.0, np.pi / 2, np.pi, -np.pi / 2])
+def test_a_square_exactly_in_front_of_the_camera_is_found(roll: float) -> None:
+    """Nothing tilts its outline: the mirror's frame is an exact half turn from the camera's."""
+    camera = Camera(161, 161, 690.0, 690.0, 80.0, 80.0)
+    facet, front = _rectangle(), RigidTransform(np.diag([1.0, -1.0, -1.0]), np.array([0.0, 0.0, 9.7]))
+    pose = _rolled(front, roll)
+    starts = start_poses(camera, find_mirrors(draw_mirror(camera, pose, [facet])).regions, [facet], roll)
+    assert np.abs(_off(starts[0].cam_from_mirror, pose)).max() < 0.1
+    # Which distances a solver loses is up to rounding.
+    corners = np.column_stack([facet.outline_m, np.zeros(4)])
+    for distance in np.linspace(8.5, 30.0, 50):
+        pose = _rolled(RigidTransform(front.rotation, np.array([0.0, 0.0, distance])), roll)
+        known = point_poses(camera, corners, camera.project(pose.apply(corners)))
+        assert np.abs(_off(known[0].cam_from_mirror, pose)).max() < 1e-3
 
 
 def test_a_shape_without_symmetry_needs_no_roll() -> None:
