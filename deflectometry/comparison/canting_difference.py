@@ -110,14 +110,9 @@ def canting_difference(
     An error that all facets share, of the pose or of a camera, moves them alike and mostly cancels: the covariance is
     that of all facets together, random parts by themselves and each common mode through all of them.
     """
-    used = [
-        one
-        for one in ([FacetPartner.of(name) for name in first] if pairs is None else pairs)
-        if one.first in first
-        and one.second in second
-        and first[one.first].design == second[one.second].design
-        and min(first[one.first].measured_share, second[one.second].measured_share) >= LEAST_SHARE
-    ]
+    every = [FacetPartner.of(name) for name in first] if pairs is None else pairs
+    left = facets_left_out(first, second, pairs)
+    used = [one for one in every if one.first in first and one.first not in left]
     if len(used) < 2:
         return None
     names, count = tuple(one.first for one in used), len(used)
@@ -129,8 +124,8 @@ def canting_difference(
     in_first = turns @ values_b.ravel() + np.concatenate([one.offset_rad for one in used])
     by_turn = sigma_turn_rad * np.concatenate([one.by_turn for one in used])
     centred = np.kron(np.eye(count) - 1.0 / count, np.eye(2))
-    every = covariance_a + turns @ covariance_b @ turns.T + np.outer(by_turn, by_turn)
-    covariance = centred @ every @ centred
+    of_all = covariance_a + turns @ covariance_b @ turns.T + np.outer(by_turn, by_turn)
+    covariance = centred @ of_all @ centred
     own = [(centred @ values).reshape(-1, 2) for values in (values_a.ravel(), in_first)]
     difference = own[0] - own[1]
     sigma = np.sqrt(np.maximum(np.diag(covariance), 0.0)).reshape(-1, 2)
@@ -142,6 +137,23 @@ def canting_difference(
         parts = axes[:, kept].T @ difference.ravel()
         probability = 1.0 - chi_square_cdf(float((parts**2 / size[kept]).sum()), int(kept.sum()))
     return CantingDifference(names, own[0], own[1], difference, sigma, probability)
+
+
+def facets_left_out(
+    first: Mapping[str, SlopeMap], second: Mapping[str, SlopeMap], pairs: Sequence[FacetPartner] | None = None
+) -> dict[str, str]:
+    """Return why the canting of facets of the first result is not compared, by their names; as `canting_difference`."""
+    found = {}
+    partner = {one.first: one.second for one in pairs or ()}
+    for name, one in first.items():
+        other = second.get(name if pairs is None else partner.get(name, ""))
+        if other is None:
+            found[name] = f"the second result has none {'of their name' if pairs is None else 'in their place'}"
+        elif one.design != other.design:
+            found[name] = "both results have other designs of them"
+        elif min(one.measured_share, other.measured_share) < LEAST_SHARE:
+            found[name] = f"less than {LEAST_SHARE:.0%} of their area is measured in one of both"
+    return found
 
 
 def _cantings(maps: list[SlopeMap]) -> tuple[FloatArray, FloatArray]:

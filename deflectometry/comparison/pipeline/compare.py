@@ -1,13 +1,19 @@
 """Compare two results of one mirror: aligned, differenced, with the uncertainty of the difference and a verdict."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from hashlib import sha256
 from pathlib import Path
 
 import numpy as np
 
-from deflectometry.comparison.canting_difference import CantingDifference, canting_difference, partners
+from deflectometry.comparison.canting_difference import (
+    CantingDifference,
+    FacetPartner,
+    canting_difference,
+    facets_left_out,
+    partners,
+)
 from deflectometry.comparison.judgement import (
     SIGNIFICANCE,
     Agreement,
@@ -111,8 +117,8 @@ def compare_results(first: Path, second: Path, *, shared: Sequence[str] = (), as
         DIFFERENCE: change,
         REST: replace(change, slope_x=left[0], slope_y=left[1], removed="linear terms of the difference"),
     }
-    cantings = _canting_difference(sides, placed)
-    every = (*doubts, *_doubts(sides, shared, judged, checks), *_doubts_of_canting(cantings))
+    cantings, of_facets = _canting_difference(sides, placed)
+    every = (*doubts, *_doubts(sides, shared, judged, checks), *_doubts_of_canting(cantings), *of_facets)
     return Comparison(
         name=f"{sides[0].name} against {sides[1].name}",
         sides=sides,
@@ -159,14 +165,46 @@ def _facet_maps(side: Side) -> dict[str, SlopeMap]:
     return {name: read_slope_map(file, name) for name in facet_names(file)}
 
 
-def _canting_difference(sides: tuple[Side, Side], placed: Placed) -> CantingDifference | None:
-    """Compare the canting of facets: by their names, or where one map was moved by their places."""
+def _canting_difference(sides: tuple[Side, Side], placed: Placed) -> tuple[CantingDifference | None, tuple[Doubt, ...]]:
+    """Compare the canting of facets: by their names, or where one map was moved by their places.
+
+    Returns: The difference, and the facets of ensembles that have no part in it.
+    """
     first, second = (_facet_maps(one) for one in sides)
-    if not placed.is_moved:
-        return canting_difference(first, second)
-    frames_a, frames_b = (facet_frames(one.summary) for one in sides)
-    sigma_turn_rad = 0.0 if placed.found is None else float(placed.found.sigmas[0])
-    return canting_difference(first, second, partners(frames_a, frames_b, placed.motion), sigma_turn_rad)
+    if not (first and second):
+        return None, ()
+    pairs: tuple[FacetPartner, ...] | None = None
+    sigma_turn_rad, reasons = 0.0, facets_left_out(first, second)
+    if placed.is_moved:
+        frames_a, frames_b = (facet_frames(one.summary) for one in sides)
+        sigma_turn_rad = 0.0 if placed.found is None else float(placed.found.sigmas[0])
+        pairs = partners(frames_a, frames_b, placed.motion)
+        reasons = facets_left_out(first, second, pairs)
+        nowhere = [one.name for one, frames in zip(sides, (frames_a, frames_b), strict=True) if not frames]
+        if nowhere:
+            reasons = dict.fromkeys(first, f"{' and '.join(nowhere)} does not say where its facets stand")
+    cantings = canting_difference(first, second, pairs, sigma_turn_rad)
+    return cantings, tuple(_doubts_of_left_out(first, cantings, reasons))
+
+
+def _doubts_of_left_out(
+    first: Mapping[str, SlopeMap], cantings: CantingDifference | None, reasons: Mapping[str, str]
+) -> Iterator[Doubt]:
+    if not reasons:
+        return
+    compared = 0 if cantings is None else len(cantings.names)
+    said = [
+        f"{sum(one == reason for one in reasons.values())} because {reason}"
+        for reason in dict.fromkeys(reasons.values())
+    ]
+    if compared == 0 and len(reasons) < len(first):
+        said.append("one alone has no others to be compared against")
+    yield Doubt(
+        "facets_not_compared",
+        f"the canting of {compared} of {len(first)} facets is compared, of others not: {'; '.join(said)}",
+        {"compared_count": compared, "facets_count": len(first)},
+        Severity.NOTE,
+    )
 
 
 def _doubts_of_canting(cantings: CantingDifference | None) -> Iterator[Doubt]:

@@ -9,7 +9,7 @@ import pytest
 from typer.testing import CliRunner
 
 from deflectometry.cli import app
-from deflectometry.comparison.canting_difference import canting_difference, partners
+from deflectometry.comparison.canting_difference import canting_difference, facets_left_out, partners
 from deflectometry.comparison.judgement import Agreement
 from deflectometry.comparison.moved_map import PlaneMotion
 from deflectometry.comparison.pipeline.compare import compare_results
@@ -284,6 +284,26 @@ def test_canting_differs_as_its_sigmas_say() -> None:
         squares.append(np.mean((found.difference_rad / found.sigma_rad) ** 2))
     assert np.mean(squares) == pytest.approx(1.0, abs=3 * np.sqrt(2 / (24 * 8)))
     assert 0.3 < np.mean(chances) < 0.7
+
+
+def test_facets_that_are_not_compared_have_a_reason(tmp_path: Path) -> None:
+    """By name, one is missing, one has another design, and one is hardly measured; two are compared."""
+    rng, leans = np.random.default_rng(3), np.zeros((FACETS, 2))
+    first, second = drawn_ensemble(rng, leans), drawn_ensemble(rng, leans)
+    second["other"] = second.pop("facet 0")
+    second["facet 1"] = replace(second["facet 1"], design="another one")
+    hidden = np.where(np.arange(second["facet 2"].slope_x.shape[1]) > 2, np.nan, second["facet 2"].slope_x)
+    second["facet 2"] = replace(second["facet 2"], slope_x=hidden, slope_y=hidden)
+    left = facets_left_out(first, second)
+    assert list(left) == ["facet 0", "facet 1", "facet 2"]
+    assert "name" in left["facet 0"]
+    assert "designs" in left["facet 1"]
+    assert "measured" in left["facet 2"]
+    folders = [written(tmp_path / name, maps["facet 3"]) for name, maps in (("a", first), ("b", second))]
+    for folder, maps in zip(folders, (first, second), strict=True):
+        write_slope_map(folder / "slope_map.nc", {**maps, ASSEMBLED: maps["facet 3"]})
+    (doubt,) = [one for one in compare_results(*folders).doubts if one.code == "facets_not_compared"]
+    assert doubt.numbers == {"compared_count": 2, "facets_count": FACETS}
 
 
 def ring_of_facets(turn_rad: float) -> dict[str, RigidTransform]:
