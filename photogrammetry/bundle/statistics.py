@@ -16,8 +16,8 @@ from photogrammetry.bundle.rays import runs
 from photogrammetry.bundle.rows import BundleModel, CameraRows
 from photogrammetry.bundle.state import INTRINSIC_NAMES, BundleState, intrinsics_of
 
-# Below this share nothing of an error shows in the residual, and its test has no meaning.
-_UNCONTROLLED = 1e-6
+#: Below this share nothing of an error shows in the residual, and its test has no meaning.
+UNCONTROLLED = 1e-6
 #: So many image points of a photo for each that goes in one round: by the photo's six unknowns a point shifts another
 #: one by 3 / 100 of its own error on the average of a hundred, so that all that go shift one by a thirtieth of theirs
 #: at most.
@@ -78,7 +78,7 @@ def _examined(result: BundleResult) -> ImagePointTests:
     redundancy[result.rows.model.order] = np.eye(2) - shares
     residuals = result.whitened_residuals
     own = np.einsum("mii->mi", redundancy)
-    baarda = residuals / np.sqrt(np.where(own > _UNCONTROLLED, own, np.nan))
+    baarda = residuals / np.sqrt(np.where(own > UNCONTROLLED, own, np.nan))
     squared = _length_squared(redundancy, residuals)
     probability = np.exp(-0.5 * squared)
     if result.options.covariance_scale is CovarianceScale.POSTERIOR and result.redundancy > 2:
@@ -93,12 +93,12 @@ def _length_squared(redundancy: FloatArray, residuals: FloatArray) -> FloatArray
     x, y = residuals.T
     determinant = a * c - b * b
     # The smaller eigenvalue is at least the determinant over the trace.
-    weak = np.flatnonzero(~(determinant > _UNCONTROLLED * (a + c)) | (a <= 0))
+    weak = np.flatnonzero(~(determinant > UNCONTROLLED * (a + c)) | (a <= 0))
     squared = np.asarray((c * x * x - 2 * b * x * y + a * y * y) / np.where(determinant > 0, determinant, 1.0))
     if weak.size:
         values, vectors = np.linalg.eigh(redundancy[weak])
         along = np.einsum("mij,mi->mj", vectors, residuals[weak])
-        seen = values > _UNCONTROLLED
+        seen = values > UNCONTROLLED
         squared[weak] = np.where(seen, along**2 / np.where(seen, values, 1.0), 0.0).sum(axis=1)
     return squared
 

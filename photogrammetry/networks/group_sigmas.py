@@ -4,10 +4,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from heliogauge.adjust.chi_square import chi_square_quantile
 from heliogauge.adjust.gauss_newton import Options
 from heliogauge.validate import FloatArray, IntArray
 from photogrammetry.bundle.adjustment import BundleOptions, BundleResult, adjust
-from photogrammetry.bundle.statistics import examine_image_points
+from photogrammetry.bundle.statistics import UNCONTROLLED, examine_image_points
 from photogrammetry.image_points import ImagePoints
 from photogrammetry.networks.solve_network import (
     Knowledge,
@@ -23,7 +24,8 @@ from photogrammetry.start_values.network import Network, StartValues
 #: A kind with less redundancy than this keeps its stated sigma: its factor would be known to 20 % at best.
 _LEAST_REDUNDANCY = 50
 _MOST_ROUNDS = 4
-#: Kinds are well weighed when their factors agree to this; the sigma of a factor is 4 % with 300 to spare.
+#: Kinds are well weighed when their factors agree to this; the sigma of a factor is 4 % with 300 to spare. To this, mean
+#: and median have to give the same sigmas for kinds to be weighed before false image points are sought.
 _CLOSE = 0.1
 #: Offset in sigmas to which the adjustment goes on that only compares kinds.
 _ROUGH = Options(tolerance=1e-3, initial_damping=1e-4)
@@ -82,7 +84,7 @@ def solve_weighed(
     factors = np.ones(count)
     start = network_of(points, cameras, knowledge)
     if count > 1:
-        found = _by_medians(start, kinds, count, cameras)
+        found = _before_rejection(start, kinds, count, cameras)
         factors, points = np.sqrt(found), _scaled(points, found[kinds])
     solved = solve_from(start, points, ellipses_px2, cameras, knowledge, options)
     for _ in range(_MOST_ROUNDS if count > 1 else 0):
@@ -105,21 +107,29 @@ def solve_weighed(
     return Weighed(solved, points, factors)
 
 
-def _by_medians(network: Network, kinds: IntArray, count: int, cameras: NetworkCameras) -> FloatArray:
+def _before_rejection(network: Network, kinds: IntArray, count: int, cameras: NetworkCameras) -> FloatArray:
     """Return what the variances of each kind have to be multiplied by, found before anything is rejected.
 
     kinds (m,): Of all image points.
+    Returns: Shape (count,); 1 for kinds with little redundancy, and for all where one may hold many false image points.
 
     A kind whose stated sigmas are half of what they are would lose every fifth good image point to the search for
-    outliers, and each round that weighs again would bring some of them back. A squared length over its own variance
-    has the median 2 ln 2.
+    outliers, and each round that weighs again would bring some of them back. Where false image points are among a kind,
+    the mean of its squared residuals is larger than their median says: then none is weighed before these are gone.
     """
     bundle = adjust(cameras.problem(network.observations), network.state, options=BundleOptions(descent=_ROUGH))
-    length_squared, own = examine_image_points(bundle).length_squared, kinds[network.rows]
-    enough = 2 * np.bincount(own, minlength=count) >= _LEAST_REDUNDANCY
-    medians = [np.median(length_squared[own == kind]) if enough[kind] else np.nan for kind in range(count)]
-    found = np.array(medians) / (2 * np.log(2))
-    return np.where(found > 0, found, 1.0)
+    own = kinds[network.rows]
+    found, redundancy = variance_factors(bundle, own, count)
+    tests = examine_image_points(bundle)
+    # A target of two rays controls one direction of each.
+    directions = (np.linalg.eigvalsh(tests.redundancy) > UNCONTROLLED).sum(axis=1)
+    share = tests.length_squared / np.array([np.nan, *(chi_square_quantile(0.5, n) for n in (1, 2))])[directions]
+    enough = np.flatnonzero(redundancy >= _LEAST_REDUNDANCY)
+    medians = np.array([np.nanmedian(share[own == kind]) for kind in enough])
+    factors = np.ones(count)
+    if (np.abs(np.sqrt(medians / found[enough]) - 1) < _CLOSE).all():
+        factors[enough] = found[enough]
+    return factors
 
 
 def _scaled(points: ImagePoints, factors: FloatArray) -> ImagePoints:

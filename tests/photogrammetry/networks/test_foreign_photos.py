@@ -9,6 +9,7 @@ from photogrammetry.bundle.constraints import KnownPlaces
 from photogrammetry.bundle.datum import Datum
 from photogrammetry.bundle.problem import CameraModel
 from photogrammetry.image_points import ImagePoints
+from photogrammetry.networks.foreign_photos import contradicting_photos
 from photogrammetry.networks.quality import check_network
 from photogrammetry.networks.solve_network import Knowledge, NetworkCameras, Solved, SolveOptions, solve_network
 from photogrammetry.start_values import StartValues
@@ -71,3 +72,22 @@ def test_sound_photos_stay() -> None:
         assert found.network.photos_left_out == ()
         assert found.doubtful == ()
         assert len(found.bundle.problem.observations.photos) == 20
+
+
+def found_among(false_targets: dict[int, int]) -> tuple[list[str], list[str]]:
+    """Which of ten photos of twenty targets are foreign and doubtful, with so many false image points in some."""
+    photo, target = np.repeat(np.arange(10), 20), np.tile(np.arange(20), 10)
+    names = tuple(f"photo{k}" for k in range(10)), tuple(f"t{k}" for k in range(20))
+    every = ImagePoints(*names, photo, target, np.zeros((200, 2)), np.tile(np.eye(2), (200, 1, 1)))
+    false = target < np.array([false_targets.get(k, 0) for k in range(10)])[photo]
+    places = np.random.default_rng(0).uniform(-1, 1, (20, 3))
+    found = contradicting_photos(every, every.subset(~false), places, np.flatnonzero(false), 0.05)
+    return [one.name for one in found.foreign], [one.name for one in found.doubtful]
+
+
+def test_false_image_points_of_foreign_photos_hide_no_other() -> None:
+    """The share of false ones by chance is that of the photos that stay."""
+    assert found_among({3: 6}) == ([], ["photo3"])
+    assert found_among({3: 6, 7: 19}) == (["photo7"], ["photo3"])
+    # Ten of twenty might be chance only while three photos that are false throughout count.
+    assert found_among({3: 10, 7: 20, 8: 20, 9: 20}) == (["photo3", "photo7", "photo8", "photo9"], [])
