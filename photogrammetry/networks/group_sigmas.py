@@ -24,8 +24,8 @@ from photogrammetry.start_values.network import Network, StartValues
 #: A kind with less redundancy than this keeps its stated sigma: its factor would be known to 20 % at best.
 _LEAST_REDUNDANCY = 50
 _MOST_ROUNDS = 4
-#: Kinds are well weighed when their factors agree to this; the sigma of a factor is 4 % with 300 to spare. To this, mean
-#: and median have to give the same sigmas for kinds to be weighed before false image points are sought.
+#: Kinds are well weighed when their factors agree to this; the sigma of a factor is 4 % with 300 to spare. To this,
+#: mean and median have to give the same sigmas for kinds to be weighed before false image points are sought.
 _CLOSE = 0.1
 #: Offset in sigmas to which the adjustment goes on that only compares kinds.
 _ROUGH = Options(tolerance=1e-3, initial_damping=1e-4)
