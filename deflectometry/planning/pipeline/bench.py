@@ -82,7 +82,8 @@ class Bench:
         camera = self.setup.camera
         cover = np.zeros((camera.height_px, camera.width_px), dtype=np.float32)
         for one in self.sights:
-            cover[one.rows, one.columns] += one.cover
+            # What looks past the screen stays as dark as what is beside the mirror.
+            cover[one.rows, one.columns] += one.cover if one.seen_share == 1 else one.cover * one.on_screen
         light = contrast_dn * (_BESIDE + (1 - _BESIDE) * np.minimum(cover, 1.0))
         # Edges are weighted by how they scatter: without noise they would count as exact.
         noise = np.random.default_rng(0).standard_normal(cover.shape, dtype=np.float32)
@@ -92,8 +93,10 @@ class Bench:
         """Evaluate predicted samples exactly as a measurement.
 
         setup: Camera and screen, with what the source adds to their sigmas.
+        EstimationError: The measurement would be refused, too; with the part of the mirror that sees no screen.
         """
         measurement = self.measurement
+        hole = hole_doubt(self.sights, setup.size_m)
         ready = SourceMeasurement(
             measurement,
             source,
@@ -103,9 +106,14 @@ class Bench:
             pattern,
             lambda: (),
             (),
-            gather_doubts(hole_doubt(self.sights, setup.size_m)),
+            gather_doubts(hole),
         )
-        return measure_source(ready, SilentProgress())
+        try:
+            return measure_source(ready, SilentProgress())
+        except EstimationError as error:
+            if hole is None:
+                raise
+            raise EstimationError(f"{hole.text}. ({error})") from error
 
     def prospect(self, result: Result, texts: Mapping[str, str]) -> Prospect:
         """Return what a result on predicted samples says of the measurement."""
