@@ -328,7 +328,11 @@ def _likeness(
 
     edges: The same as the lines.
     """
-    return edge_likeness(_residuals(used, grid, errors)[0] / used.sigma_rad, curves_of(edges, y_m), edges.row, y_m)
+    residuals, predicted = _residuals(used, grid, errors)
+    # What is left of an edge that the others do not foretell is what the mirror does there, alike in the next rows.
+    told = _confirmed(predicted, used.sigma_rad)
+    curve, row = curves_of(edges, y_m), edges.row
+    return edge_likeness((residuals / used.sigma_rad)[told], curve[told], row[told], y_m)
 
 
 class _WithoutShadows(NamedTuple):

@@ -24,11 +24,7 @@ STARTS = (0.0, 0.25, 0.5, 0.75)
 
 @pytest.mark.slow
 def test_chi_square_of_drawn_troughs(tmp_path: Path) -> None:
-    """Mean of six flights, each by four sets of nodes: 0.54, sigmas are a third too large.
-
-    Where edges that err together along the trough count as independent it is 0.75, but path-traced troughs are then
-    too sure (`benchmarks/observer_rendered.py`): their common errors are larger than those of drawn ones.
-    """
+    """Mean of six flights, each by four sets of nodes; of twelve flights it is 0.76: sigmas are an eighth too large."""
     ratios, beyond = [], []
     for seed in SEEDS:
         found, error = _measured(tmp_path, seed)
@@ -44,7 +40,7 @@ def test_chi_square_of_drawn_troughs(tmp_path: Path) -> None:
             covariance = np.diag(found.sigma_random_x[chosen] ** 2) + modes.T @ modes
             assert chosen.sum() > 40
             ratios.append(error[chosen] @ np.linalg.solve(covariance, error[chosen]) / chosen.sum())
-    assert 0.45 < np.mean(ratios) < 1.25, np.round(ratios, 2)
+    assert 0.6 < np.mean(ratios) < 1.25, np.round(ratios, 2)
     assert np.mean(beyond) < 0.005
 
 
