@@ -1,6 +1,7 @@
 """Parts of a mirror that will not see the screen: at which of its edges, and what would bring them onto it."""
 
 from collections.abc import Sequence
+from math import ceil
 
 import numpy as np
 
@@ -27,11 +28,12 @@ def words_of_hole(sight: FacetSight) -> str:
 
 
 def words_of_remedy(sights: Sequence[FacetSight], size_m: FloatArray) -> str:
-    """Say how far the screen is to be moved, or how large it has to be, for the whole mirror to see it.
+    """Say how far the screen is to be moved, or how large to be made, for the whole mirror to see it.
 
+    A screen that is made larger grows about its middle.
     size_m (2,): Width and height of the screen as it is [m].
     """
-    said = []
+    grown, moved = [], []
     for place, size, (low, high), length in zip(
         ([one.u[one.inside] for one in sights], [one.v[one.inside] for one in sights]),
         size_m.tolist(),
@@ -42,11 +44,14 @@ def words_of_remedy(sights: Sequence[FacetSight], size_m: FloatArray) -> str:
         seen = np.concatenate(place)
         least, most = float(np.nanmin(seen)), float(np.nanmax(seen))
         if most - least > 1:
-            said.append(f"make it at least {(most - least) * size:.3f} m {length} instead of {size:.3f} m")
+            needed_m = ceil(1e3 * 2 * max(0.5 - least, most - 0.5) * size) / 1e3
+            grown.append(f"make it at least {needed_m:.3f} m {length} instead of {size:.3f} m")
         elif least < 0 or most > 1:
             side, by = (low, -least) if least < 0 else (high, most - 1)
-            said.append(f"move it by {by * size:.3g} m towards its {side} edge")
-    return " and ".join(said)
+            moved.append(f"move it by {by * size:.3g} m towards its {side} edge")
+    if moved:
+        moved[-1] += " (or the camera as far to the other side)"
+    return " and ".join(grown + moved)
 
 
 def hole_doubt(sights: Sequence[FacetSight], size_m: FloatArray) -> Doubt | None:
@@ -62,7 +67,7 @@ def hole_doubt(sights: Sequence[FacetSight], size_m: FloatArray) -> Doubt | None
     return Doubt(
         "plan_sees_past_screen",
         f"{share:.1%} of the mirror sees the screen ({named}{more}); to see it with the whole mirror "
-        f"{remedy or 'turn the mirror towards it'}, or move the camera as far to the other side. Without that the "
-        "outline ends where the screen does, and [mirror.pose] is needed",
+        f"{remedy or 'turn the mirror towards it'}. Without that the outline ends where the screen does, and "
+        "[mirror.pose] is needed",
         {"seen_share": float(share)},
     )

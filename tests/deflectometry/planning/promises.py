@@ -12,7 +12,7 @@ import numpy as np
 from data_synth.dots import dot_scene, write_dot_dataset
 from data_synth.fringes.dataset import DatasetOptions, write_dataset
 from data_synth.fringes.knowledge import Knowledge
-from data_synth.fringes.presets import preset_scene
+from data_synth.fringes.presets import preset_scene, standard_errors
 from data_synth.fringes.scene import FringeScene
 from data_synth.fringes.tower import SIGMA_PLACE_MM, tower_knowledge, tower_scene
 from data_synth.optics.mirror import SyntheticFacet
@@ -98,9 +98,14 @@ def drawn_dots() -> Drawn:
 
 
 def drawn_tower(scale: float = 0.25, facets: tuple[int, ...] = (0, 1, 5)) -> Drawn:
-    """Return some facets of a heliostat seen at night from its tower, the place of each known to 1 mm."""
+    """Return some facets of a heliostat seen at night from its tower, canted as designed, each place known to 1 mm.
+
+    The sigma of a curvature follows the curvature itself. The scene's own canting, 1 mrad, makes these three facets a
+    mirror of f = 377 m in y where the design has 200 m: no plan knows that.
+    """
     scene = tower_scene(scale=scale)
-    scene = replace(scene, facets=tuple(scene.facets[k] for k in facets))
+    errors = standard_errors(1.5, 1.0)
+    scene = replace(scene, facets=tuple(replace(scene.facets[k], errors=errors) for k in facets))
     known = tower_knowledge(scale, sigma_place_mm=SIGMA_PLACE_MM)
     known = replace(known, sigma_facet_mm=(1.0, 1.0, 1.0))
     return Drawn(scene, known, 260.0, 5.0)

@@ -93,7 +93,7 @@ def test_a_screen_that_is_too_small_is_named_with_the_size_it_needs(tmp_path: Pa
     assert "left edge" in said
     assert "right edge" in said
     needed = float(said.partition("make it at least ")[2].split()[0])
-    whole = prospect(planned(tmp_path / "q", screen={"width_m": 1.02 * needed}))
+    whole = prospect(planned(tmp_path / "q", screen={"width_m": needed}))
     assert whole.seen_share == 1.0
 
 
@@ -195,6 +195,4 @@ def test_what_is_promised_is_what_is_then_stated(tmp_path: Path, source: Any) ->
     promise = drawn.promise(tmp_path / "planned")
     (found,) = outcomes(drawn, tmp_path, 1)
     for name, sigma in promise.sigmas().items():
-        # From far away the outline may leave two tilts open, which a plan does not have: curvatures are less sure then.
-        if not (source is drawn_tower and name.startswith("curvature")):
-            assert sigma == pytest.approx(found.stated[name], rel=0.3), name
+        assert sigma == pytest.approx(found.stated[name], rel=0.3), name
