@@ -45,8 +45,8 @@ def refuse_contradictions(
 
     doubts: What makes the result doubtful, by code.
     EstimationError: With one exchange put back nothing contradicts any more, or the reflection is more than 20 sigma
-        off the outline, or contradicts an outline that is partly the display's, or the slopes have 20 times the curl
-        that noise makes.
+        off the outline, or contradicts an outline that may be that of the display or of some facets only, or the
+        slopes have 20 times the curl that noise makes.
 
     Images mirrored by a program and a mirrored or exchanged pattern leave frames and outline as good as ever. Each is
     tried, with everything that follows from it.
@@ -62,8 +62,9 @@ def refuse_contradictions(
         )
     past = doubts.get("mirror_sees_past_display")
     if past is not None and "reflection_contradicts_outline" in doubts:
-        # What was taken for the mirror's outline is that of the display.
-        raise EstimationError(f"{past.text}. ({doubts['reflection_contradicts_outline'].text.split(';')[0]})")
+        # What was taken for the mirror's outline is that of the display, or of the facets that are lit.
+        words = f"{_dark_facets(evaluation)}{past.text}"
+        raise EstimationError(f"{words}. ({doubts['reflection_contradicts_outline'].text.split(';')[0]})")
     turn = turn_in_sigmas(evaluation)
     curl = doubts.get("slopes_of_no_surface")
     ratio = 0.0 if curl is None else curl.numbers["curl_rms_per_m"] / curl.numbers["curl_expected_rms_per_m"]
@@ -71,6 +72,17 @@ def refuse_contradictions(
         raise EstimationError(f"{turn:.0f} sigma: {doubts['reflection_contradicts_outline'].text}")
     if curl is not None and ratio > _IMPOSSIBLE_SIGMAS:
         raise EstimationError(curl.text)
+
+
+def _dark_facets(evaluation: Evaluation) -> str:
+    """Say that dark facets may be why the outline is another one; nothing where the image has a part for each."""
+    parts, count = evaluation.located.evidence.bright_parts, len(evaluation.located.facets)
+    if parts is None or parts >= count:
+        return ""
+    return (
+        f"the image shows {parts} bright part{'s' * (parts > 1)} for {count} facets: the outline of those that are lit"
+        " may have been taken for that of all (light all, or describe those that are lit in [[mirror.facet]]); or "
+    )
 
 
 def _agrees(one: _Exchange, mirror: MirrorInput, choices: Choices) -> bool:

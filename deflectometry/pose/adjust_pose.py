@@ -91,6 +91,8 @@ class MirrorPose:
     residuals_px (n_points, 2): Projected outline (or point) minus measured; of an edge point the part across the
         side [px].
     observations: What the pose was adjusted to.
+    bright_parts: Parts that are bright in the image, fewer than facets where some are dark or gaps are not seen; None
+        without an outline.
     other_tilt_rad (3,): Turn to another orientation that fits the outline as well [rad]; zero where none does.
     doubts: A distance or the lens contradicts the image, two tilts fit equally well, or facets are not seen.
     """
@@ -109,6 +111,7 @@ class MirrorPose:
     points_px: FloatArray
     residuals_px: FloatArray
     observations: "PoseObservations"
+    bright_parts: int | None = None
     other_tilt_rad: FloatArray = field(default_factory=lambda: np.zeros(3))
     doubts: tuple[Doubt, ...] = ()
 
@@ -169,7 +172,7 @@ def pose_from_outline(
     allowed_px = max(MAX_RESIDUAL_SHARE * size_px, 0.2 * best.edges.width_px)
     _check_outline(best, allowed_px)
     ambiguity, other = None, np.zeros(3)
-    if len(fits) > 1 and np.isfinite(fits[1].rms_px):
+    if len(fits) > 1 and _fits_outline(fits[1], allowed_px):
         chosen, ambiguity = _resolve_tilt(best, fits[1], camera, len(facets), knowledge)
         if ambiguity is not None:
             rival = fits[1] if chosen is best else best
@@ -178,7 +181,8 @@ def pose_from_outline(
         best = chosen
     pose = _finish(best, camera, knowledge, lit_share(camera, best.pose, facets, image > found.level_dn))
     _check_distance(pose, allowed_px)
-    return replace(pose, other_tilt_rad=other, doubts=gather_doubts(ambiguity, pose.doubts))
+    doubts = gather_doubts(ambiguity, pose.doubts)
+    return replace(pose, bright_parts=len(found.regions), other_tilt_rad=other, doubts=doubts)
 
 
 def _followed(search: OutlineSearch, starts: Sequence[RigidTransform], points: KnownPoints) -> list[OutlineFit]:
@@ -214,9 +218,13 @@ def _contradiction(test: DistanceTest) -> str:
     )
 
 
+def _fits_outline(fit: OutlineFit, allowed_px: float) -> bool:
+    return bool(fit.used.sum() >= MIN_POINT_SHARE * fit.edges.n_expected and fit.rms_px <= allowed_px)
+
+
 def _check_outline(best: OutlineFit, allowed_px: float) -> None:
-    n_used = int(best.used.sum())
-    if n_used < MIN_POINT_SHARE * best.edges.n_expected or not best.rms_px <= allowed_px:
+    if not _fits_outline(best, allowed_px):
+        n_used = int(best.used.sum())
         raise EstimationError(
             f"the outline in the image does not fit the mirror's outline: {n_used} of {best.edges.n_expected} edge"
             f" points fit, with a residual of {best.rms_px:.2f} px where {allowed_px:.2f} px are allowed; check"
