@@ -46,6 +46,9 @@ _CLEAR_MAJORITY = 0.5
 _BESIDE_PX, _SHIFT_PX, _NOISE_SHARE = (2.0, 3.0), 1.0, 0.02
 #: What stays of an edge's error for a change of the whole step in a pixel [px].
 _CLOUDED_PX = 0.6
+#: Brightness has returned between two steps down where it rose by more than this share of the lesser one: half way
+#: between not at all and all of what that takes again.
+_RETURNED_SHARE = 0.5
 #: A panel's edge or the tube in front of the mirror spoils edges nearer than this many pixels.
 _SPOILT_PX = 3.0
 
@@ -63,6 +66,7 @@ class ReflectionEdges:
         matter.
     unevenness (m,): Change of the brightness some pixels beside the edge over its step; 0 where a panel's edge or
         the tube in front would make it.
+    is_lesser (m,): Whether a larger step the same way stands beside it.
     """
 
     photo: IntArray
@@ -72,6 +76,7 @@ class ReflectionEdges:
     sigma_x_m: FloatArray
     contrast: FloatArray
     unevenness: FloatArray
+    is_lesser: BoolArray
 
     def chosen(self, which: npt.NDArray[np.bool_] | IntArray) -> "ReflectionEdges":
         """Return some of them."""
@@ -154,7 +159,7 @@ def _looks(shots: Sequence[Shot], expected: Expectation) -> list[_Look | None]:
 
 def _nothing() -> ReflectionEdges:
     none, empty = np.zeros(0, dtype=np.intp), np.zeros(0)
-    return ReflectionEdges(none, none, empty, np.zeros((0, 3)), empty, empty, empty)
+    return ReflectionEdges(none, none, empty, np.zeros((0, 3)), empty, empty, empty, none > 0)
 
 
 def design_misfit(
@@ -209,6 +214,7 @@ def _plausible(found: Edges, which: IntArray, looks: Sequence[_Look], expected: 
     keep = (free_m > spoilt_m) & sees_tube(passing[near], collector, spoilt_m + _END_MARGIN_M)
     judged = free_m > spoilt_m + _EVEN_PX[1] * pixel_m
     ends = np.searchsorted(which, np.arange(len(looks) + 1))
+    receiver_rad = 2 * half * collector.receiver_diameter_m / collector.absorber_diameter_m
     edges = []
     for one, own in zip(looks, (slice(*pair) for pair in pairwise(ends)), strict=True):
         part = Edges(*(getattr(found, name)[own] for name in Edges.__slots__))
@@ -218,13 +224,16 @@ def _plausible(found: Edges, which: IntArray, looks: Sequence[_Look], expected: 
         if not either_way:
             side = sides_of_tube(part.contrast, middle[own], half[own], expected.slope_error_rad, free)
         dark = _is_tube_dark(part, side, free, either_way=either_way)
-        left = np.flatnonzero(keep[own] & dark & ~_is_lesser_step(part, side))
+        left = np.flatnonzero(keep[own] & dark)
+        lesser = _is_lesser_step(part, side, middle[own], receiver_rad[own])[left]
         uneven = np.where(judged[own], _unevenness(one, part), 0.0)
         photo = np.full(left.size, one.number, dtype=np.intp)
         kept = _beside_clouds(one, part.chosen(left))
         places = points[own][left]
         places[:, 0], places[:, 2] = kept.x_m, kept.x_m**2 / (4 * collector.focal_length_m)
-        these = ReflectionEdges(photo, kept.row, side[left], places, kept.sigma_x_m, kept.contrast, uneven[left])
+        these = ReflectionEdges(
+            photo, kept.row, side[left], places, kept.sigma_x_m, kept.contrast, uneven[left], lesser
+        )
         if either_way:
             both = (np.abs(middle[own]) + half[own])[left] < 2 * expected.slope_error_rad
             other = these.chosen(both)
@@ -317,25 +326,36 @@ def _is_tube_dark(found: Edges, side: FloatArray, among: BoolArray, *, either_wa
     return np.asarray(dark - tube < _DARK_SHARE * np.maximum(bright - tube, 0.0))
 
 
-def _is_lesser_step(found: Edges, side: FloatArray) -> BoolArray:
-    """Return which edges are the smaller of two steps down, or up, without a return in between.
+def _is_lesser_step(found: Edges, side: FloatArray, middle_rad: FloatArray, reach_rad: FloatArray) -> BoolArray:
+    """Return which edges are smaller than another step down, or up, of the same way to the tube.
+
+    middle_rad, reach_rad (m,): By what angle the lines of sight pass beside the tube's axis with the design's slopes,
+        and how wide the receiver is [rad].
 
     Brightness steps once from what is around the tube to the tube. What the glass throws back ends upon the metal, and
-    the glass's own rim stands beside it: smaller steps the same way, next to that of the metal's edge.
+    the glass's own rim stands beside it: smaller steps the same way, next to that of the metal's edge. The way ends
+    where brightness returns by more than half of what the next step takes, and is no longer than the receiver is wide.
     """
+    if found.x_m.size == 0:
+        return np.zeros(0, dtype=bool)
     rises = found.rise_dn > 0
     # Along each row, towards larger x for steps down and towards smaller x for steps up: from bright to dark.
     order = np.lexsort((np.where(rises, -found.x_m, found.x_m), rises, side, found.row))
-    size = np.abs(found.rise_dn)[order]
+    size, middle = np.abs(found.rise_dn)[order], middle_rad[order]
     bright = size / np.maximum(np.abs(found.contrast[order]), 1e-6)
-    same = np.ones(max(size.size - 1, 0), dtype=bool)
+    returned = bright[1:] - (bright - size)[:-1]
+    goes_on = returned < _RETURNED_SHARE * np.minimum(size[1:], size[:-1])
+    goes_on &= np.abs(np.diff(middle)) < reach_rad[order][1:]
     for kind in (rises, side, found.row):
-        same &= kind[order][1:] == kind[order][:-1]
-    goes_on = same & (bright[1:] < bright[:-1] - 0.5 * size[:-1])
-    lesser = np.zeros(size.size, dtype=bool)
-    lesser[1:] |= goes_on & (size[1:] < size[:-1])
-    lesser[:-1] |= goes_on & (size[:-1] <= size[1:])
-    return lesser[np.argsort(order)]
+        goes_on &= kind[order][1:] == kind[order][:-1]
+    way = np.concatenate([[0], np.cumsum(~goes_on)])
+    # The last of each way in this order is its largest.
+    by_size = np.lexsort((size, way))
+    largest = by_size[np.append(np.flatnonzero(np.diff(way)), way.size - 1)][way]
+    lesser = (largest != np.arange(way.size)) & (np.abs(middle - middle[largest]) < reach_rad[order])
+    found_lesser = np.empty_like(lesser)
+    found_lesser[order] = lesser
+    return found_lesser
 
 
 def is_on_panels(collector: Collector, x_m: FloatArray, y_m: FloatArray, margin_m: float) -> BoolArray:

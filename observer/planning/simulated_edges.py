@@ -96,7 +96,7 @@ def _edges_of_photo(scene: Scene, lattice: _Lattice, photo: int, noise: EdgeNois
     keep &= in_image(scene.views[photo], points)
     sigma = np.full(row.size, noise.reflection_px * pixel_m)
     step = np.where(turned, 0.5, -0.5) * side
-    return ReflectionEdges(np.full(row.size, photo), row, side, points, sigma, step, 0 * side).chosen(keep)
+    return ReflectionEdges(np.full(row.size, photo), row, side, points, sigma, step, 0 * side, side == 0).chosen(keep)
 
 
 def _near(eye_m: FloatArray, x_m: FloatArray, truth: Expectation) -> BoolArray:

@@ -46,6 +46,7 @@ class EdgeFate(IntEnum):
     UNEVEN = 5
     ONE_SIDED = 6
     EITHER = 7
+    LESSER_STEP = 8
 
     @property
     def code(self) -> str:
@@ -61,6 +62,7 @@ FATE_TEXTS = {
     EdgeFate.ALONE: "not continued in the neighbouring rows",
     EdgeFate.UNEVEN: "brightness beside it changes, as where a shadow ends",
     EdgeFate.EITHER: "may be the tube's other edge or the rim of its glass: edges of the other side do not confirm it",
+    EdgeFate.LESSER_STEP: "a larger step the same way stands beside it: the rim of the glass, or what it throws back",
     EdgeFate.ONE_SIDED: "not confirmed by the tube's other edge, where shadows are about",
 }
 
@@ -75,11 +77,12 @@ def first_fate(edges: ReflectionEdges, either_way: BoolArray | None = None) -> I
     Weak images in the glass, thin clouds and seams have little contrast; shadows on the ground step the wrong way.
     """
     darker = edges.contrast * edges.side < 0
-    size = np.abs(edges.contrast)
-    is_dark = float(size[darker].sum()) > float(size[~darker].sum())
+    size, counts = np.abs(edges.contrast), ~edges.is_lesser
+    is_dark = float(size[darker & counts].sum()) > float(size[~darker & counts].sum())
     right = darker == is_dark
     if either_way is not None:
         right |= either_way
+    right &= counts
     usual = float(np.median(size[right])) if right.any() else 0.0
     fate = np.where(right, int(EdgeFate.USED), int(EdgeFate.WRONG_STEP))
     fate[(size < _LEAST_CONTRAST * usual) | _shows_no_tube(edges, right)] = int(EdgeFate.FAINT)
@@ -87,6 +90,7 @@ def first_fate(edges: ReflectionEdges, either_way: BoolArray | None = None) -> I
     if right.any():
         limit = max(limit, _UNEVEN_TIMES_USUAL * float(np.median(edges.unevenness[right])))
     fate[right & (edges.unevenness > limit)] = int(EdgeFate.UNEVEN)
+    fate[edges.is_lesser] = int(EdgeFate.LESSER_STEP)
     return np.asarray(fate, dtype=np.intp)
 
 

@@ -86,7 +86,7 @@ def own_edges(scene: Scene, edge_px: float) -> ReflectionEdges:
             found["step"].append((0.5 * side * np.where(rising, 1.0, -1.0))[keep])
             found["sigma"].append((edge_px * np.linalg.norm(points - eye, axis=1) / camera.focal_x_px)[keep])
     photo, row, side, points, step, sigma = (np.concatenate(one) for one in found.values())
-    return ReflectionEdges(photo, row, side, points, sigma, step, np.zeros(row.size))
+    return ReflectionEdges(photo, row, side, points, sigma, step, np.zeros(row.size), row < 0)
 
 
 def own_measurement(

@@ -36,7 +36,9 @@ def test_edges_keep_their_pixels_and_come_to_lie_on_the_mirror() -> None:
     before, after = views(rng)
     photo, row, x = rng.integers(0, 3, 500), rng.integers(40, 360, 500), rng.uniform(-2.4, 2.4, 500)
     points = np.stack([x, Y[row], x**2 / (4 * 1.49)], axis=1)
-    edges = ReflectionEdges(photo, row, np.ones(500), points, np.full(500, 1e-3), np.full(500, 0.5), np.zeros(500))
+    edges = ReflectionEdges(
+        photo, row, np.ones(500), points, np.full(500, 1e-3), np.full(500, 0.5), np.zeros(500), photo < 0
+    )
     found = edges_in_poses(edges, before, after, EXPECTED)
     assert found.photo.size == 500
     assert np.abs(found.points_m[:, 2] - found.points_m[:, 0] ** 2 / (4 * 1.49)).max() < 1e-12
@@ -54,7 +56,7 @@ def test_edges_that_leave_the_mirror_are_left_out() -> None:
     after = [View(camera, pose.moved([0, 0, 0, 0.1, 0, 0])) for camera, pose in after]
     points = np.array([[0.5, Y[0], 0.25 / 5.96], [0.5, Y[-1], 0.25 / 5.96]])
     edges = ReflectionEdges(
-        np.zeros(2, int), np.array([0, 399]), np.ones(2), points, np.ones(2), np.ones(2), np.zeros(2)
+        np.zeros(2, int), np.array([0, 399]), np.ones(2), points, np.ones(2), np.ones(2), np.zeros(2), np.zeros(2, bool)
     )
     assert edges_in_poses(edges, before, after, EXPECTED).photo.size == 1
 

@@ -79,7 +79,7 @@ def test_edges_found_with_a_camera_at_rest_go_to_where_the_moving_one_saw_them()
         seen[photo == k] = place
     assert np.abs(seen - true).max() > 0.01
     none = np.zeros(photo.size)
-    edges = ReflectionEdges(photo, none.astype(np.intp), none, seen, none + 1e-3, none, none)
+    edges = ReflectionEdges(photo, none.astype(np.intp), none, seen, none + 1e-3, none, none, none > 0)
     found = edges_in_poses(edges, resting, moving, expected)
     assert found.points_m.shape == true.shape
     np.testing.assert_allclose(found.points_m, true, atol=1e-6)

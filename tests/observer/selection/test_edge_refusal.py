@@ -15,7 +15,10 @@ Y = np.arange(50) * 0.02
 def curve(photo: int, rows: np.ndarray, x: np.ndarray) -> ReflectionEdges:
     n = rows.size
     points = np.stack([x, Y[rows], np.zeros(n)], axis=1)
-    return ReflectionEdges(np.full(n, photo), rows, np.ones(n), points, np.full(n, 1e-3), np.full(n, -0.8), np.zeros(n))
+    none = np.zeros(n)
+    return ReflectionEdges(
+        np.full(n, photo), rows, np.ones(n), points, np.full(n, 1e-3), np.full(n, -0.8), none, none > 0
+    )
 
 
 def test_short_curves_are_refused_whatever_lies_beside_them_in_other_photos() -> None:
@@ -94,15 +97,41 @@ def test_of_two_steps_on_the_way_to_the_tube_the_larger_is_its_edge() -> None:
         )
 
     # What the glass throws back ends upon the tube; the rim of the glass before it; two reflections of one tube beside
-    # each other; noise between two steps down; a bright tube before dark ground.
-    rows = [[180, 60, 30, 170], [180, 150, 20, 160], [180, 20, 170, 20, 180], [180, 60, 70, 30], [20, 60, 190, 30]]
-    kept = [[1, 0, 1], [0, 1, 1], [1, 1, 1, 1], [1, 1, 0], [0, 1, 1]]
+    # each other; the same before a dark cloud; noise between two steps down; a bright tube before dark ground; three
+    # steps, of which the last is more than the second.
+    rows = [
+        [180, 60, 30, 170],
+        [180, 150, 20, 160],
+        [180, 20, 170, 20, 180],
+        [180, 20, 90, 20, 90],
+        [180, 60, 70, 30],
+        [20, 60, 190, 30],
+        [180, 80, 60, 20],
+    ]
+    kept = [[1, 0, 1], [0, 1, 1], [1, 1, 1, 1], [1, 1, 1, 1], [1, 1, 0], [0, 1, 1], [1, 0, 0]]
     parts = [row_of(levels, number) for number, levels in enumerate(rows)]
     found = Edges(*(np.concatenate([getattr(one, name) for one in parts]) for name in Edges.__slots__))
-    lesser = _is_lesser_step(found, np.sign(found.rise_dn))
+    side, wide = np.sign(found.rise_dn), np.full(found.row.size, 1.0)
+    lesser = _is_lesser_step(found, side, found.x_m, wide)
     np.testing.assert_array_equal(~lesser, np.concatenate(kept).astype(bool))
     # Edges of both sides of the tube are no steps on one way.
-    assert not _is_lesser_step(parts[0], np.array([-1.0, 1.0, 1.0])).any()
+    assert not _is_lesser_step(parts[0], np.array([-1.0, 1.0, 1.0]), parts[0].x_m, wide[:3]).any()
+    # Nor are steps further apart than the receiver is wide.
+    assert not _is_lesser_step(found, side, found.x_m, 0.09 * wide).any()
+
+
+def test_lesser_steps_have_a_fate_and_decide_nothing() -> None:
+    """Were they counted, 60 of 100 faint steps would make the usual contrast theirs, and lift steps the other way."""
+    tube = curve(0, np.arange(40), np.zeros(40))
+    lesser = replace(
+        curve(0, np.arange(40).repeat(3), np.full(120, 0.02)),
+        contrast=np.full(120, 0.3),
+        is_lesser=np.ones(120, dtype=bool),
+    )
+    edges = ReflectionEdges(
+        *(np.concatenate([getattr(one, name) for one in (tube, lesser)]) for name in ReflectionEdges.__slots__)
+    )
+    np.testing.assert_array_equal(first_fate(edges), np.repeat([EdgeFate.USED, EdgeFate.LESSER_STEP], [40, 120]))
 
 
 def test_photos_that_show_the_glass_but_not_the_tube_are_refused() -> None:

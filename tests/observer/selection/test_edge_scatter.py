@@ -28,7 +28,7 @@ def curves(noise: float, step_m: float, *, wrong: float = 0.0) -> tuple[Reflecti
     x = x + noise * STATED_M * rng.standard_normal(x.size) + np.where(rng.random(x.size) < wrong, 0.02, 0.0)
     points = np.stack([x, y[row], np.zeros(x.size)], axis=1)
     each = np.full(x.size, STATED_M)
-    return ReflectionEdges(photo, row, side, points, each, np.ones(x.size), np.zeros(x.size)), y
+    return ReflectionEdges(photo, row, side, points, each, np.ones(x.size), np.zeros(x.size), row < 0), y
 
 
 @pytest.mark.parametrize("noise", [0.3, 1.0, 2.0, 4.0])

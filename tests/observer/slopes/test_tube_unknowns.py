@@ -42,7 +42,9 @@ def some_edges(rng: np.random.Generator) -> tuple[ReflectionEdges, Sights]:
     side = np.where(rng.uniform(size=m) < 0.5, 1.0, -1.0)
     eyes = np.stack([x + rng.normal(0, 0.1, m), rng.uniform(-0.5, 0.5, m), np.full(m, 15.0)], axis=1)
     photo = np.arange(m) % 3
-    edges = ReflectionEdges(photo, np.zeros(m, dtype=np.intp), side, points, np.full(m, 2e-4), -0.5 * side, 0 * side)
+    edges = ReflectionEdges(
+        photo, np.zeros(m, dtype=np.intp), side, points, np.full(m, 2e-4), -0.5 * side, 0 * side, side == 0
+    )
     return edges, Sights(points, eyes, side)
 
 

@@ -64,7 +64,7 @@ def test_edges_that_are_carried_to_another_pose_and_back_are_where_they_were(see
     row, x = rng.integers(20, y_m.size - 20, 40), rng.uniform(-2.3, 2.3, 40)
     points = np.stack([x, y_m[row], x**2 / (4 * design.focal_length_m)], axis=1)
     ones = np.ones(40)
-    edges = ReflectionEdges(np.zeros(40, dtype=np.intp), row, ones, points, ones, ones, ones)
+    edges = ReflectionEdges(np.zeros(40, dtype=np.intp), row, ones, points, ones, ones, ones, ones == 0)
     there = edges_in_poses(edges, [View(CAMERA, pose)], [View(CAMERA, other)], expected)
     back = edges_in_poses(there, [View(CAMERA, other)], [View(CAMERA, pose)], expected)
     np.testing.assert_allclose(back.points_m, points, atol=1e-9)
