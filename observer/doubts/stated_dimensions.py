@@ -7,6 +7,7 @@ import numpy as np
 
 from heliogauge.doubts import Doubt, Severity
 from heliogauge.slopes.map import SlopeMap
+from observer.doubts.by_chance import contradicting_sigmas
 from observer.photo_edges.outline import Span
 from observer.selection.solve_and_refuse import Reflector
 from observer.slopes.row_spline import Roughness
@@ -29,9 +30,9 @@ _ROW_SHARE = 0.4
 _DIAMETER_PRIOR_SHARE = 0.03
 #: A number of the design contradicts the photos from so many sigmas on.
 _TIMES_SIGMA = 5.0
-#: The tube's diameter: more than this share of it and than so many sigmas; its sigma holds what all edges may have
-#: in common (0.2 mm from 24 photos of VGA), so that three are a third of a percent.
-_DIAMETER_SHARE, _DIAMETER_TIMES_SIGMA = 5e-3, 3.0
+#: The tube's diameter: more than this share of it and than `contradicting_sigmas`; its sigma holds what all edges may
+#: have in common (0.2 mm from 24 photos of VGA), so that three are a third of a percent.
+_DIAMETER_SHARE = 5e-3
 #: How much thicker or thinner the tube looks in the other encoding, in photos of half a megapixel.
 _OTHER_ENCODING_SHARE = 0.014
 #: What is reported of width and length: more than this share, and more than so many sigmas.
@@ -121,16 +122,19 @@ def diameter_of_absorber(reflector: Reflector, collector: Collector) -> Found:
     return Found(2 * (radius + unit * value / own), 2 * unit * np.sqrt(variance / own))
 
 
-def diameter_doubt(found: Found, collector: Collector, *, encoding_is_clear: bool = True) -> Doubt | None:
+def diameter_doubt(
+    found: Found, collector: Collector, *, encoding_is_clear: bool = True, n_modules: int = 1
+) -> Doubt | None:
     """Say whether the stated diameter of the tube contradicts the width of its reflection.
 
     encoding_is_clear: Whether it is known how the photos are encoded.
+    n_modules: Modules of the flight, each of which is asked.
     Returns: None where it does not.
     """
     stated = collector.absorber_diameter_m
     off = found.value_m - stated
     sigma = found.sigma_m if encoding_is_clear else float(np.hypot(found.sigma_m, _OTHER_ENCODING_SHARE * stated))
-    if abs(off) < max(_DIAMETER_TIMES_SIGMA * sigma, _DIAMETER_SHARE * stated):
+    if abs(off) < max(contradicting_sigmas(n_modules) * sigma, _DIAMETER_SHARE * stated):
         return None
     return Doubt(
         "absorber_diameter_contradicts_reflection",

@@ -89,6 +89,7 @@ class Inputs:
     shape_from_slopes: Whether the mirror's surface follows its slopes; None: as the reflection shows.
     doubts: What is wrong with the photos' files and was worked around.
     input_sha256: Hash of each file.
+    n_modules: Modules of the flight, this one among them.
     """
 
     name: str
@@ -109,6 +110,7 @@ class Inputs:
     tilts: Tilts | None = None
     shutter: Shutter | None = None
     input_sha256: Mapping[str, str] = field(default_factory=dict)
+    n_modules: int = 1
 
 
 def read_inputs(measurement: ObserverMeasurement, progress: Progress) -> Inputs:

@@ -48,7 +48,7 @@ def judge(
     """
     reflector, slope_map, eyes = mirror.reflector, mirror.slope_map, cameras.photos.eyes_m
     along_rad = reflector.roughness.along_rad
-    camera = stated_camera_doubt(cameras.network, listed.survey, listed.first)
+    camera = stated_camera_doubt(cameras.network, listed.survey, listed.first, inputs.n_modules)
     sparse = sparse_doubt(seeable_shares(mirror.visible, slope_map.aperture, slope_map.valid)[1], eyes)
     # A camera that is proven wrong, or a few photos, contradict right dimensions.
     with_sizes = not is_camera_wrong(camera) and sparse is None
@@ -64,7 +64,14 @@ def judge(
         gaps_doubt(reflector.gaps, reflector.roughness, own_sigma, eyes),
         missing_photos_doubt([file.name for file in inputs.survey.photo_files]),
         None if _is_mixed(encodings) else _sizes_doubt(cameras, listed.first),
-        design_doubts(cameras, mirror, inputs.collector, with_sizes=with_sizes, encoding_is_clear=not encodings.doubts),
+        design_doubts(
+            cameras,
+            mirror,
+            inputs.collector,
+            with_sizes=with_sizes,
+            encoding_is_clear=not encodings.doubts,
+            n_modules=inputs.n_modules,
+        ),
         placed.doubts,
         coverage_doubt(mirror.visible, slope_map.x_m, slope_map.aperture, eyes),
         beyond_tube_doubt(mirror.visible, slope_map.aperture, inputs.collector, eyes),
@@ -113,11 +120,13 @@ def design_doubts(
     *,
     with_sizes: bool = True,
     encoding_is_clear: bool = True,
+    n_modules: int = 1,
 ) -> tuple[Doubt, ...]:
     """Compare width, length, focal length and tube diameter as stated with what seven of the photos show.
 
     with_sizes: Whether focal length and tube are judged.
     encoding_is_clear: Whether it is known how the photos are encoded, which changes the width of the tube.
+    n_modules: Modules of the flight, each of which is judged.
     Returns: What does not fit; and whether the mirror is overexposed.
     InputError: A photo cannot be read.
     """
@@ -133,6 +142,6 @@ def design_doubts(
         seen = focal_length_of_mirror(mirror.slope_map, collector)
         focal_length = focal_length_doubt(seen, mirror.absorber, collector)
         seen_width = diameter_of_absorber(mirror.reflector, collector)
-        diameter = diameter_doubt(seen_width, collector, encoding_is_clear=encoding_is_clear)
+        diameter = diameter_doubt(seen_width, collector, encoding_is_clear=encoding_is_clear, n_modules=n_modules)
     sizes = outline_doubts(*spans_of(np.array(rims)), collector)
     return gather_doubts(overexposure_doubt(float(np.median(clipped))), focal_length, diameter, sizes)

@@ -167,7 +167,7 @@ def _own(look: FirstLook, targets: frozenset[str]) -> FirstLook:
 def _modules(measurement: ObserverMeasurement) -> tuple[list[_Module], dict[str, str]]:
     """Return the modules that can be looked for, and by their names the reasons of those that cannot."""
     model = measurement.model
-    modules, failed = [], {}
+    modules, failed, n_modules = [], {}, len(model.module)
     for section in model.module:
         collector = section.collector or model.collector
         try:
@@ -190,7 +190,7 @@ def _modules(measurement: ObserverMeasurement) -> tuple[list[_Module], dict[str,
             named = {"name": section.name, "collector": collector, "module": ()}
             own = model.model_copy(update={**named, "scale_bar": bars, "distance": lengths})
             inputs = build_inputs(replace(measurement, model=own), tables, known)
-            modules.append(_Module(section, inputs, targets))
+            modules.append(_Module(section, replace(inputs, n_modules=n_modules), targets))
         except InputError as error:
             failed[section.name] = str(error)
     return modules, failed
@@ -205,7 +205,8 @@ def _by_corners(measurement: ObserverMeasurement, section: ModuleSection) -> _Mo
     collector = section.collector or model.collector
     turned = collector.model_copy(update={"orientation_deg": collector.orientation_deg + section.turn_deg})
     own = replace(measurement, model=model.model_copy(update={"name": section.name, "collector": turned, "module": ()}))
-    return _Module(section, build_inputs(own, read_tables(own, None), (), section.place_m), frozenset())
+    inputs = build_inputs(own, read_tables(own, None), (), section.place_m)
+    return _Module(section, replace(inputs, n_modules=len(model.module)), frozenset())
 
 
 def _near(

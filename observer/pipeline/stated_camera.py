@@ -11,6 +11,7 @@ from heliogauge.doubts import Doubt, Severity, gather_doubts
 from heliogauge.errors import EstimationError, MetrologyError, NotConvergedError
 from heliogauge.measurement.models import Intrinsic
 from heliogauge.running.progress import SilentProgress
+from observer.doubts.by_chance import contradicting_sigmas
 from observer.doubts.photos import scatter_doubt
 from observer.pipeline.reading.photos import FirstLook
 from photogrammetry import pipeline as photogrammetry_pipeline
@@ -25,8 +26,8 @@ _BETTER_SHARE = 0.75
 #: ... that differs in one of its numbers by so many sigmas.
 _TIMES_SIGMA = 5.0
 #: Targets in one plane fit a wrong focal length nearly as well, at other distances: there its own sigma says, freed
-#: alone, that it is wrong, from so many sigmas and this share of it on (0.05 mrad in the slopes of an LS-2).
-_FOCAL_TIMES_SIGMA, _FOCAL_SHARE = 3.0, 5e-4
+#: alone, that it is wrong, from `contradicting_sigmas` and this share of it on (0.05 mrad in the slopes of an LS-2).
+_FOCAL_SHARE = 5e-4
 #: Photos from which the camera is estimated, and those for its focal length.
 _PHOTOS, _FOCAL_PHOTOS = 24, 100
 #: Findings that another camera proves.
@@ -35,17 +36,18 @@ _FREE: tuple[Intrinsic, ...] = ("focal_px", "center_x_px", "center_y_px", "k1", 
 
 
 def stated_camera_doubt(
-    network: photogrammetry_pipeline.Result, survey: PhotogrammetryMeasurement, first: FirstLook
+    network: photogrammetry_pipeline.Result, survey: PhotogrammetryMeasurement, first: FirstLook, n_modules: int = 1
 ) -> Doubt | None:
     """Say whether the stated camera contradicts the targets, and what some photos say that it is.
 
     first: What was found in the photos.
+    n_modules: Modules of the flight, each of which is asked.
     """
     stated, said = survey.model.camera, None
     if first.targets and len(stated) == 1 and stated[0].free is None:
         if network.solved.image_sigma_factor >= _ASK_FACTOR:
             said = _doubt_by_fit(network, survey, first)
-        said = said or _doubt_of_focal_length(network, survey, first)
+        said = said or _doubt_of_focal_length(network, survey, first, n_modules)
     return said or _scatter_of(network)
 
 
@@ -84,7 +86,7 @@ def _doubt_by_fit(
 
 
 def _doubt_of_focal_length(
-    network: photogrammetry_pipeline.Result, survey: PhotogrammetryMeasurement, first: FirstLook
+    network: photogrammetry_pipeline.Result, survey: PhotogrammetryMeasurement, first: FirstLook, n_modules: int
 ) -> Doubt | None:
     """Say whether targets and list have another focal length, however well they fit the stated one."""
     found = _with_free(survey, first, ("focal_px",), _FOCAL_PHOTOS)
@@ -93,7 +95,7 @@ def _doubt_of_focal_length(
     was, now = network.camera.focal_x_px, found.camera.focal_x_px
     sigma = float(found.camera.sigma_parameters[0])
     apart = float(np.hypot(sigma, network.camera.sigma_parameters[0]))
-    if not sigma > 0 or abs(now - was) < max(_FOCAL_TIMES_SIGMA * apart, _FOCAL_SHARE * was):
+    if not sigma > 0 or abs(now - was) < max(contradicting_sigmas(n_modules) * apart, _FOCAL_SHARE * was):
         return None
     return Doubt(
         "focal_length_contradicts_targets",

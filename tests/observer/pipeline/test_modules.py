@@ -160,6 +160,8 @@ def test_lists_of_their_own_are_in_the_modules_own_frames(tmp_path: Path) -> Non
     modules, failed = pipeline_modules._modules(measurement)
     assert not failed
     np.testing.assert_allclose(modules[1].inputs.finder.known.points_m[0], [-2.6, -1.5, 1.05])
+    # What contradicts them by chance is counted over all of the flight.
+    assert {one.inputs.n_modules for one in modules} == {len(measurement.model.module)}
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,16 @@
+"""From how many sigmas on a contradiction is none of chance, where many modules are judged alike."""
+
+from statistics import NormalDist
+
+#: A measurement of one module contradicts what was stated from so many sigmas on: by chance one in 370.
+_TIMES_SIGMA = 3.0
+
+
+def contradicting_sigmas(n_modules: int) -> float:
+    """Return from how many sigmas on a module contradicts what was stated.
+
+    n_modules: Modules that are judged alike.
+    Returns: 3 for one module; for more so many that one of them all does so by chance as seldom as one alone would
+        (Bonferroni): of a hundred modules at three sigma one in four flights would have a false alarm.
+    """
+    return -NormalDist().inv_cdf(NormalDist().cdf(-_TIMES_SIGMA) / n_modules)
