@@ -133,7 +133,12 @@ def compare_command(
     results: Annotated[list[Path], typer.Argument(metavar="RESULT", help="Results at other orientations or dates.")],
     out: OutFolder,
 ) -> Job:
-    """Compare results of one trough: which panels turned, what changed; at several orientations what weight does."""
-    from observer.studies.compare import run
+    """Compare results of one trough: which panels turned, what changed; at several orientations what weight does.
 
-    return Job(out, lambda progress: run(results))
+    Two results of the same modules (a field at two dates): which panels of which module turned, changed_panels.csv.
+    """
+    from observer.files import is_field
+    from observer.studies import compare, compare_fields
+
+    study = compare_fields if all(is_field(folder) for folder in results) else compare
+    return Job(out, lambda progress: study.run(results))

@@ -38,6 +38,7 @@ ALIGNMENT_OVERLAY, ALIGNMENT_MOVES = "overlay.svg", "mounts.svg"
 OVERLAY_STEM = "overlay_"
 ORIENTATION_PROFILES, ORIENTATION_SAGS, ORIENTATION_CHANGES = "profiles.csv", "sags.csv", "theta_r_change.nc"
 CHANGED_NUMBERS, CHANGED_PANELS = "changed_numbers.csv", "changed_panels.csv"
+CHANGED_MODULES = "changed_modules.csv"
 
 #: Columns of a table that says where the absorber is.
 ABSORBER_COLUMNS = ("y_m", "x_a_m", "z_a_m", "sigma_x_a_m", "sigma_z_a_m")
@@ -50,6 +51,11 @@ _SOLTRACE = ".sun"
 _SIGN = "theta_ra = theta_r + theta_a; theta_r positive where the normal is turned towards +x"
 _X = "across the aperture"
 _Y = "along the trough"
+
+
+def is_field(folder: Path) -> bool:
+    """Return whether a folder holds the results of several modules."""
+    return (folder / OVERVIEW_TABLE).is_file()
 
 
 def write_angles(path: Path, slope_map: SlopeMap, angles: AngleMaps) -> None:

@@ -33,6 +33,7 @@ INSTRUMENT = Instrument(
         "observer-absorber": "observer.report:report_absorber.ipynb",
         "observer-alignment": "observer.report:report_alignment.ipynb",
         "observer-compare": "observer.report:report_compare.ipynb",
+        "observer-compare-fields": "observer.report:report_compare_fields.ipynb",
         "observer-overview": "observer.report:report_overview.ipynb",
         "observer-plan": "observer.report:report_plan.ipynb",
     },

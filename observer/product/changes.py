@@ -1,7 +1,7 @@
 """What changed between two measurements of one trough: its numbers, and which panels turned."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -120,13 +120,37 @@ def panel_changes(first: PanelState, other: PanelState) -> PanelChanges:
         known = common >= LEAST_SHARE * of_panel
         changes.append(np.where(known, mean, np.nan))
         sigmas.append(np.where(known, sigma * np.sqrt(measured / np.maximum(common, 1)), np.nan))
-    times = np.abs(np.stack(changes)) / np.stack(sigmas)
-    limit = chi_square_limit(_CHANCE / max(int(np.isfinite(times).sum()), 1), 1) ** 0.5
-    sure = np.nan_to_num(times).max(axis=0, initial=0.0) > limit
-    share = common / np.maximum(of_panel, 1)
-    return PanelChanges(
-        np.arange(1, count + 1), changes[0], sigmas[0], changes[1], sigmas[1], np.asarray(share), np.asarray(sure)
-    )
+    share, undecided = common / np.maximum(of_panel, 1), np.zeros(count, dtype=np.bool_)
+    numbers = np.arange(1, count + 1)
+    found = PanelChanges(numbers, changes[0], sigmas[0], changes[1], sigmas[1], np.asarray(share), undecided)
+    return decide_together([found])[0]
+
+
+def decide_together(parts: Sequence[PanelChanges]) -> tuple[PanelChanges, ...]:
+    """Decide which panels surely turned among all of several comparisons, as of the modules of a field.
+
+    parts: Changes of panels; what they say of being sure does not count.
+    Returns: The same, sure where chance makes the largest change of all panels so large once in a hundred times.
+    """
+    times = [
+        np.abs([one.theta_r_change_rad, one.theta_ra_change_rad])
+        / np.stack([one.sigma_theta_r_change_rad, one.sigma_theta_ra_change_rad])
+        for one in parts
+    ]
+    limit = _limit(sum(int(np.isfinite(one).sum()) for one in times))
+    sure = [np.nan_to_num(one).max(axis=0, initial=0.0) > limit for one in times]
+    return tuple(replace(one, is_sure=np.asarray(own)) for one, own in zip(parts, sure, strict=True))
+
+
+def surely_changed(changes: Sequence[Sequence[NumberChange]]) -> list[list[bool]]:
+    """Return which numbers surely changed, by the same rule: among all numbers of several comparisons."""
+    limit = _limit(sum(len(one) for one in changes))
+    return [[abs(each.change) > limit * each.sigma_change for each in one] for one in changes]
+
+
+def _limit(count: int) -> float:
+    """Return how many sigma the largest of so many changes exceeds by chance once in a hundred times."""
+    return float(np.sqrt(chi_square_limit(_CHANCE / max(count, 1), 1)))
 
 
 def _on_nodes_of(first: PanelState, other: PanelState, values: FloatArray) -> FloatArray:

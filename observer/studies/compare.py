@@ -27,6 +27,7 @@ from observer.files import (
     ORIENTATION_PROFILES,
     ORIENTATION_SAGS,
     OVERVIEW_TABLE,
+    is_field,
     read_collector,
     write_collector,
 )
@@ -122,12 +123,14 @@ class Comparison(InstrumentResult):
         profiles = [one.profile for one in self.orientations]
         changes = mirror_changes(self)
         names = [one.label for one in profiles]
-        write_table_csv(folder / ORIENTATION_PROFILES, _long(profiles, Profile, "y_m", names))
-        write_table_csv(folder / ORIENTATION_SAGS, _long(sags, SpanSags, "orientation_rad", [k + 1 for k, _ in known]))
-        write_table_csv(folder / CHANGED_NUMBERS, _rows(zip(self.others, self.changed, strict=True)))
+        write_table_csv(folder / ORIENTATION_PROFILES, long_table(profiles, Profile, "y_m", names))
+        write_table_csv(
+            folder / ORIENTATION_SAGS, long_table(sags, SpanSags, "orientation_rad", [k + 1 for k, _ in known])
+        )
+        write_table_csv(folder / CHANGED_NUMBERS, number_table(zip(self.others, self.changed, strict=True)))
         turned = [(name, one) for name, one in zip(self.others, self.turned, strict=True) if one is not None]
         parts = [one for _, one in turned]
-        write_table_csv(folder / CHANGED_PANELS, _long(parts, PanelChanges, "panel", [name for name, _ in turned]))
+        write_table_csv(folder / CHANGED_PANELS, long_table(parts, PanelChanges, "panel", [name for name, _ in turned]))
         write_changes(folder / ORIENTATION_CHANGES, changes)
         write_collector(folder / COLLECTOR, self.orientations[0].collector)
         (folder / FIGURE).write_text(orientation_sheet(profiles, sags).svg(), encoding="utf-8")
@@ -177,10 +180,10 @@ def run(folders: Sequence[Path]) -> Comparison:
     """
     if len(folders) < 2:
         raise InputError(f"observer compare: {len(folders)} result given, two are needed")
-    _refuse_same(folders)
+    refuse_same(folders)
     found = _with_own_labels([_read(folder) for folder in folders])
     for one in found[1:]:
-        _refuse_other_collector(found[0], one)
+        refuse_other_collector((found[0].folder, one.folder), (found[0].collector, one.collector))
     sags: list[WeightSag | None] = []
     doubts: list[Doubt] = []
     # Results at one orientation are compared for what changed; of weight they say nothing.
@@ -222,7 +225,7 @@ def run(folders: Sequence[Path]) -> Comparison:
     )
 
 
-def _refuse_same(folders: Sequence[Path]) -> None:
+def refuse_same(folders: Sequence[Path]) -> None:
     """Refuse a result that is given twice: nothing of it could have changed."""
     known: dict[Path, Path] = {}
     for folder in folders:
@@ -233,22 +236,22 @@ def _refuse_same(folders: Sequence[Path]) -> None:
         known[whole] = folder
 
 
-def _refuse_other_collector(first: OneOrientation, one: OneOrientation) -> None:
-    """Refuse results whose panels and angles are not of the same things."""
+def refuse_other_collector(folders: Sequence[Path], collectors: Sequence[Collector]) -> None:
+    """Refuse two results whose panels and angles are not of the same things."""
     limits = dict.fromkeys(("aperture_width_m", "length_m", "panel_edges_x_m", "panel_edges_y_m"), _SAME_M)
     for name, limit in {"focal_length_m": _SAME_FOCAL_M, **limits}.items():
-        sizes = [np.atleast_1d(getattr(each.collector, name)) for each in (first, one)]
+        sizes = [np.atleast_1d(getattr(each, name)) for each in collectors]
         if sizes[0].shape != sizes[1].shape or np.abs(sizes[0] - sizes[1]).max() > limit:
             was, now = (", ".join(f"{value:g}" for value in each) for each in sizes)
             raise InputError(
-                f"observer compare: results of different collectors: {name} is {was} in {first.folder} and {now} in "
-                f"{one.folder}; measure both with one design"
+                f"observer compare: results of different collectors: {name} is {was} in {folders[0]} and {now} in "
+                f"{folders[1]}; measure both with one design"
             )
 
 
 def _read(folder: Path) -> OneOrientation:
     if not (folder / "absorber_spans.csv").is_file():
-        if (folder / OVERVIEW_TABLE).is_file():
+        if is_field(folder):
             raise InputError(_several_modules(folder))
         raise InputError(
             f"{folder}: no absorber_spans.csv; give results of `heliogauge observer measure` or "
@@ -274,7 +277,7 @@ def _read(folder: Path) -> OneOrientation:
         profile,
         spans,
         read_slope_map(slopes) if slopes.is_file() else None,
-        _read_panels(folder, collector) if (folder / ANGLES).is_file() else None,
+        read_panels(folder, collector) if (folder / ANGLES).is_file() else None,
     )
 
 
@@ -287,11 +290,12 @@ def _several_modules(folder: Path) -> str:
         return f"{folder}: results of several modules, none of which was measured; there is nothing to compare"
     return (
         f"{folder}: results of several modules; compare each with itself: give {folder / names[0]} and the same "
-        "module's folder of the other date"
+        "module's folder of the other date, or all modules of both dates"
     )
 
 
-def _read_panels(folder: Path, collector: Collector) -> PanelState:
+def read_panels(folder: Path, collector: Collector) -> PanelState:
+    """Read what a result says of its panels."""
     found, _ = read_arrays(folder / ANGLES, ("x", "y", "theta_r", "theta_ra"))
     sigmas = _numbers(folder / "panels.csv", ("sigma_mean_theta_r_rad", "sigma_mean_theta_ra_rad"))
     return PanelState(
@@ -356,7 +360,7 @@ def mirror_changes(result: Comparison) -> list[OneMap]:
     return found
 
 
-def _long(parts: Sequence[Any], kind: type, size: str, names: Sequence[str | int]) -> dict[str, list[Any]]:
+def long_table(parts: Sequence[Any], kind: type, size: str, names: Sequence[str | int]) -> dict[str, list[Any]]:
     """Return values of several dataclasses of a kind below each other; the first column says whose they are."""
     own = [one.name for one in fields(kind) if one.name != "label"]
     columns: dict[str, list[Any]] = {"of": [], **{name: [] for name in own}}
@@ -370,7 +374,7 @@ def _long(parts: Sequence[Any], kind: type, size: str, names: Sequence[str | int
     return columns
 
 
-def _rows(parts: Iterable[tuple[str, Sequence[NumberChange]]]) -> dict[str, list[Any]]:
+def number_table(parts: Iterable[tuple[str, Sequence[NumberChange]]]) -> dict[str, list[Any]]:
     """Return the changes of numbers below each other; the first column says whose they are."""
     rows = [(name, one) for name, changes in parts for one in changes]
     columns: dict[str, list[Any]] = {"of": [name for name, _ in rows]}
