@@ -76,7 +76,8 @@ def refuse_contradictions(
 
 def _dark_facets(evaluation: Evaluation) -> str:
     """Say that dark facets may be why the outline is another one; nothing where the image has a part for each."""
-    parts, count = evaluation.located.evidence.bright_parts, len(evaluation.located.facets)
+    evidence, count = evaluation.located.evidence, len(evaluation.located.facets)
+    parts = None if evidence is None else evidence.bright_parts
     if parts is None or parts >= count:
         return ""
     return (

@@ -353,7 +353,7 @@ def _is_lesser_step(found: Edges, side: FloatArray, middle_rad: FloatArray, reac
     by_size = np.lexsort((size, way))
     largest = by_size[np.append(np.flatnonzero(np.diff(way)), way.size - 1)][way]
     lesser = (largest != np.arange(way.size)) & (np.abs(middle - middle[largest]) < reach_rad[order])
-    found_lesser = np.empty_like(lesser)
+    found_lesser = np.empty(lesser.shape, dtype=np.bool_)
     found_lesser[order] = lesser
     return found_lesser
 

@@ -211,7 +211,9 @@ def _seriously_doubtful(folders: Sequence[str]) -> Doubt | None:
         return None
     more = f" and {len(folders) - _SHOWN} more" if len(folders) > _SHOWN else ""
     text = f"{len(folders)} of the results compared are seriously doubtful, see their reports: "
-    return Doubt("module_doubtful", f"{text}{', '.join(folders[:_SHOWN])}{more}", {"modules_count": len(folders)})
+    return Doubt(
+        "compared_results_doubtful", f"{text}{', '.join(folders[:_SHOWN])}{more}", {"modules_count": len(folders)}
+    )
 
 
 def _turned_count(one: ModuleChange) -> int:

@@ -46,6 +46,7 @@ BORDER_MODULES = {
     "observer.studies.align": "from results on disk to a prescription",
     "observer.studies.align_photos": "from photos to a prescription",
     "observer.studies.compare": "from results on disk to a table of orientations",
+    "observer.studies.compare_fields": "from results on disk to a table of what turned",
     "observer.studies.overview": "from results on disk to a page of modules",
     "data_synth.heliostats.beam_photos": "writes folders of photos of beams and their truth",
     "data_synth.preset_folders": "writes measurement folders by the name of a preset",
