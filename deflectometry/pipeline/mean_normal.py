@@ -1,6 +1,6 @@
 """Where the mirror as a whole points, in the screen's frame, and what that rests on."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -76,10 +76,22 @@ def turns_by_inputs(setup: Setup, evaluation: Evaluation, inputs: Iterable[State
     return {one.words: one.sigma * (middle.angles(one.moved) - here) for one in inputs}
 
 
-def words_of_normal(found: MeanNormal, turns: Mapping[str, FloatArray], *, is_placed: bool) -> str:
+def words_as_exact(unstated: Collection[str]) -> str:
+    """Say what counts as exact in the mean normal because nobody states its sigma; empty where that is nothing.
+
+    unstated: Keys, from `deflectometry.pipeline.inputs.inputs_without_sigma`.
+    """
+    parts = {"camera.focal_x_px": "the camera", "screen.translation_m": "the pose of the screen"}
+    return " and ".join(words for key, words in parts.items() if key in unstated)
+
+
+def words_of_normal(
+    found: MeanNormal, turns: Mapping[str, FloatArray], unstated: Collection[str], *, is_placed: bool
+) -> str:
     """Say how well the mean normal is known, what rules that, and what would better it.
 
     turns: Of `turns_by_inputs`, from sigmas that hang together where the place was surveyed.
+    unstated: As for `words_as_exact`.
     is_placed: Whether the mirror's surveyed place was used.
     """
     sigma = 1e3 * found.sigma_rad
@@ -87,12 +99,14 @@ def words_of_normal(found: MeanNormal, turns: Mapping[str, FloatArray], *, is_pl
         f"{1e3 * found.angles_rad[0]:.3f} and {1e3 * found.angles_rad[1]:.3f} mrad from straight into the screen (its "
         f"-z) towards its x and y, 1 sigma {sigma[0]:.2g} and {sigma[1]:.2g} mrad"
     )
+    if exact := words_as_exact(unstated):
+        said = f"{said}, with {exact} as exact, of which no sigma is given"
     if is_placed:
         return f"{said}; from the surveyed place of the mirror, which tells the turn of camera against screen, too"
     total = float((found.sigma_rad**2).sum())
     by_size = sorted(turns.items(), key=lambda one: -float((one[1] ** 2).sum()))
     named = [
-        f"{words} ({1e3 * turn[0]:+.2g}, {1e3 * turn[1]:+.2g})"
+        f"{words} ({_pair(1e3 * turn)})"
         for words, turn in by_size[:_MOST_NAMED]
         if float((turn**2).sum()) > _LEAST_SHARE * total
     ]
@@ -102,6 +116,12 @@ def words_of_normal(found: MeanNormal, turns: Mapping[str, FloatArray], *, is_pl
         "surveyed place of a point of the mirror in the screen's frame, [mirror.place], gives it without camera and "
         "turn of the screen"
     )
+
+
+def _pair(values: FloatArray) -> str:
+    """Write two numbers to two digits of the larger: what is only noise of rounding is 0."""
+    digits = max(1 - int(np.floor(np.log10(np.abs(values).max()))), 0)
+    return ", ".join(f"{one:+.{digits}f}" for one in (np.round(values, digits) + 0.0).tolist())
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -9,6 +9,8 @@ from deflectometry.planning.predicted_sight import FacetSight
 from heliogauge.doubts import Doubt
 from heliogauge.validate import FloatArray
 
+#: What measuring says of parts that do not see the screen, by other signs: codes of its doubts.
+OF_HOLES = ("mirror_sees_past_display", "given_pose_unchecked", "facets_dark", "pixels_rejected")
 _EDGES = (("left", "right"), ("upper", "lower"))
 
 
@@ -68,6 +70,6 @@ def hole_doubt(sights: Sequence[FacetSight], size_m: FloatArray) -> Doubt | None
         "plan_sees_past_screen",
         f"{share:.1%} of the mirror sees the screen ({named}{more}); to see it with the whole mirror "
         f"{remedy or 'turn the mirror towards it'}. Without that the outline ends where the screen does, and "
-        "[mirror.pose] is needed",
+        "only [mirror.pose] can say where the mirror is",
         {"seen_share": float(share)},
     )

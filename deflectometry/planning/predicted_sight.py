@@ -54,10 +54,13 @@ class FacetSight:
         return float(np.count_nonzero(self.inside & self.on_screen) / np.count_nonzero(self.inside))
 
 
-def facing_pose(setup: Setup, facets: Sequence[Facet], place_m: FloatArray, roll_rad: float) -> RigidTransform:
+def facing_pose(
+    setup: Setup, facets: Sequence[Facet], point_m: FloatArray, place_m: FloatArray, roll_rad: float
+) -> RigidTransform:
     """Return the pose of a mirror that shows the screen's middle in its own.
 
-    place_m (3,): Its origin in the camera's frame [m].
+    point_m (3,): A point of the mirror, in its frame [m].
+    place_m (3,): Where that point is, in the camera's frame [m].
     roll_rad: From the image's x axis to the mirror's, counter-clockwise as displayed.
     """
     areas = np.array([one.area_m2 for one in facets])
@@ -68,9 +71,9 @@ def facing_pose(setup: Setup, facets: Sequence[Facet], place_m: FloatArray, roll
         normal += area * one.ensemble_from_facet.rotate(one.design.normal(x, y))
     target = setup.cam_from_screen.apply(setup.screen.points_m(np.array(0.5), np.array(0.5)))
     rotation = np.eye(3)
-    # The middle moves with the turn: a mirror that is not small stands beside its origin.
+    # The middle moves with the turn: a mirror that is not small stands beside the point.
     for _ in range(_ROUNDS):
-        middle = place_m + rotation @ middle_m
+        middle = place_m + rotation @ (middle_m - point_m)
         z_axis = target - middle
         z_axis = z_axis / np.linalg.norm(z_axis) - middle / np.linalg.norm(middle)
         z_axis /= np.linalg.norm(z_axis)
@@ -80,7 +83,7 @@ def facing_pose(setup: Setup, facets: Sequence[Facet], place_m: FloatArray, roll
         x_axis /= np.linalg.norm(x_axis)
         upright = np.column_stack([x_axis, np.cross(z_axis, x_axis), z_axis])
         rotation = upright @ rotation_from_vector([0.0, 0.0, roll_rad]) @ rotation_between(normal, [0.0, 0.0, 1.0])
-    return RigidTransform(rotation, np.asarray(place_m, dtype=np.float64))
+    return RigidTransform(rotation, place_m - rotation @ point_m)
 
 
 def facet_sight(setup: Setup, cam_from_mirror: RigidTransform, facet: Facet, blur_px: float) -> FacetSight:

@@ -8,7 +8,7 @@ import numpy as np
 from deflectometry.planning.pipeline.plan import ALTERNATIVES_FILE, FACETS_FILE, LIMITS_FILE, MAP_FILE, sigma_key
 from deflectometry.planning.prospect import LIMITED
 from heliogauge.reporting import page
-from heliogauge.reporting.html import FirstScreen, Html, table_under_name
+from heliogauge.reporting.html import FirstScreen, Html, join, table_under_name
 from heliogauge.reporting.notation import number_text
 from heliogauge.reporting.verdict import verdict_of
 from heliogauge.results.folder import SUMMARY_FILE, read_summary, read_table_csv, unit_of
@@ -54,21 +54,28 @@ def words(folder: Path) -> Html:
 
 
 def alternatives(folder: Path) -> Html:
-    """Return by how much each alternative betters each sigma, the best first."""
+    """Return by how much each alternative betters each sigma, the best first; then those that are not possible."""
     names = _limited(folder)
     table = read_table_csv(folder / ALTERNATIVES_FILE, ("change", "seen_share", "reason"))
     rows = range(1, len(table["change"]))
-    columns = [TableColumn("what is done otherwise", [table["change"][n] for n in rows])]
+    done = [n for n in rows if not table["reason"][n]]
+    columns = [TableColumn("what is done otherwise", [table["change"][n] for n in done])]
     for name in names:
-        gains = [float(table[f"gain_{name}"][n] or "nan") for n in rows]
+        gains = [float(table[f"gain_{name}"][n] or "nan") for n in done]
         columns.append(
             TableColumn(LIMITED[name], [f"{one:.2f}" if np.isfinite(one) else "\u2013" for one in gains], gains)
         )
-    seen = [float(table["seen_share"][n] or "nan") for n in rows]
-    columns.append(TableColumn("mirror seen", [f"{one:.1%}" if np.isfinite(one) else "\u2013" for one in seen], seen))
-    if any(table["reason"][n] for n in rows):
-        columns.append(TableColumn("not possible because", [table["reason"][n] for n in rows]))
-    return table_under_name(TableView("What would better it: by how much each sigma is smaller", tuple(columns)))
+    seen = [float(table["seen_share"][n]) for n in done]
+    columns.append(TableColumn("mirror seen", [f"{one:.1%}" for one in seen], seen))
+    possible = table_under_name(TableView("What would better it: by how much each sigma is smaller", tuple(columns)))
+    impossible = [n for n in rows if n not in done]
+    if not impossible:
+        return possible
+    said = (
+        TableColumn("what is done otherwise", [table["change"][n] for n in impossible]),
+        TableColumn("why not", [table["reason"][n] for n in impossible]),
+    )
+    return join(possible, table_under_name(TableView("What is not possible", said)))
 
 
 def limits(folder: Path) -> Html:

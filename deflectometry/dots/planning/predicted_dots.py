@@ -15,6 +15,8 @@ from photogrammetry.targets import Polarity
 
 #: Dots along each side of the drawn sample, and parts of a pixel over which their light is integrated.
 _SAMPLE, _PARTS = 8, 8
+#: Least side of the drawn sample: dots are not looked for in smaller images [px].
+_LEAST_SIDE_PX = 16
 #: Dots nearer to an edge than this many radii are cut by it.
 _WHOLE = 1.0
 
@@ -88,7 +90,7 @@ def measured_sample(
     shapes = np.concatenate([one.shapes_px2 for one in places])
     shape = np.median(shapes, axis=0)
     spacing = float(np.median([_spacing(one) for one in places]))
-    size = int(np.ceil((_SAMPLE + 1) * spacing))
+    size = max(int(np.ceil((_SAMPLE + 1) * spacing)), _LEAST_SIDE_PX)
     rng = np.random.default_rng(0)
     middle = spacing * (np.stack(np.meshgrid(np.arange(_SAMPLE), np.arange(_SAMPLE)), axis=-1).reshape(-1, 2) + 1.0)
     middle = middle + rng.uniform(-0.5, 0.5, middle.shape)

@@ -201,7 +201,6 @@ def _points(found: ScanSlopes) -> SlopePoints:
 
 
 def _doubts(model: LaserModel, scan: LaserScan, found: ScanSlopes, heard: InstrumentByCurl | None) -> Iterator[Doubt]:
-    scanned, mirror = model.scan, model.mirror
     if heard is not None and heard.contradicts:
         yield Doubt(
             "scan_contradicts_itself",
@@ -210,22 +209,7 @@ def _doubts(model: LaserModel, scan: LaserScan, found: ScanSlopes, heard: Instru
             "and places, whether each row has its own beam's spot, and state the sigmas as they are",
             {"agreement_probability": heard.probability},
         )
-    stated = (
-        mirror.sigma_distance_mm,
-        mirror.sigma_offset_mm,
-        scanned.sigma_laser_place_mm,
-        scanned.sigma_target_scale_permille,
-        scanned.sigma_angle_scale_permille,
-        scanned.sigma_roll_mrad,
-    )
-    missing = {what: key for (what, key), one in zip(_COMMON.items(), stated, strict=True) if one is None}
-    if missing:
-        yield Doubt(
-            "laser_sigmas_missing",
-            f"no sigma is given for {', '.join(missing)} ({', '.join(missing.values())}): they count as exact, and "
-            "sigmas of focal length and of slopes near the rim are too small",
-            {"inputs_count": len(missing)},
-        )
+    yield from doubts_of_sigmas(model)
     unseen = int(np.count_nonzero(~scan.seen))
     if unseen:
         yield Doubt(
@@ -242,6 +226,27 @@ def _doubts(model: LaserModel, scan: LaserScan, found: ScanSlopes, heard: Instru
             f"{odd} of {scan.seen.size} spots would make slopes 20 sigma and more from those around them: left out "
             f"(reasons in {BEAMS_FILE})",
             {"odd_count": odd, "beams_count": scan.seen.size},
+        )
+
+
+def doubts_of_sigmas(model: LaserModel) -> Iterator[Doubt]:
+    """Name errors common to all spots of which nobody says how large they may be."""
+    scan, mirror = model.scan, model.mirror
+    stated = (
+        mirror.sigma_distance_mm,
+        mirror.sigma_offset_mm,
+        scan.sigma_laser_place_mm,
+        scan.sigma_target_scale_permille,
+        scan.sigma_angle_scale_permille,
+        scan.sigma_roll_mrad,
+    )
+    missing = {what: key for (what, key), one in zip(_COMMON.items(), stated, strict=True) if one is None}
+    if missing:
+        yield Doubt(
+            "laser_sigmas_missing",
+            f"no sigma is given for {', '.join(missing)} ({', '.join(missing.values())}): they count as exact, and "
+            "sigmas of focal length and of slopes near the rim are too small",
+            {"inputs_count": len(missing)},
         )
 
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from deflectometry.laser.keys import LaserModel
-from deflectometry.laser.pipeline.measure import evaluate_scan
+from deflectometry.laser.pipeline.measure import doubts_of_sigmas, evaluate_scan
 from deflectometry.laser.pipeline.scan_file import FEWEST_BEAMS
 from deflectometry.laser.planning.keys import LaserPlanSection
 from deflectometry.laser.planning.predicted_scan import predicted_beams, predicted_lines
@@ -105,7 +105,11 @@ class PlannedScan:
             texts={
                 "target": f"spots reach {reach[0]:.3g} m to the sides and {reach[1]:.3g} m up and down from the laser"
             },
-            doubts=(*_doubts(share, hole), *_doubts_of_target(plan, laser_m, reach)),
+            doubts=(
+                *doubts_of_sigmas(self.model),
+                *_doubts(share, hole),
+                *_doubts_of_target(plan, laser_m, reach),
+            ),
         )
 
     def _sent(self, plan: LaserPlanSection, design: Quadric, laser_m: FloatArray) -> _Sent:

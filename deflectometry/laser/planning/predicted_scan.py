@@ -28,8 +28,13 @@ def predicted_lines(plan: LaserPlanSection, design: Quadric, laser_m: FloatArray
     """Return the beams in which the sheets of two sweeps will cut each other, with the spots where lines cross.
 
     sigma_spot_m: Standard deviation of each point of a line across it [m].
+
+    Spots are those of lines without noise, where lines with it cross once, too: near twice the focal length they are
+    hardly longer than that.
     """
-    sweeps = []
+    rng = np.random.default_rng(0)
+    exact: list[Sweep] = []
+    scattered: list[Sweep] = []
     for axis, count in enumerate((plan.columns, plan.rows)):
         # Of a line the middle is aimed; the fan within its sheet covers the mirror from rim to rim.
         middle = np.full(count, plan.center_m[1 - axis])
@@ -40,11 +45,18 @@ def predicted_lines(plan: LaserPlanSection, design: Quadric, laser_m: FloatArray
         beams = np.stack([swept, within, -np.ones(swept.size)] if axis == 0 else [within, swept, -np.ones(swept.size)])
         normals = np.zeros((count, 3))
         normals[:, axis], normals[:, 2] = 1.0, tangents
-        spots = _spots(plan, design, laser_m, beams)
-        seen = np.isfinite(spots[0])
-        line = np.repeat(np.arange(count), _POINTS_OF_LINE)[seen]
-        sweeps.append(Sweep(normals / np.linalg.norm(normals, axis=1, keepdims=True), line, spots[:2, seen].T))
-    return cross_lines(sweeps[0], sweeps[1], sigma_spot_m)
+        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+        spots = _spots(plan, design, laser_m, beams)[:2].reshape(2, count, _POINTS_OF_LINE)
+        along_m = np.asarray(np.gradient(spots, axis=2))
+        across = np.stack([-along_m[1], along_m[0]]) / np.maximum(np.hypot(*along_m), np.finfo(float).tiny)
+        noise = sigma_spot_m * rng.standard_normal(spots.shape[1:]) * across
+        for sweeps, seen in ((exact, spots), (scattered, spots + noise)):
+            line, point = np.nonzero(np.isfinite(seen[0]))
+            sweeps.append(Sweep(normals, line, seen[:, line, point].T))
+    crossed = cross_lines(exact[0], exact[1], sigma_spot_m)
+    cross_once = cross_lines(scattered[0], scattered[1], sigma_spot_m).scan.seen
+    spots_m = np.where(cross_once, crossed.scan.spots_m, np.nan)
+    return CrossedLines(crossed.scan.with_spots(spots_m), crossed.unclear | (crossed.scan.seen & ~cross_once))
 
 
 def _places(plan: LaserPlanSection, axis: int, count: int) -> FloatArray:

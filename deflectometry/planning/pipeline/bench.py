@@ -7,23 +7,23 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from deflectometry.keys import BenchMeasurement, BenchModel
+from deflectometry.keys import BenchMeasurement, BenchModel, CameraParameters
 from deflectometry.pipeline.assess import SourceMeasurement, measure_source
 from deflectometry.pipeline.choices import Options, build_choices
 from deflectometry.pipeline.evaluate import Evaluation
-from deflectometry.pipeline.inputs import build_facets, build_setup, describe_mirror
-from deflectometry.pipeline.mean_normal import mean_normal
+from deflectometry.pipeline.inputs import build_facets, build_setup, describe_mirror, inputs_without_sigma
+from deflectometry.pipeline.mean_normal import mean_normal, words_as_exact
 from deflectometry.pipeline.plausibility import refuse_impossible
 from deflectometry.pipeline.result import Result
-from deflectometry.pipeline.stated_inputs import INPUTS_FILE, inputs_table
-from deflectometry.planning.holes import hole_doubt, words_of_hole
+from deflectometry.pipeline.stated_inputs import INPUTS_FILE, UNSTATED, inputs_table
+from deflectometry.planning.holes import OF_HOLES, hole_doubt, words_of_hole
 from deflectometry.planning.keys import BenchPlanSection
 from deflectometry.planning.predicted_sight import FacetSight, facet_sight, facing_pose
 from deflectometry.planning.prospect import Change, FacetProspect, PlannedSource, Prospect
 from deflectometry.setup.camera_and_screen import Setup
 from deflectometry.shape.common_modes import FACET_PLACE, MIRROR_POSE
 from deflectometry.sources.source import Source
-from heliogauge.doubts import gather_doubts
+from heliogauge.doubts import Doubt, gather_doubts
 from heliogauge.errors import EstimationError, InputError
 from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.geometry.surfaces import Facet
@@ -93,7 +93,7 @@ class Bench:
         """Evaluate predicted samples exactly as a measurement.
 
         setup: Camera and screen, with what the source adds to their sigmas.
-        EstimationError: The measurement would be refused, too; with the part of the mirror that sees no screen.
+        EstimationError: The measurement would be refused, too; of a mirror that sees past the screen, with that part.
         """
         measurement = self.measurement
         hole = hole_doubt(self.sights, setup.size_m)
@@ -113,12 +113,13 @@ class Bench:
         except EstimationError as error:
             if hole is None:
                 raise
-            raise EstimationError(f"{hole.text}. ({error})") from error
+            raise EstimationError(f"{hole.text}. As planned, measuring would be refused") from error
 
     def prospect(self, result: Result, texts: Mapping[str, str]) -> Prospect:
         """Return what a result on predicted samples says of the measurement."""
         evaluation = result.evaluation
         normal = mean_normal(result.setup, evaluation)
+        holes = [words_of_hole(one) for one in self.sights]
         return Prospect(
             slope_map=result.assembled_as_measured,
             numbers=result.numbers,
@@ -126,11 +127,11 @@ class Bench:
                 FacetProspect(
                     one.facet.name,
                     one.seen_share,
-                    words_of_hole(one),
+                    hole,
                     evaluation.maps.get(one.facet.name),
                     one.facet.ensemble_from_facet,
                 )
-                for one in self.sights
+                for one, hole in zip(self.sights, holes, strict=True)
             ),
             spacing_m=_spacing_m(evaluation),
             samples=sum(int(np.count_nonzero(np.isfinite(one.slope_x))) for one in evaluation.images.values()),
@@ -138,7 +139,22 @@ class Bench:
             normal_sources=() if normal is None else normal.sources,
             texts={**texts, **result.texts},
             tables={INPUTS_FILE: inputs_table(result.inputs)},
-            doubts=result.doubts,
+            doubts=gather_doubts(
+                (one for one in result.doubts if not (any(holes) and one.code in OF_HOLES)),
+                None if normal is None else self._normal_as_exact(),
+            ),
+        )
+
+    def _normal_as_exact(self) -> Doubt | None:
+        """Name what the sigma of the mean normal leaves out: no image knows it, so that nobody else will."""
+        exact = words_as_exact(inputs_without_sigma(self.measurement, self.setup))
+        if not exact:
+            return None
+        return Doubt(
+            "mean_normal_without_sigmas",
+            f"the sigma of the mean normal has {exact} as exact, of which no sigma is given; where the mirror points "
+            "is less sure than that. With their sigmas stated it may look worse, and is what will be true",
+            {},
         )
 
 
@@ -153,11 +169,14 @@ def _planned_pose(
     known = describe_mirror(measurement, setup).known_pose
     if known is not None:
         return known.cam_from_mirror
+    point = np.zeros(3)
     if plan.mirror_m is not None:
         place = np.array(plan.mirror_m)
     elif section.place is not None:
+        point = np.array(section.place.point_m)
         place = setup.cam_from_screen.apply(np.array(section.place.place_m))
     elif section.distance is not None:
+        point = np.array(section.distance.point_m)
         place = _on_axis(setup, section.distance.distance_m)
     else:
         raise InputError(
@@ -169,7 +188,7 @@ def _planned_pose(
             f"{measurement.folder}: the mirror would stand {-place[2]:.3g} m behind the camera; z of plan.mirror_m is "
             "the distance in front of it"
         )
-    return facing_pose(setup, facets, place, float(np.deg2rad(section.roll_deg)))
+    return facing_pose(setup, facets, point, place, float(np.deg2rad(section.roll_deg)))
 
 
 def _on_axis(setup: Setup, distance_m: float) -> Any:
@@ -225,6 +244,23 @@ _SIGMAS = (
     ("camera.sigma_focal_px", "the focal length known twice as well", ("camera", "camera and screen")),
     ("camera.sigma_center_px", "the principal point known twice as well", ("camera", "camera and screen")),
 )
+#: Inputs of which nobody may have stated how well they are known: the key that tells, their sigmas, and what they are
+#: of. What is tried is what a calibration and a tape measure reach, as in the template of measurement.toml.
+_UNSTATED = (
+    (
+        "camera.focal_x_px",
+        {"camera.sigma_focal_px": 1.0, "camera.sigma_center_px": 1.0},
+        "the camera's focal length and principal point known to 1 px, and that stated",
+    ),
+    (
+        "screen.translation_m",
+        {"screen.sigma_rotation_mrad": (1.0,) * 3, "screen.sigma_translation_mm": (1.0,) * 3},
+        "the screen's turn and place known to 1 mrad and 1 mm, and that stated",
+    ),
+    ("screen.width_m", {"screen.sigma_width_mm": 1.0}, "the screen's width known to 1 mm, and that stated"),
+    ("screen.height_m", {"screen.sigma_height_mm": 1.0}, "the screen's height known to 1 mm, and that stated"),
+    ("screen.sag", {"screen.sigma_sag_mm": 1.0}, "the screen's sag known to 1 mm, and that stated"),
+)
 
 
 def bench_changes(bench: Bench, planned: Planner) -> Iterator[Change]:
@@ -266,7 +302,27 @@ def bench_changes(bench: Bench, planned: Planner) -> Iterator[Change]:
                 planned(changed(measurement, {key: after})),
                 sources,
             )
+    yield from _stated(bench, planned)
     yield from _surveyed(bench, planned)
+
+
+def _stated(bench: Bench, planned: Planner) -> Iterator[Change]:
+    """Yield sigmas stated where the images alone would have to know the input."""
+    measurement = bench.measurement
+    unstated = inputs_without_sigma(measurement, bench.setup)
+    if not isinstance(measurement.model.camera, CameraParameters):
+        # Its sigmas are in its file.
+        unstated -= {"camera.focal_x_px"}
+    for told_by, sigmas, words in _UNSTATED:
+        if told_by in unstated:
+            yield Change(
+                words,
+                ", ".join(sigmas),
+                "",
+                _text(np.concatenate([np.atleast_1d(one) for one in sigmas.values()]).tolist()),
+                planned(changed(measurement, sigmas)),
+                (UNSTATED,),
+            )
 
 
 def _surveyed(bench: Bench, planned: Planner) -> Iterator[Change]:
@@ -304,7 +360,10 @@ def _value(model: Any, key: str) -> Any:
 
 
 def _text(values: Any) -> str:
-    return ", ".join(f"{one:.4g}" for one in values)
+    """Write numbers that belong together: to four digits of the largest, so that noise of rounding is 0."""
+    listed = [float(one) for one in values]
+    scale = max(map(abs, listed)) or 1.0
+    return ", ".join(f"{round(one / scale, 9) * scale + 0.0:.4g}" for one in listed)
 
 
 def input_files(measurement: BenchMeasurement, named: Sequence[str]) -> tuple[Path, ...]:

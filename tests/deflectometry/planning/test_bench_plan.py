@@ -1,5 +1,6 @@
 """Plans of fringes, dots and far screens: what is promised is what is then measured, and what limits is named."""
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -8,15 +9,18 @@ import pytest
 
 from data_synth.fringes.knowledge import Knowledge, measurement_content
 from data_synth.fringes.presets import ensemble_scene, preset_scene
+from deflectometry.dots.planning.predicted_dots import DotPlaces, measured_sample
 from deflectometry.fringes.planning.plan import PlannedFringes, load_fringes_plan
 from deflectometry.planning.pipeline.plan import ALTERNATIVES_FILE, LIMITS_FILE, MAP_FILE
 from deflectometry.planning.predicted_sight import facet_sight
 from deflectometry.planning.prospect import Prospect
+from heliogauge.doubts import Severity
 from heliogauge.errors import EstimationError
 from heliogauge.measurement.writer import write_measurement
 from heliogauge.results.folder import read_table_csv
 from heliogauge.results.slope_map_file import read_slope_map
 from heliogauge.running import cli
+from photogrammetry.targets import Polarity
 from tests.deflectometry.planning.promises import (
     KNOWLEDGE,
     drawn_dots,
@@ -80,6 +84,8 @@ def test_the_mean_normal_is_limited_by_where_the_screen_is(tmp_path: Path) -> No
     assert found.sigmas()["slope_x"] < 0.05 * found.sigmas()["mean_normal"]
     assert "the screen's turn about its y axis" in found.texts["mean normal"]
     assert "[mirror.place]" in found.texts["mean normal"]
+    # A turn about one axis turns the normal about the other only by what rounding leaves.
+    assert re.search(r"its y axis \([+-]1\.0, [+-]0\.0\)", found.texts["mean normal"])
     for shares in limits.values():
         assert sum(shares.values()) == pytest.approx(1.0)
 
@@ -95,6 +101,37 @@ def test_a_screen_that_is_too_small_is_named_with_the_size_it_needs(tmp_path: Pa
     needed = float(said.partition("make it at least ")[2].split()[0])
     whole = prospect(planned(tmp_path / "q", screen={"width_m": needed}))
     assert whole.seen_share == 1.0
+
+
+def test_the_stated_point_of_the_mirror_stands_at_the_stated_place(tmp_path: Path) -> None:
+    point = [0.1, -0.1, 0.05]
+    distance = {"distance": {"distance_m": 9.0, "sigma_mm": 1.0, "point_m": point}}
+    bench = PlannedFringes(load_fringes_plan(planned(tmp_path / "p", plan={"mirror_m": None}, mirror=distance))).bench
+    on_axis = bench.cam_from_mirror.apply(np.array(point))
+    assert on_axis[:2] == pytest.approx([0.0, 0.0], abs=1e-9)
+    assert np.linalg.norm(on_axis - bench.setup.cam_from_screen.translation_m) == pytest.approx(9.0)
+    place = bench.setup.cam_from_screen.inverse().apply(np.array([0.1, -0.1, 9.0])).tolist()
+    surveyed = {"place": {"place_m": place, "sigma_mm": 1.0, "point_m": point}, "distance": None}
+    bench = PlannedFringes(load_fringes_plan(planned(tmp_path / "p", plan={"mirror_m": None}, mirror=surveyed))).bench
+    assert bench.cam_from_mirror.apply(np.array(point)) == pytest.approx([0.1, -0.1, 9.0])
+
+
+def test_stating_a_sigma_that_nobody_has_stated_is_an_alternative(tmp_path: Path) -> None:
+    silent = {"sigma_focal_px": None, "sigma_center_px": None}
+    for camera, is_tried in ((silent, True), ({}, False)):
+        plan = PlannedFringes(load_fringes_plan(planned(tmp_path / "p", camera=camera)))
+        tried = {one.key: one for one in plan.changes() if one.is_worth_a_look({"slope_x": {"unstated setup": 0.9}})}
+        assert ("camera.sigma_focal_px, camera.sigma_center_px" in tried) is is_tried
+    (known,) = [one for one in plan.changes() if one.key == "screen.sigma_rotation_mrad"]
+    assert known.after == "0.15, 0.15, 0.15"
+
+
+def test_dots_of_too_few_pixels_are_refused_with_what_to_do(tmp_path: Path) -> None:
+    across, down = (one.ravel() for one in np.meshgrid(np.arange(9), np.arange(9)))
+    centers = 1.5 * np.stack([across, down], axis=1)
+    places = DotPlaces(np.stack([across, down], axis=1), centers, np.tile(0.2 * np.eye(2), (81, 1, 1)))
+    with pytest.raises(EstimationError, match=r"dots of 0\.9 px x 0\.9 px, 1\.5 px apart.*come nearer"):
+        measured_sample([places], 80.0, 1.0, 0.7, Polarity.BLACK_ON_WHITE)
 
 
 def test_more_frames_and_less_noise_are_worth_what_they_are(tmp_path: Path) -> None:
@@ -132,6 +169,27 @@ def test_a_tilt_that_loses_the_outline_is_no_rival_of_the_other(tmp_path: Path) 
     """From here one of the two tilts in which a flat square looks alike finds no edge; the other fits to 0.02 px."""
     found = prospect(planned(tmp_path / "p", Knowledge(), plan={"mirror_m": [0.035, 0.056, 6.76]}))
     assert float(found.numbers["pose_residual_px"] or 9.0) < 0.03
+
+
+@pytest.mark.slow
+def test_parts_that_look_past_the_screen_are_one_doubt(tmp_path: Path) -> None:
+    """Where the pose is given the rest is measured, which says the same by three other signs."""
+    pose = preset_scene("small").bench.cam_from_mirror
+    given = {"rotation_vector_rad": pose.rotation_vector_rad.tolist(), "translation_m": pose.translation_m.tolist()}
+    found = prospect(planned(tmp_path / "p", mirror={"pose": given, "distance": None}, screen={"width_m": 1.6}))
+    assert 0.5 < found.seen_share < 0.8
+    assert [one.code for one in found.doubts if one.severity is not Severity.NOTE] == ["plan_sees_past_screen"]
+
+
+@pytest.mark.slow
+def test_a_mean_normal_without_sigmas_of_camera_and_screen_is_named(tmp_path: Path) -> None:
+    """Nothing else says where the screen hangs: the sigma is that of the mirror's pose alone, some microradians."""
+    silent = {"sigma_rotation_mrad": None, "sigma_translation_mm": None}
+    found = prospect(planned(tmp_path / "p", Knowledge(sigma_distance_mm=1.0), screen=silent))
+    (doubt,) = [one for one in found.doubts if one.code == "mean_normal_without_sigmas"]
+    assert "has the pose of the screen as exact" in doubt.text
+    assert "with the pose of the screen as exact" in found.texts["mean normal"]
+    assert found.sigmas()["mean_normal"] < 1e-4
 
 
 @pytest.mark.slow
