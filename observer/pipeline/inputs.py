@@ -20,14 +20,14 @@ from heliogauge.validate import FloatArray
 from observer.corners.lattice import PanelLattice
 from observer.corners.tie import SearchedCollector
 from observer.files import ABSORBER_COLUMNS, SUN_COLUMNS, absorber_of_table, is_number, number_in_cell, read_sun_table
-from observer.keys import ObserverMeasurement, RollingShutterSection, SunSection, TroughSection
+from observer.keys import ObserverMeasurement, SunSection, TroughSection
 from observer.light.trace import Sunlight
 from observer.photo_edges.tone import Tone
 from observer.pipeline.corners import CornerSearch
 from observer.pipeline.reading.photos import Finder, build_finder
 from observer.pipeline.reading.target_kinds import TargetKinds, target_kinds
 from observer.pipeline.reading.tone import Encoding, Encodings
-from observer.pipeline.rolling_shutter import Shutter, read_shutter
+from observer.pipeline.rolling_shutter import Shutter, frame_motion_m, read_shutter
 from observer.pipeline.tilts import Tilts, read_tilts
 from observer.slopes.row_spline import Roughness
 from observer.trough.absorber_path import AbsorberPath
@@ -50,8 +50,6 @@ Table = Mapping[str, Sequence[str]]
 
 #: A coordinate known to worse than this is no help to find a photo's pose [m].
 _LARGEST_SIGMA_M = 0.1
-#: Where nobody says them: readout of a slow sensor, speed of a pass from photo to photo [s, m/s].
-_USUAL_READOUT_S, _USUAL_SPEED_M_S = 0.03, 2.0
 #: What the roughness across the trough is searched from [rad^2 / m^3].
 _FIRST_ROUGHNESS = 1e-3
 AXES: tuple[Literal["x", "y", "z"], ...] = ("x", "y", "z")
@@ -398,13 +396,9 @@ def build_corners(
     lever = 1e-3 * np.array(positions.lever_arm_mm)
     own = SearchedCollector(lattice, enu_from_level @ tilted, enu_from_level @ np.array(place_m), lever, turn_sigma)
     rolling = measurement.model.rolling_shutter
-    return CornerSearch(own, found, motion_sigma_m=0.0 if rolling is None else _motion_sigma_m(rolling))
-
-
-def _motion_sigma_m(section: RollingShutterSection) -> float:
-    """Return how far a camera may fly while it reads a photo's rows [m]."""
-    readout_s = _USUAL_READOUT_S if section.readout_ms is None else 1e-3 * abs(section.readout_ms)
-    return readout_s * (section.speed_m_s or _USUAL_SPEED_M_S)
+    places = dict(zip(found.photos, found.enu_m, strict=True))
+    motion_m = 0.0 if rolling is None else frame_motion_m(rolling, measurement.photo_files, places)
+    return CornerSearch(own, found, motion_sigma_m=motion_m)
 
 
 def build_corner_survey(measurement: ObserverMeasurement, lattice: PanelLattice) -> PhotogrammetryMeasurement:

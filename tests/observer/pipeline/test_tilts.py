@@ -15,6 +15,7 @@ from observer.pipeline.tilts import read_tilts
 from observer.slopes.pose_modes import Photos
 from observer.turning.far_camera import FarCamera, KnownFarCamera, TiltReadings
 from observer.turning.tied_poses import compare_turning, tie_poses
+from tests.observer.exif import exif
 
 READING_RAD, FACING, DISTANCE_M = 0.3e-3, 1.57, 150.0
 #: What tripod and bearings give way, 1 sigma [m].
@@ -219,14 +220,6 @@ distance_m = 150.0
 """
     )
     return load_observer(folder)
-
-
-def exif(taken: str) -> bytes:
-    """Return an EXIF segment that says when a photo was taken."""
-    text = taken.encode() + b"\x00"
-    first = b"\x01\x00" + b"\x69\x87\x04\x00\x01\x00\x00\x00" + (26).to_bytes(4, "little") + bytes(4)
-    inner = b"\x01\x00" + b"\x03\x90\x02\x00" + len(text).to_bytes(4, "little") + (44).to_bytes(4, "little") + bytes(4)
-    return b"\xff\xe1\x00\x80Exif\x00\x00II*\x00\x08\x00\x00\x00" + first + inner + text
 
 
 def by_name(*rows: str) -> str:

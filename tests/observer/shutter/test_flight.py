@@ -6,9 +6,10 @@ from pydantic import ValidationError
 
 from heliogauge.errors import InputError
 from observer.keys import ObserverModel, RollingShutterSection
-from observer.pipeline.rolling_shutter import Shutter, read_shutter
+from observer.pipeline.rolling_shutter import Shutter, frame_motion_m, read_shutter
 from observer.shutter.flight import flight_by_places, flight_by_times
 from observer.shutter.readout import Known
+from tests.observer.exif import exif
 
 
 def test_a_straight_path_at_one_speed_is_exact():
@@ -101,3 +102,22 @@ def test_times_of_the_photos_give_the_speed():
     shutter = Shutter(times_s={"a": 10.0, "b": 10.25, "c": 10.75})
     assert shutter.in_seconds
     np.testing.assert_allclose(shutter.flight(("a", "b", "c"), places).velocity, np.tile([2.0, 0, 0], (3, 1)))
+
+
+def test_how_far_a_camera_flies_over_a_frame_follows_from_places_and_times(tmp_path):
+    """Eight photos 0.9 m apart: 6.3 m in 9 s by whole seconds, or at most as fast as a drone can take them."""
+    files = [tmp_path / f"p{k}.jpg" for k in range(8)]
+    places = {file.name: np.array([0.9 * k, 100.0, 15.0]) for k, file in enumerate(files)}
+    section = RollingShutterSection(readout_ms=-20.0)
+    for file in files:
+        file.write_bytes(b"\xff\xd8\xff\xd9")
+    assert frame_motion_m(section, files, places) == pytest.approx(0.02 * 0.9 / 0.7)
+    for k, file in enumerate(files):
+        file.write_bytes(b"\xff\xd8" + exif(f"2023:01:15 18:10:{10 + 9 * k // 7:02d}"))
+    assert frame_motion_m(section, files, places) == pytest.approx(0.02 * 6.3 / 9)
+    # Without one of the places the way is no shorter; what is stated counts.
+    del places["p3.jpg"]
+    assert frame_motion_m(section, files, places) == pytest.approx(0.02 * 6.3 / 9)
+    assert frame_motion_m(RollingShutterSection(readout_ms=20.0, speed_m_s=3.0), files, {}) == pytest.approx(0.06)
+    # 17 to 74 ms.
+    assert 0.017 < frame_motion_m(RollingShutterSection(speed_m_s=1.0), files, {}) < 0.074
