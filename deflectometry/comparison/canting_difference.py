@@ -5,13 +5,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from deflectometry.comparison.moved_map import PlaneMotion
+from deflectometry.comparison.moved_map import PlaneMotion, moved_map
 from heliogauge.adjust.chi_square import chi_square_cdf
 from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.slopes.map import SlopeMap
 from heliogauge.slopes.mounts import LEAST_SHARE
 from heliogauge.slopes.statistics import canting
 from heliogauge.validate import FloatArray
+
+#: Designs of facets in turned frames are alike up to this share of what curves them: places of facets that differ by
+#: millimetres, and lines between nodes. A slope of 1e-6 rad is that of rounding.
+_SAME_SHARE, _ROUNDING_RAD = 0.01, 1e-6
+#: So many sigmas of the turn may turn the slopes of one design beside those of the other.
+_TURN_SIGMAS = 3.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -111,7 +117,7 @@ def canting_difference(
     that of all facets together, random parts by themselves and each common mode through all of them.
     """
     every = [FacetPartner.of(name) for name in first] if pairs is None else pairs
-    left = facets_left_out(first, second, pairs)
+    left = facets_left_out(first, second, pairs, sigma_turn_rad)
     used = [one for one in every if one.first in first and one.first not in left]
     if len(used) < 2:
         return None
@@ -140,20 +146,45 @@ def canting_difference(
 
 
 def facets_left_out(
-    first: Mapping[str, SlopeMap], second: Mapping[str, SlopeMap], pairs: Sequence[FacetPartner] | None = None
+    first: Mapping[str, SlopeMap],
+    second: Mapping[str, SlopeMap],
+    pairs: Sequence[FacetPartner] | None = None,
+    sigma_turn_rad: float = 0.0,
 ) -> dict[str, str]:
     """Return why the canting of facets of the first result is not compared, by their names; as `canting_difference`."""
     found = {}
-    partner = {one.first: one.second for one in pairs or ()}
+    partner = {one.first: one for one in pairs or ()}
     for name, one in first.items():
-        other = second.get(name if pairs is None else partner.get(name, ""))
-        if other is None:
+        place = partner.get(name, None if pairs is not None else FacetPartner.of(name))
+        other = None if place is None else second.get(place.second)
+        if place is None or other is None:
             found[name] = f"the second result has none {'of their name' if pairs is None else 'in their place'}"
-        elif one.design != other.design:
+        elif not (one.design == other.design if pairs is None else _alike(one, other, place.turn, sigma_turn_rad)):
             found[name] = "both results have other designs of them"
         elif min(one.measured_share, other.measured_share) < LEAST_SHARE:
             found[name] = f"less than {LEAST_SHARE:.0%} of their area is measured in one of both"
     return found
+
+
+def _alike(one: SlopeMap, other: SlopeMap, turn: FloatArray, sigma_turn_rad: float) -> bool:
+    """Return whether the design of a facet is that of another one whose frame is turned.
+
+    turn (2, 2): From the other's frame to the first's.
+
+    Slopes are compared, not words: those of an off-axis facet name slopes in its own frame, and a trough has the same
+    words along x and along y.
+    """
+    angle = float(np.arctan2(turn[1, 0] - turn[0, 1], turn[0, 0] + turn[1, 1]))
+    there = moved_map(other, PlaneMotion(angle, np.zeros(2)), one.x_m, one.y_m)
+    slopes, moved = (np.stack([each.design_slope_x, each.design_slope_y]) for each in (one, there))
+    known = np.isfinite(slopes + moved).all(axis=0)
+    if not known.any():
+        return False
+    slopes, apart = slopes[:, known], slopes[:, known] - moved[:, known]
+    curved, whole, off = (
+        float(np.sqrt(np.mean(each**2))) for each in (slopes - slopes.mean(axis=1, keepdims=True), slopes, apart)
+    )
+    return off < _SAME_SHARE * curved + _TURN_SIGMAS * sigma_turn_rad * whole + _ROUNDING_RAD
 
 
 def _cantings(maps: list[SlopeMap]) -> tuple[FloatArray, FloatArray]:

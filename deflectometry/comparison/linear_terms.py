@@ -156,7 +156,7 @@ def expected_rest(
     total = squares.shape[1]
     mean = squares.mean(axis=1) + np.sum(modes**2, axis=0).mean(axis=1) + fine_square
     # Traces of the squared covariance: of noise between neighbours, of the modes, and of one factor for each axis.
-    flat = modes.reshape(len(modes), -1)
+    flat = modes.reshape(len(modes), count * few.size)
     trace = slope_map.noise_correlation * float(np.sum(squares**2)) / (total * count) ** 2
     trace += float(np.sum((flat @ flat.T) ** 2)) / (few.size * count) ** 2
     trace += float(np.sum(fine_square**2)) / count**2

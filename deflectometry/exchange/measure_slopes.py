@@ -33,6 +33,9 @@ _ON_GRID = 1e-3
 #: Lines of a grid depart from equal steps by less than this share of a step, and are at most so many for each spacing
 #: of the points: numbers that were rounded stand on a grid, too, of a thousand.
 _OFF_LINE, _MOST_LINES = 0.02, 10
+#: The nearest other point is at most two steps of a grid away where no more than every other node is left out. Means
+#: over cells that are smaller at the rim stand on a grid, too, of which they are one node in sixteen.
+_MOST_STEPS = 2.5
 _MOST_NODES = 4_000_000
 
 
@@ -204,7 +207,8 @@ def grid_points(points: SlopePoints, design: Quadric, step_m: float | None = Non
     spacing = float(np.sqrt(area / len(place)))
     if not 0 < spacing < np.inf:
         raise EstimationError(f"{len(place)} points at the same place; slopes of a surface are needed")
-    x_m, y_m = (_axis(values, spacing, step_m) for values in (points.x_m, points.y_m))
+    apart = float(np.median(cKDTree(np.unique(place, axis=0)).query(place, k=2)[0][:, 1]))
+    x_m, y_m = (_axis(values, spacing, apart, step_m) for values in (points.x_m, points.y_m))
     if x_m.size * y_m.size > _MOST_NODES:
         raise InputError(f"a map of {x_m.size} x {y_m.size} nodes; give a larger grid_step_mm")
     x, y = np.meshgrid(x_m, y_m)
@@ -243,15 +247,20 @@ def grid_points(points: SlopePoints, design: Quadric, step_m: float | None = Non
     )
 
 
-def _axis(values: FloatArray, spacing: float, step_m: float | None) -> FloatArray:
-    """Return the lines of a grid: those on which the points stand, or lines of equal distance."""
+def _axis(values: FloatArray, spacing: float, apart_m: float, step_m: float | None) -> FloatArray:
+    """Return the lines of a grid: those on which the points stand, or lines of equal distance.
+
+    apart_m: How far the nearest other point is, for the median of the points.
+    """
     lines = np.unique(np.round(values / (_ON_GRID * spacing))) * (_ON_GRID * spacing)
     if step_m is None and lines.size > 1:
         steps = np.diff(lines)
         # Whole lines may be missing: the others still stand at multiples of the smallest step.
         count = int(np.rint(np.ptp(lines) / steps[steps < 1.5 * steps.min()].mean()))
         number = (lines - lines[0]) * (count / np.ptp(lines))
-        if count * spacing < _MOST_LINES * np.ptp(lines) and np.abs(number - np.rint(number)).max() < _OFF_LINE:
+        on_lines = np.abs(number - np.rint(number)).max() < _OFF_LINE
+        most = min(_MOST_LINES / spacing, _MOST_STEPS / apart_m) * np.ptp(lines)
+        if on_lines and count < most:
             return np.linspace(values.min(), values.max(), count + 1)
     step = spacing if step_m is None else step_m
     # Multiplied: divided by a step of 1e-300 mm it would overflow.

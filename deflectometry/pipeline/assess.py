@@ -6,7 +6,7 @@ from pathlib import Path
 
 from deflectometry.keys import BenchMeasurement
 from deflectometry.pipeline.choices import Choices
-from deflectometry.pipeline.contradictions import refuse_contradictions
+from deflectometry.pipeline.contradictions import name_exchange, refuse_contradictions
 from deflectometry.pipeline.curl_test import with_curl_contained
 from deflectometry.pipeline.evaluate import evaluate_source
 from deflectometry.pipeline.headline import (
@@ -26,7 +26,7 @@ from deflectometry.pipeline.inputs import (
     inputs_without_sigma,
 )
 from deflectometry.pipeline.mean_normal import mean_normal, turns_by_inputs, words_of_normal
-from deflectometry.pipeline.plausibility import implausible, refuse_impossible, size_doubt
+from deflectometry.pipeline.plausibility import OTHER_CURVATURE, implausible, refuse_impossible, size_doubt
 from deflectometry.pipeline.result import Result
 from deflectometry.pipeline.setup_test import contradiction_of_setup, with_camera_contained
 from deflectometry.pipeline.stated_inputs import stated_inputs, unconfirmed_note, with_sigmas_of_images
@@ -146,6 +146,10 @@ def measure_source(ready: SourceMeasurement, progress: Progress) -> Result:
     with progress.stage("check result"):
         by_code = {doubt.code: doubt for doubt in doubts}
         refuse_contradictions(ready.source, setup, mirror, evaluation, by_code)
+        if OTHER_CURVATURE in by_code:
+            curved = by_code[OTHER_CURVATURE]
+            named = name_exchange(ready.source, setup, mirror, evaluation, curved)
+            doubts = tuple(named if one is curved else one for one in doubts)
     with progress.stage("hash inputs"):
         hashes = hash_files(ready.input_files, measurement.folder)
     return Result(

@@ -1,21 +1,27 @@
 """Results that contradict themselves are not written: the exchange that explains it is named where there is one."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from deflectometry.pipeline.choices import Choices
-from deflectometry.pipeline.evaluate import Evaluation, map_slopes, solve_reflection
+from deflectometry.pipeline.evaluate import Evaluation, Reflection, map_slopes, solve_reflection
 from deflectometry.pipeline.headline import curl_numbers, facet_numbers
 from deflectometry.pipeline.plausibility import contradicts_outline, implausible, refuse_impossible, turn_in_sigmas
 from deflectometry.pose.find_pose import MirrorInput
 from deflectometry.setup.camera_and_screen import RectangularScreen, Setup
 from deflectometry.shape.assemble import assemble_maps
+from deflectometry.shape.smooth_shape import ShapeSolution
 from deflectometry.sources.source import Source
 from heliogauge.camera.distortion import DistortionDirection
-from heliogauge.doubts import Doubt
+from heliogauge.doubts import Doubt, Severity
 from heliogauge.errors import EstimationError, InputError
+from heliogauge.geometry.rigid import RigidTransform
+from heliogauge.geometry.surfaces import Facet
 from heliogauge.running.progress import SilentProgress
 from heliogauge.slopes.removal import Removal
+from heliogauge.validate import FloatArray
 
 #: Doubts that a mirrored image, exchanged axes or a wrong set-up make.
 _CONTRADICTIONS = (
@@ -27,6 +33,9 @@ _CONTRADICTIONS = (
 )
 #: Whatever the distribution of errors, 20 sigma are exceeded at most once in 400 times (Chebyshev's inequality).
 _IMPOSSIBLE_SIGMAS = 20.0
+#: Share of a curvature's error that is left where an exchange explains it: that of the curvature itself where the
+#: design is doubted for it.
+_EXPLAINED_SHARE = 0.3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -86,14 +95,88 @@ def _dark_facets(evaluation: Evaluation) -> str:
     )
 
 
+def name_exchange(source: Source, setup: Setup, mirror: MirrorInput, evaluation: Evaluation, doubt: Doubt) -> Doubt:
+    """Name the exchanges that explain why the curvature is not the design's.
+
+    doubt: That of the curvature.
+    Returns: The doubt, a serious one where an exchange explains it.
+
+    From far away images or a pattern that are turned or mirrored contradict nothing else. The result is not refused: a
+    mirror that is bent the other way looks the same. No maps are made, which take most of the time.
+    """
+    facets = {one.name: one for one in evaluation.located.facets}
+    found = _linear_slopes([facets[name] for name in evaluation.images], evaluation.solution)
+    if not _may_be_exchanged(found, setup, evaluation.solution.cam_from_mirror):
+        return doubt
+    explained = []
+    for words, other in source.exchanges():
+        reflection = _reflection(_Exchange(words, other, setup), mirror, evaluation.choices)
+        if reflection is not None:
+            there = _linear_slopes([one.facet for one in reflection.usable.samples], reflection.solution)
+            if there.off_design < _EXPLAINED_SHARE * found.off_design:
+                explained.append(words)
+    if not explained:
+        return doubt
+    text = (
+        f"{doubt.text.split(';')[0]}; it is once {' or '.join(explained)}: put that right and measure again, unless "
+        "the mirror is bent so, or its design has the wrong sign"
+    )
+    return replace(doubt, text=text, severity=Severity.SERIOUS)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _LinearSlopes:
+    """Changes of both slopes along x and y over the whole mirror, each of shape (2, 2) [1/m]."""
+
+    measured: FloatArray
+    design: FloatArray
+
+    @property
+    def off_design(self) -> float:
+        """How far both are apart [1/m]."""
+        return float(np.linalg.norm(self.measured - self.design))
+
+
+def _linear_slopes(facets: Sequence[Facet], solution: ShapeSolution) -> _LinearSlopes:
+    """Fit planes to the slopes of smooth shapes and designs at the corners of the measured facets."""
+    points, slopes = [], []
+    for facet, surface in zip(facets, solution.surfaces, strict=True):
+        x, y = facet.outline_m.T
+        place = facet.ensemble_from_facet
+        points.append(place.apply(np.column_stack([x, y, np.zeros(x.size)])))
+        both = []
+        for one in (surface, facet.design):
+            slope_x, slope_y = one.gradient(x, y)
+            normals = place.rotate(np.column_stack([-slope_x, -slope_y, np.ones(x.size)]))
+            both.append(-normals[:, :2] / normals[:, 2:])
+        slopes.append(np.hstack(both))
+    every = np.concatenate(points)
+    every[:, 2] = 1.0
+    fitted = np.linalg.lstsq(every, np.concatenate(slopes), rcond=None)[0][:2].T
+    return _LinearSlopes(fitted[:2], fitted[2:])
+
+
+def _may_be_exchanged(found: _LinearSlopes, setup: Setup, cam_from_mirror: RigidTransform) -> bool:
+    """Return whether turning or mirroring what is seen may explain the curvature.
+
+    A mirror whose slopes are c times the place, with c the mean of 1 / distance to camera and screen, shows one point
+    of the screen all over. What others show goes with their curvature beside c. Images or a pattern that are turned or
+    mirrored multiply that by orthogonal matrices, so that its singular values stay.
+    """
+    in_screen = setup.cam_from_screen.inverse() @ cam_from_mirror
+    distances_m = [float(np.linalg.norm(one.translation_m)) for one in (cam_from_mirror, in_screen)]
+    focus = 0.5 * sum(1.0 / one for one in distances_m) * np.eye(2)
+    own, other = (np.linalg.svd(one - focus, compute_uv=False) for one in (found.measured, found.design))
+    return bool(np.linalg.norm(own - other) < _EXPLAINED_SHARE * found.off_design)
+
+
 def _agrees(one: _Exchange, mirror: MirrorInput, choices: Choices) -> bool:
     """Return whether nothing contradicts with an exchange put back."""
+    # Before the maps, which take most of the time.
+    reflection = _reflection(one, mirror, choices)
+    if reflection is None:
+        return False
     try:
-        reflection = solve_reflection(one.source, one.setup, mirror, choices, SilentProgress())
-        refuse_impossible(one.setup, reflection.solution.cam_from_mirror)
-        # Before the maps, which take most of the time.
-        if contradicts_outline(reflection):
-            return False
         evaluation = map_slopes(reflection, one.setup, SilentProgress())
         assembled = assemble_maps(evaluation.located.facets, evaluation.maps, choices.align, Removal.NOTHING)
         curls = {name: curl_numbers(one) for name, one in evaluation.fine_maps.items()}
@@ -101,6 +184,16 @@ def _agrees(one: _Exchange, mirror: MirrorInput, choices: Choices) -> bool:
         return not {doubt.code for doubt in (*found, *evaluation.doubts)}.intersection(_CONTRADICTIONS)
     except (EstimationError, InputError):
         return False
+
+
+def _reflection(one: _Exchange, mirror: MirrorInput, choices: Choices) -> Reflection | None:
+    """Return pose and smooth shape with an exchange put back; None where there are none or the outline contradicts."""
+    try:
+        reflection = solve_reflection(one.source, one.setup, mirror, choices, SilentProgress())
+        refuse_impossible(one.setup, reflection.solution.cam_from_mirror)
+    except (EstimationError, InputError):
+        return None
+    return None if contradicts_outline(reflection) else reflection
 
 
 def _exchanges(source: Source, setup: Setup) -> Iterator[_Exchange]:

@@ -179,7 +179,7 @@ def _canting_difference(sides: tuple[Side, Side], placed: Placed) -> tuple[Canti
         frames_a, frames_b = (facet_frames(one.summary) for one in sides)
         sigma_turn_rad = 0.0 if placed.found is None else float(placed.found.sigmas[0])
         pairs = partners(frames_a, frames_b, placed.motion)
-        reasons = facets_left_out(first, second, pairs)
+        reasons = facets_left_out(first, second, pairs, sigma_turn_rad)
         nowhere = [one.name for one, frames in zip(sides, (frames_a, frames_b), strict=True) if not frames]
         if nowhere:
             reasons = dict.fromkeys(first, f"{' and '.join(nowhere)} does not say where its facets stand")

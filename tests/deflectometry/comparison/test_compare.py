@@ -9,7 +9,12 @@ import pytest
 from typer.testing import CliRunner
 
 from deflectometry.cli import app
-from deflectometry.comparison.canting_difference import canting_difference, facets_left_out, partners
+from deflectometry.comparison.canting_difference import (
+    FacetPartner,
+    canting_difference,
+    facets_left_out,
+    partners,
+)
 from deflectometry.comparison.judgement import Agreement
 from deflectometry.comparison.moved_map import PlaneMotion
 from deflectometry.comparison.pipeline.compare import compare_results
@@ -20,7 +25,7 @@ from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.results.folder import Summary, write_slope_map, write_summary
 from heliogauge.results.slope_map_file import ASSEMBLED
 from heliogauge.running.verbs import measure
-from heliogauge.slopes.map import CommonModes, SlopeMap
+from heliogauge.slopes.map import CommonModes, SlopeMap, no_common_modes
 from heliogauge.validate import FloatArray
 
 NOISE_RAD = 5e-5
@@ -154,6 +159,19 @@ def test_results_that_agree_end_with_zero(tmp_path: Path) -> None:
     ended = CliRunner().invoke(app, command)
     assert ended.exit_code == 0
     assert "agree within their sigmas" in ended.stdout
+
+
+def test_results_without_any_sigma_are_compared(tmp_path: Path) -> None:
+    """Measured slopes of another program have neither random nor common sigmas."""
+    pair = []
+    for number, name in enumerate("ab"):
+        one = drawn_map(np.random.default_rng(number))
+        zero = np.zeros_like(one.slope_x)
+        bare = replace(one, sigma_random_x=zero, sigma_random_y=zero, common=no_common_modes())
+        pair.append(written(tmp_path / name, bare))
+    found = compare_results(*pair)
+    assert found.judgement.agreement is Agreement.UNKNOWN
+    assert found.summarise().numbers["rest_x_expected_rms_rad"] == 0
 
 
 def test_a_shared_source_cancels(tmp_path: Path) -> None:
@@ -355,6 +373,32 @@ def test_canting_is_compared_where_one_map_was_moved(turn_rad: float) -> None:
     by_name = canting_difference(first, second)
     assert by_name is not None
     assert np.abs(by_name.difference_rad / by_name.sigma_rad).max() > 10
+
+
+def test_designs_in_turned_frames_are_compared_by_their_slopes() -> None:
+    """Off-axis facets of one paraboloid name other slopes in a turned frame; a trough has the same words both ways."""
+    turn = 0.5 * np.pi
+    partner = FacetPartner("facet", "facet", _about_z(turn)[:2, :2], np.zeros(2), np.zeros(2))
+
+    def left_out(second: SlopeMap, sigma_turn_rad: float = 0.0) -> dict[str, str]:
+        return facets_left_out({"facet": first}, {"facet": second}, [partner], sigma_turn_rad)
+
+    one = drawn_map(np.random.default_rng(1), step_m=0.06)
+    x, y = one.design_slope_x, one.design_slope_y
+    first = replace(one, design_slope_x=x + 0.02, design="paraboloid (slopes 20, 0 mrad at the origin of its frame)")
+    # What leans by 20 mrad along the first's x does so along -y of a frame that is turned by a quarter.
+    words = "paraboloid (slopes 0, -20 mrad at the origin of its frame)"
+    assert left_out(replace(one, design_slope_y=y - 0.02, design=words)) == {}
+    assert "designs" in left_out(replace(one, design_slope_y=y + 0.02, design=words))["facet"]
+    longer = replace(one, design_slope_x=0.97 * x, design_slope_y=0.97 * y - 0.02)
+    assert "designs" in left_out(longer)["facet"]
+    # 0.1 mrad of 20 are a turn of 5 mrad.
+    turned = replace(one, design_slope_x=x + 1e-4, design_slope_y=y - 0.02)
+    assert "designs" in left_out(turned)["facet"]
+    assert left_out(turned, 5e-3) == {}
+    first = replace(one, design_slope_y=np.zeros_like(y), design="trough")
+    assert left_out(replace(one, design_slope_x=np.zeros_like(x), design="trough")) == {}
+    assert "designs" in left_out(first)["facet"]
 
 
 @pytest.mark.slow

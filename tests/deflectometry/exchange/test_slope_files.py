@@ -75,6 +75,17 @@ def test_a_hole_is_not_filled() -> None:
     assert 0.8 < found.measured_share < 0.9
 
 
+def test_means_over_cells_are_no_grid_with_holes() -> None:
+    """Cells of two by two nodes, smaller at the rim: their means stand on a grid of half a step, one in sixteen."""
+    sides = [np.append(np.arange(0.5, last - 1, 2.0), last) * 0.04 for last in (30, 20)]
+    x, y = (one.ravel() for one in np.meshgrid(*sides))
+    sigma = np.full(x.size, 1e-4)
+    found = grid_points(SlopePoints(x, y, x / 20, y / 20, sigma, sigma), paraboloid(10.0))
+    assert found.measured_share == 1.0
+    assert 0.8 * x.size < found.slope_x.size < 1.25 * x.size
+    np.testing.assert_allclose(found.slope_error_x, 0, atol=1e-12)
+
+
 @pytest.mark.parametrize("missing", ["nodes", "columns"])
 def test_missing_nodes_of_a_grid_are_not_filled(missing: str) -> None:
     """A gap that is narrower than the reach of the interpolation is a hole, too."""

@@ -1,13 +1,18 @@
 """A heliostat seen at night from its tower: facets, canting and mean normal against the truth; no false alarm."""
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
 from data_synth.fringes import DatasetOptions, read_truth, write_dataset
+from data_synth.fringes.presets import rectangle
 from data_synth.fringes.tower import UNAM_SIGMA_RAD, tower_knowledge, tower_scene, unam_scene
+from data_synth.optics.mirror import Design, SyntheticFacet
+from data_synth.optics.surface_errors import SurfaceErrors
 from deflectometry.keys import load_deflectometry
 from deflectometry.pipeline.mean_normal import mean_normal
 from deflectometry.pipeline.measure import run
@@ -15,6 +20,7 @@ from deflectometry.pose.surveyed_place import SurveyedPlace, setup_with_place
 from deflectometry.setup.camera_and_screen import FacetShift
 from deflectometry.setup.setup_steps import PLACE_IN_PATTERN
 from heliogauge.adjust.chi_square import chi_square_cdf
+from heliogauge.doubts import Doubt, Severity
 from heliogauge.sunlight.beam import Illumination, direction_to_sun_for, facing_target, trace
 from heliogauge.sunlight.sun_shapes import SOLAR_DISC_RAD, PillboxSun
 from tests.deflectometry.tower_errors import tower_errors
@@ -149,3 +155,30 @@ def test_unams_bent_facet_and_its_two_spots(tmp_path: Path) -> None:
     assert min(profile[spot.x_m < 0].max(), profile[spot.x_m > 0].max()) > 2 * middle
     # Each half throws its light aside by twice its slope, besides standing beside the middle.
     assert [-left, right] == pytest.approx([2 * 2.41e-3 * 201 + 0.375] * 2, abs=0.25)
+
+
+def test_images_that_are_turned_or_mirrored_are_named(tmp_path: Path) -> None:
+    """From far away they contradict nothing but the design's curvature: of f = 40 m the sign beside 1 / 201 m turns."""
+    sphere = Design("sphere", {"radius_m": 80.0})
+    facet = SyntheticFacet("facet", rectangle(1.5, 1.0), sphere, SurfaceErrors(()))
+    scene = replace(unam_scene(scale=0.2), facets=(facet,))
+    write_dataset(tmp_path, scene, DatasetOptions(1, tower_knowledge(0.2)))
+    measurement = load_deflectometry(tmp_path)
+    assert "design_curvature_is_not_the_mirrors" not in {one.code for one in run(measurement).doubts}
+    sound = {file: cv2.imread(str(file), cv2.IMREAD_UNCHANGED) for file in tmp_path.glob("*.png")}
+
+    def doubt_of(flips: tuple[int, ...], radius_m: float = 80.0) -> Doubt:
+        for file, image in sound.items():
+            cv2.imwrite(str(file), np.flip(image, flips))
+        text = (tmp_path / "measurement.toml").read_text()
+        (tmp_path / "measurement.toml").write_text(re.sub(r"radius_m = .*", f"radius_m = {radius_m}", text))
+        found = run(load_deflectometry(tmp_path)).doubts
+        return next(one for one in found if one.code == "design_curvature_is_not_the_mirrors")
+
+    turned, mirrored = doubt_of((0, 1)), doubt_of((1,))
+    assert "the images are turned by 180 deg or the displayed pattern is turned by 180 deg" in turned.text
+    assert "left and right of the images" in mirrored.text
+    assert "180" not in mirrored.text
+    assert turned.severity is mirrored.severity is Severity.SERIOUS
+    # Another focal length is no exchange, and nothing is tried for it.
+    assert doubt_of((), 150.0).severity is Severity.DOUBT
