@@ -152,7 +152,7 @@ def _linear_slopes(facets: Sequence[Facet], solution: ShapeSolution) -> _LinearS
         slopes.append(np.hstack(both))
     every = np.concatenate(points)
     every[:, 2] = 1.0
-    fitted = np.linalg.lstsq(every, np.concatenate(slopes), rcond=None)[0][:2].T
+    fitted = np.asarray(np.linalg.lstsq(every, np.concatenate(slopes), rcond=None)[0][:2].T, np.float64)
     return _LinearSlopes(fitted[:2], fitted[2:])
 
 
