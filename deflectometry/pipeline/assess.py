@@ -6,7 +6,7 @@ from pathlib import Path
 
 from deflectometry.keys import BenchMeasurement
 from deflectometry.pipeline.choices import Choices
-from deflectometry.pipeline.contradictions import name_exchange, refuse_contradictions
+from deflectometry.pipeline.contradictions import OTHER_CURVATURE, name_exchange, refuse_contradictions
 from deflectometry.pipeline.curl_test import with_curl_contained
 from deflectometry.pipeline.evaluate import evaluate_source
 from deflectometry.pipeline.headline import (
@@ -26,7 +26,7 @@ from deflectometry.pipeline.inputs import (
     inputs_without_sigma,
 )
 from deflectometry.pipeline.mean_normal import mean_normal, turns_by_inputs, words_of_normal
-from deflectometry.pipeline.plausibility import OTHER_CURVATURE, implausible, refuse_impossible, size_doubt
+from deflectometry.pipeline.plausibility import implausible, refuse_impossible, size_doubt
 from deflectometry.pipeline.result import Result
 from deflectometry.pipeline.setup_test import contradiction_of_setup, with_camera_contained
 from deflectometry.pipeline.stated_inputs import stated_inputs, unconfirmed_note, with_sigmas_of_images

@@ -31,6 +31,8 @@ _CONTRADICTIONS = (
     "distance_contradicts_image",
     "lens_contradicts_outline",
 )
+#: Far from the mirror the only doubt that they make.
+OTHER_CURVATURE = "design_curvature_is_not_the_mirrors"
 #: Whatever the distribution of errors, 20 sigma are exceeded at most once in 400 times (Chebyshev's inequality).
 _IMPOSSIBLE_SIGMAS = 20.0
 #: Share of a curvature's error that is left where an exchange explains it: that of the curvature itself where the

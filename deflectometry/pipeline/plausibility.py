@@ -25,8 +25,6 @@ Numbers = Mapping[str, float | int | None]
 
 #: Root mean square slope error that no mirror for sunlight has: its beam would be 40 mrad wide.
 _GROSS_MRAD = 10.0
-#: Code of the doubt that the design has the curvature of the mirror.
-OTHER_CURVATURE = "design_curvature_is_not_the_mirrors"
 #: Deviation whose cause is the curvature of the whole mirror: the best-fit quadratic takes away more than two thirds.
 _SHAPE_MRAD = 1.0
 _SHAPE_SHARE = 0.3
@@ -80,7 +78,7 @@ def implausible(numbers: Numbers, facets: Mapping[str, Numbers], evaluation: Eva
         )
     elif error > _SHAPE_MRAD and rest < _SHAPE_SHARE * error:
         yield Doubt(
-            OTHER_CURVATURE,
+            "design_curvature_is_not_the_mirrors",
             f"the design's curvature is not the mirror's: of {error:.2f} mrad RMS of slope error {rest:.2f} mrad are "
             f"left with {lengths}; check the design and its focal length or radius [m]",
             {"slope_error_mrad": error, "best_quadratic_mrad": rest},
