@@ -8,7 +8,7 @@ import numpy as np
 
 from heliogauge.doubts import Doubt, Severity
 from heliogauge.flags import SampleFlag
-from heliogauge.validate import BoolArray
+from heliogauge.validate import BoolArray, FloatArray
 from observer.absorber.forgotten_glass import glass_doubt
 from observer.absorber.position import STATION_TEXTS, AbsorberSolution, StationFate
 from observer.absorber.shape import Span, alignment, spans, supports_of
@@ -25,6 +25,9 @@ _DIAMETER_PX = 0.3
 _WARN_SIGMA_M = 1.5e-3
 #: With less than this share of the stations measured the missing part is reported.
 _WARN_SHARE = 0.7
+
+#: What has at most this probability is not of chance: three sigmas.
+_BY_CHANCE = 0.0027
 
 _SUPPORT_TEXT = "hidden by a receiver support"
 
@@ -109,6 +112,22 @@ def shape_numbers(
     return {name: value for name, value in numbers.items() if value is not None and np.isfinite(value)}
 
 
+def _hidden_by_chance(path: AbsorberPath, solution: AbsorberSolution, hidden_m: FloatArray) -> float:
+    """Return how probable it is that a stretch of the tube is hidden by no thing at its place, at most 1.
+
+    hidden_m (k,): Places between measured stations about which the tube is hidden [m].
+
+    Clouds behind the tube hide it here in one photo and there in another: the number of photos that show a station
+    then is one of Poisson's about that of the stations beside it. Hidden is what fewer than two show; each station may
+    be so by chance.
+    """
+    measured = measured_stations(path, solution)
+    after = np.searchsorted(path.y_m[measured], hidden_m)
+    photos = solution.n_photos[measured]
+    beside = float(np.minimum(photos[after - 1], photos[after]).min())
+    return min(1.0, path.n * float(np.exp(-beside)) * (1 + beside))
+
+
 def absorber_doubts(
     path: AbsorberPath, solution: AbsorberSolution | None, collector: Collector, *, is_design: bool
 ) -> Iterator[Doubt]:
@@ -144,11 +163,13 @@ def absorber_doubts(
     inner = supports_of(path, measured, collector)[1:-1]
     if collector.support_y_m.size == 0 and inner.size:
         places = ", ".join(f"{y:.2f}" for y in inner)
+        chance = _hidden_by_chance(path, solution, inner)
+        or_sky = "" if chance < _BY_CHANCE else ", or by clouds behind it that look like it: too few photos tell"
         yield Doubt(
             "absorber_supports_not_stated",
-            f"absorber: hidden about y = {places} m, as by supports, of which support_y_m says nothing: it is taken to "
-            "bend there as anywhere; state the supports, those at the ends too, if these are some",
-            {"supports_count": int(inner.size)},
+            f"absorber: hidden about y = {places} m, as by supports, of which support_y_m says nothing{or_sky}: it is "
+            "taken to bend there as anywhere; state the supports, those at the ends too, if these are some",
+            {"supports_count": int(inner.size), "by_chance_probability": chance},
             Severity.NOTE,
         )
     if measured.mean() < _WARN_SHARE:

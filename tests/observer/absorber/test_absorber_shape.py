@@ -134,6 +134,13 @@ def test_numbers_and_what_is_warned_of() -> None:
     unlisted = replace(COLLECTOR, support_y_m=np.zeros(0))
     (doubt,) = absorber_doubts(path, solution_of(path), unlisted, is_design=False)
     assert "hidden about y = 0.00 m, as by supports, of which support_y_m says nothing" in doubt.text
+    # Five photos of 33 stations miss one by chance, as before clouds; of twenty none does.
+    assert "clouds" in doubt.text
+    assert doubt.numbers["by_chance_probability"] > 0.5
+    often = replace(solution_of(path), n_photos=np.where(VISIBLE, 20, 0))
+    (doubt,) = absorber_doubts(path, often, unlisted, is_design=False)
+    assert "clouds" not in doubt.text
+    assert doubt.numbers["by_chance_probability"] == pytest.approx(33 * 21 * np.exp(-20))
     (doubt,) = absorber_doubts(path, solution_of(path, 0.075), COLLECTOR, is_design=False)
     assert "looks 75.0 mm thick" in doubt.text
     # With pixels of 12.3 mm 3 % are a sixth of one, as much as blur does.
