@@ -115,16 +115,8 @@ def facet_sight(setup: Setup, cam_from_mirror: RigidTransform, facet: Facet, blu
             "px; move the mirror (plan.mirror_m), or take a shorter focal length"
         )
     pixels = np.stack(np.meshgrid(np.arange(low[0], high[0]), np.arange(low[1], high[1])), axis=-1).astype(np.float64)
-    rays = facet_from_cam.rotate(setup.camera.cast_rays(pixels.reshape(-1, 2)))
-    points = camera_m + facet.design.intersect(camera_m, rays)[:, None] * rays
-    met = np.isfinite(points).all(axis=1)
-    normals = np.full(points.shape, np.nan)
-    normals[met] = facet.design.normal(points[met, 0], points[met, 1])
-    screen_from_facet = setup.cam_from_screen.inverse() @ cam_from_facet
-    u, v = screen_hits(setup.screen, screen_from_facet.apply(points), screen_from_facet.rotate(reflect(rays, normals)))
+    u, v, inside = trace_pixels(setup, cam_from_mirror, facet, pixels.reshape(-1, 2))
     shape = pixels.shape[:2]
-    inside = np.zeros(len(points), dtype=np.bool_)
-    inside[met] = facet.contains(points[met, 0], points[met, 1])
     return FacetSight(
         facet,
         slice(low[1], high[1]),
@@ -134,6 +126,27 @@ def facet_sight(setup: Setup, cam_from_mirror: RigidTransform, facet: Facet, blu
         v.reshape(shape),
         _cover(pixels, inside.reshape(shape), outline_px, blur_px, margin),
     )
+
+
+def trace_pixels(
+    setup: Setup, cam_from_mirror: RigidTransform, facet: Facet, pixels: FloatArray
+) -> tuple[FloatArray, FloatArray, BoolArray]:
+    """Return which point of the screen a facet of design shape shows at pixels (n, 2).
+
+    Returns: u and v as in `screen_hits`, and which pixels see the facet, each (n,).
+    """
+    cam_from_facet = cam_from_mirror @ facet.ensemble_from_facet
+    facet_from_cam = cam_from_facet.inverse()
+    camera_m, rays = facet_from_cam.translation_m, facet_from_cam.rotate(setup.camera.cast_rays(pixels))
+    points = camera_m + facet.design.intersect(camera_m, rays)[:, None] * rays
+    met = np.isfinite(points).all(axis=1)
+    normals = np.full(points.shape, np.nan)
+    normals[met] = facet.design.normal(points[met, 0], points[met, 1])
+    screen_from_facet = setup.cam_from_screen.inverse() @ cam_from_facet
+    u, v = screen_hits(setup.screen, screen_from_facet.apply(points), screen_from_facet.rotate(reflect(rays, normals)))
+    inside = np.zeros(len(points), dtype=np.bool_)
+    inside[met] = facet.contains(points[met, 0], points[met, 1])
+    return u, v, inside
 
 
 def _outline_px(setup: Setup, cam_from_facet: RigidTransform, facet: Facet) -> FloatArray:

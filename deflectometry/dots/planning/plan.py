@@ -51,7 +51,7 @@ class PlannedDots:
         screen = bench.setup.screen
         if not isinstance(screen, DotScreen):
             raise InputError(f"{self.measurement.folder}: [screen] must be a field of dots")
-        places = [places_of_dots(one, screen, self._radius_m(screen)) for one in bench.sights]
+        places = [places_of_dots(bench, one, screen, self._radius_m(screen)) for one in bench.sights]
         usable = [one for one in places if len(one.number) >= _FEWEST]
         if not usable:
             most = max(len(one.number) for one in places)

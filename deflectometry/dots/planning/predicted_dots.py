@@ -7,7 +7,8 @@ import cv2
 import numpy as np
 
 from deflectometry.dots.found_dots import FoundDots, find_dots
-from deflectometry.planning.predicted_sight import FacetSight
+from deflectometry.planning.pipeline.bench import Bench
+from deflectometry.planning.predicted_sight import FacetSight, trace_pixels
 from deflectometry.setup.dot_screen import DotScreen
 from heliogauge.errors import EstimationError
 from heliogauge.validate import BoolArray, FloatArray, IntArray
@@ -15,6 +16,8 @@ from photogrammetry.targets import Polarity
 
 #: Dots along each side of the drawn sample, and parts of a pixel over which their light is integrated.
 _SAMPLE, _PARTS = 8, 8
+#: Steps from where the interpolated map has a dot to where it is: of 0.1 px, the second leaves 1e-3 of a pixel.
+_ROUNDS = 3
 #: Least side of the drawn sample: dots are not looked for in smaller images [px].
 _LEAST_SIDE_PX = 16
 #: Dots nearer to an edge than this many radii are cut by it.
@@ -34,9 +37,10 @@ class DotPlaces:
     shapes_px2: FloatArray
 
 
-def places_of_dots(sight: FacetSight, screen: DotScreen, radius_m: float) -> DotPlaces:
+def places_of_dots(bench: Bench, sight: FacetSight, screen: DotScreen, radius_m: float) -> DotPlaces:
     """Return the dots that a facet will show whole.
 
+    sight, screen: Of the bench.
     EstimationError: It shows too little of the field for a lattice.
     """
     from scipy.interpolate import CloughTocher2DInterpolator
@@ -47,7 +51,7 @@ def places_of_dots(sight: FacetSight, screen: DotScreen, radius_m: float) -> Dot
     pixels = np.stack([column + sight.columns.start, row + sight.rows.start], axis=1).astype(np.float64)
     if len(seen) < 9:
         raise EstimationError(f"facet {sight.facet.name} shows the field on {len(seen)} px only")
-    # Some thousands of pixels hold a smooth map to a thousandth of a pixel.
+    # Some thousands of pixels lead to every dot; tracing what is seen there takes it to its place.
     some = np.unique(np.linspace(0, len(seen) - 1, 6000).astype(np.intp))
     from_dots = CloughTocher2DInterpolator(seen[some], pixels[some])
     down, across = (one.ravel() for one in np.mgrid[: screen.shape[0], : screen.shape[1]])
@@ -60,11 +64,17 @@ def places_of_dots(sight: FacetSight, screen: DotScreen, radius_m: float) -> Dot
     by_column, by_row = (
         (from_dots(places + step) - from_dots(places - step)) / (2 * 0.25) for step in 0.25 * np.eye(2)
     )
-    jacobian = np.stack([by_column, by_row], axis=-1) * radius
+    to_pixels = np.stack([by_column, by_row], axis=-1)
+    for _ in range(_ROUNDS):
+        there = np.flatnonzero(np.isfinite(centers).all(axis=1) & np.isfinite(to_pixels).all(axis=(1, 2)))
+        u, v, _ = trace_pixels(bench.setup, bench.cam_from_mirror, sight.facet, centers[there])
+        off = places[there] - np.stack([u, v], axis=1) * steps
+        centers[there] += np.einsum("nij,nj->ni", to_pixels[there], off)
+    jacobian = to_pixels * radius
     shapes = jacobian @ jacobian.swapaxes(1, 2)
     # Whole: the farthest points of the dot along both axes of the image are in the mirror, too.
     reach = _WHOLE * np.sqrt(np.stack([shapes[:, 0, 0], shapes[:, 1, 1]], axis=1))
-    whole = np.asarray(np.isfinite(shapes).all(axis=(1, 2)))
+    whole = np.asarray(np.isfinite(shapes).all(axis=(1, 2)) & np.isfinite(centers).all(axis=1))
     for side in np.array([[1, 0], [-1, 0], [0, 1], [0, -1]]):
         whole &= _in_facet(sight, centers + side * reach)
     number = np.stack([across[near] + screen.first[0], screen.first[1] - down[near]], axis=1)

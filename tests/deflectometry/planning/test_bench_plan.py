@@ -9,11 +9,14 @@ import pytest
 
 from data_synth.fringes.knowledge import Knowledge, measurement_content
 from data_synth.fringes.presets import ensemble_scene, preset_scene
-from deflectometry.dots.planning.predicted_dots import DotPlaces, measured_sample
+from deflectometry.dots.planning.plan import PlannedDots, load_dots_plan
+from deflectometry.dots.planning.predicted_dots import DotPlaces, measured_sample, places_of_dots
 from deflectometry.fringes.planning.plan import PlannedFringes, load_fringes_plan
+from deflectometry.planning.pipeline.bench import changed
 from deflectometry.planning.pipeline.plan import ALTERNATIVES_FILE, LIMITS_FILE, MAP_FILE
-from deflectometry.planning.predicted_sight import facet_sight
+from deflectometry.planning.predicted_sight import facet_sight, trace_pixels
 from deflectometry.planning.prospect import Prospect
+from deflectometry.setup.dot_screen import DotScreen
 from heliogauge.doubts import Severity
 from heliogauge.errors import EstimationError
 from heliogauge.measurement.writer import write_measurement
@@ -190,6 +193,36 @@ def test_a_mean_normal_without_sigmas_of_camera_and_screen_is_named(tmp_path: Pa
     assert "has the pose of the screen as exact" in doubt.text
     assert "with the pose of the screen as exact" in found.texts["mean normal"]
     assert found.sigmas()["mean_normal"] < 1e-4
+
+
+@pytest.mark.slow
+def test_predicted_dots_are_where_they_will_be_seen_and_less_noise_is_worth_something(tmp_path: Path) -> None:
+    """Dots 0.02 px off their places are rough slopes: half of the noise made their sigmas 1.7 times as large."""
+    drawn_dots().write(tmp_path / "p", 0)
+    planned_dots = [
+        PlannedDots(changed(load_dots_plan(tmp_path / "p"), {"plan.contrast_dn": 80.0, "plan.noise_dn": noise}))
+        for noise in (1.0, 0.5)
+    ]
+    bench = planned_dots[0].bench
+    screen = bench.setup.screen
+    assert isinstance(screen, DotScreen)
+    dots = places_of_dots(bench, bench.sights[0], screen, 0.01)
+    seen = trace_pixels(bench.setup, bench.cam_from_mirror, bench.facets[0], dots.centers_px)
+    off = [
+        one * (count - 1) - place
+        for one, count, place in zip(
+            seen[:2],
+            (screen.shape[1], screen.shape[0]),
+            (dots.number[:, 0] - screen.first[0], screen.first[1] - dots.number[:, 1]),
+            strict=True,
+        )
+    ]
+    # Of 9 px between dots: a tenth of the noise, 0.017 px, at most.
+    assert np.abs(off).max() < 2e-4
+    once, half = (one.prospect() for one in planned_dots)
+    for axis in "xy":
+        key = f"sigma_random_{axis}_rms_rad"
+        assert float(half.numbers[key] or 9.0) < 0.9 * float(once.numbers[key] or 0.0)
 
 
 @pytest.mark.slow
