@@ -75,6 +75,11 @@ def gather_doubts(*doubts: Doubt | Iterable[Doubt] | None) -> tuple[Doubt, ...]:
     return tuple(every)
 
 
+def heaviest_first(doubts: Iterable[Doubt]) -> list[tuple[int, Doubt]]:
+    """Return doubts with their numbers, from 1, the heaviest first; of one weight in the order given."""
+    return sorted(enumerate(doubts, start=1), key=lambda one: -list(Severity).index(one[1].severity))
+
+
 def doubt_content(doubt: Doubt) -> dict[str, Any]:
     """Return a doubt as JSON has it; a number that is not finite is null."""
     numbers = {name: float(value) if isfinite(value) else None for name, value in doubt.numbers.items()}

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
+from heliogauge.doubts import heaviest_first
 from heliogauge.errors import EstimationError
 from heliogauge.flags import FLAG_TEXTS, REJECTED, SampleFlag, count_flags
 from heliogauge.reporting.html import FirstScreen, Html, Shown, join, table, wrap
@@ -136,7 +137,7 @@ def verdict_box(verdict: Verdict) -> Html:
     lines = [f'<li class="missing">{html.escape(text)}</li>' for text in verdict.missing]
     for remark in verdict.doubtful[:MOST_REMARKS]:
         text = html.escape(remark.text)
-        lines.append(f'<li class="doubtful"><a href="#{remark.mark}">{text}</a></li>')
+        lines.append(f'<li class="doubtful {remark.severity}"><a href="#{remark.mark}">{text}</a></li>')
     more = len(verdict.doubtful) - MOST_REMARKS
     if more > 0:
         lines.append(f'<li class="doubtful"><a href="#{doubt_mark(1)}">and {more} more</a></li>')
@@ -168,7 +169,7 @@ def doubts_box(results: HasSummary) -> Html:
         return Html("<p>No check found anything doubtful.</p>")
     items = "".join(
         f'<li class="{one.severity}" id="{doubt_mark(number)}">{html.escape(one.text)}</li>'
-        for number, one in enumerate(doubts, start=1)
+        for number, one in heaviest_first(doubts)
     )
     return Html(f'<ul class="doubts">{items}</ul>')
 

@@ -49,6 +49,7 @@ code {{ font-size: .9em; background: var(--code); padding: .1em .3em; border-rad
 .verdict li.missing {{ font-weight: 600; }}
 .verdict li.missing::before {{ content: "\\25cb"; color: var(--warn); }}
 .verdict li.doubtful::before {{ content: "!"; color: var(--warn); }}
+.verdict li.serious::before {{ color: var(--bad); }}
 .verdict li.passed::before {{ content: "\\2713"; color: var(--good); }}
 .verdict li.note::before {{ content: "i"; color: var(--faint); }}
 .verdict li a {{ color: inherit; text-decoration-color: var(--faint); }}

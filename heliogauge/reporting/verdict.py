@@ -20,6 +20,8 @@ WIDEST_EDGE_SHARE = 0.12
 #: A clause of a doubt that is longer than this loses what is in brackets, then what follows a colon, and is cut at a
 #: word only then; the full text stands below.
 _MOST_LETTERS = 110
+#: Fewer words before a colon name what the doubt is about, and say nothing of it.
+_FEWEST_WORDS = 4
 
 
 class State(StrEnum):
@@ -43,10 +45,12 @@ class Remark:
 
     text: One short clause.
     mark: Place in the page where the whole text is.
+    severity: How much it weighs.
     """
 
     text: str
     mark: str
+    severity: Severity
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +78,7 @@ def verdict_of(summary: Summary, missing: Sequence[str] = (), passed: Sequence[s
     passed: What was checked and found right.
     """
     heavy = [
-        (doubt, Remark(first_clause(doubt.text), doubt_mark(number)))
+        (doubt, Remark(first_clause(doubt.text), doubt_mark(number), doubt.severity))
         for number, doubt in enumerate(summary.doubts, start=1)
         if doubt.severity is not Severity.NOTE
     ]
@@ -106,13 +110,16 @@ def first_clause(text: str) -> str:
     '3 photos only'
     >>> first_clause(f"no sigma is given for the camera ([camera] {'x' * 90}): counted as exact")
     'no sigma is given for the camera: counted as exact'
+    >>> first_clause(f"camera: its focal length contradicts {'the targets ' * 12}")[:42]
+    'camera: its focal length contradicts the t'
     """
     for end in ("; ", ". "):
         text = text.partition(end)[0]
     if len(text) > _MOST_LETTERS:
         text = re.sub(r" \([^()]*\)", "", text)
-    if len(text) > _MOST_LETTERS:
-        text = text.partition(": ")[0]
+    before = text.partition(": ")[0]
+    if len(text) > _MOST_LETTERS and len(before.split()) >= _FEWEST_WORDS:
+        text = before
     if len(text) <= _MOST_LETTERS:
         return text
     return text[:_MOST_LETTERS].rpartition(" ")[0].rstrip(",:") + " \u2026"

@@ -9,6 +9,7 @@ from heliogauge.errors import InputError
 from heliogauge.measurement.writer import write_text
 from heliogauge.results.slope_map_file import facet_names, read_slope_map
 from heliogauge.results.tables import write_table_csv
+from heliogauge.results.used_results import serious_result
 from heliogauge.slopes.map import SlopeMap, monomials
 from heliogauge.validate import FloatArray
 
@@ -24,7 +25,7 @@ def export_slope_map(result: Path, out: Path, form: str, *, facet: str | None = 
     form: "soltrace", "ply" or "csv".
     facet: One facet of several; all together without it.
     force: Replace a file that is there.
-    Returns: What was written, in a sentence.
+    Returns: What was written, in a sentence, and in a second one what is serious about the result.
     InputError: There is no slope map, nothing in it, no such facet, or the file cannot be written.
     """
     file = result / "slope_map.nc"
@@ -45,7 +46,8 @@ def export_slope_map(result: Path, out: Path, form: str, *, facet: str | None = 
     except OSError as error:
         raise InputError(f"{out}: no folder can be made there ({error.strerror or error})") from error
     _FORMS[form][1](out, slope_map)
-    return f"{int(slope_map.valid.sum())} nodes: {out}"
+    said, serious = f"{int(slope_map.valid.sum())} nodes: {out}", serious_result(result)
+    return said if serious is None else f"{said}\nserious: {serious}"
 
 
 def _write_csv(out: Path, slope_map: SlopeMap) -> None:

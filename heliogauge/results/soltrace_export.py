@@ -12,6 +12,7 @@ from heliogauge.measurement.writer import write_text
 from heliogauge.results.slope_export import soltrace_text
 from heliogauge.results.slope_map_file import read_slope_map
 from heliogauge.results.soltrace_files import read_sun, write_system
+from heliogauge.results.used_results import serious_result
 from heliogauge.slopes.map import SlopeMap, monomials
 from heliogauge.slopes.normal_angles import normal_angles
 from heliogauge.sunlight.soltrace_system import Optic, OpticPair, SolTraceSystem, SystemElement, SystemStage, SystemSun
@@ -93,6 +94,9 @@ def export_system(result: Path, out: Path, choices: SystemChoices, *, force: boo
     ]
     said += [f"{one.element.comment}: {reason}" for one in found for reason in one.reasons]
     said += list(_what_is_left_out(slope_map, choices))
+    serious = serious_result(result)
+    if serious is not None:
+        said.append(f"serious: {serious}")
     return said
 
 

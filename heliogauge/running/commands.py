@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Protocol
 
 import typer
 
-from heliogauge.doubts import Doubt, Severity
+from heliogauge.doubts import Doubt, Severity, heaviest_first
 from heliogauge.errors import InputError
 from heliogauge.running.help_text import VerbGroup
 from heliogauge.running.progress import Progress
@@ -178,8 +178,8 @@ _SEVERITY_WORDS = {Severity.NOTE: "note", Severity.DOUBT: "warning", Severity.SE
 
 
 def say_doubts(doubts: Iterable[Doubt]) -> None:
-    """Write doubts on standard error, each with how much it weighs."""
-    for one in doubts:
+    """Write doubts on standard error, each with how much it weighs, the heaviest first."""
+    for _, one in heaviest_first(doubts):
         typer.echo(f"{_SEVERITY_WORDS[one.severity]}: {one.text}", err=True)
 
 

@@ -208,7 +208,7 @@ def turns_text(summary: Summary) -> str:
     worth = int(numbers["panels_worth_turning_count"] or 0)
     if not worth:
         least = f"{100 * LEAST_GAIN_SHARE:g} % of its own light"
-        return f"turning {sure} of {count} gains {gain}: not worth a turn, each gains less than {least}"
+        return f"no panel is worth a turn: {sure} of {count} surely gain, all together {gain}, each less than {least}"
     which = "" if worth == sure else f", {worth} of them worth a turn"
     return f"turning {sure} of {count} gains {gain}{which}; `heliogauge observer align` gives the moves of their mounts"
 

@@ -124,10 +124,11 @@ def _worth_text(worth: BoolArray) -> str:
     """Say which of the panels that surely gain, the largest gain first, are worth a turn."""
     least = f"{100 * LEAST_GAIN_SHARE:g} % of the panel's own light"
     if not worth.any():
-        return f"not worth a turn, each gains less than {least}"
-    return (
-        "each worth a turn" if worth.all() else f"the first {int(worth.sum())} worth a turn, the others below {least}"
-    )
+        return f"no panel is worth a turn, each gains less than {least}"
+    if worth.all():
+        return "each worth a turn"
+    first = "the first" if worth.sum() == 1 else f"the first {int(worth.sum())}"
+    return f"{first} worth a turn, the others below {least}"
 
 
 def stations_missing(results: HasTables) -> tuple[str, ...]:

@@ -129,8 +129,8 @@ def shape_doubt(found: ShapeShare, stated: bool | None, usual_sigma_rad: float) 
         return None
     return Doubt(
         "surface_shape_undecided",
-        f"whether the mirror's surface follows its slopes is not clear from the reflection (by {found.share:.2f} +- "
-        f"{found.sigma:.2f}); it was taken to, as real mirrors do. For normals that are turned on the design's surface "
-        f"{matters}. evaluation.shape_from_slopes = true says that it does",
+        f"{measured} (1 where the mirror has the surface of its slopes, 0 where normals are turned on the design's "
+        f"surface), which does not decide between the two; the former was taken, as of real mirrors. With the other "
+        f"{matters}. evaluation.shape_from_slopes = true says that the surface is that of the slopes",
         numbers,
     )

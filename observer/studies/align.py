@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from heliogauge.camera.model import Camera
-from heliogauge.doubts import Doubt
+from heliogauge.doubts import Doubt, gather_doubts
 from heliogauge.errors import InputError
 from heliogauge.files.faults import explain_faults
 from heliogauge.reporting.notation import light_text
@@ -19,6 +19,7 @@ from heliogauge.results.folder import PhotoPose, Summary, hash_files, write_tabl
 from heliogauge.results.frame import InstrumentResult
 from heliogauge.results.slope_map_file import read_slope_map
 from heliogauge.results.tables import read_cameras_json, read_table_csv
+from heliogauge.results.used_results import serious_result
 from heliogauge.slopes.map import SlopeMap
 from heliogauge.slopes.mounts import LEAST_SHARE
 from heliogauge.validate import BoolArray, FloatArray, IntArray
@@ -233,7 +234,7 @@ def run(folder: Path, mounts: Path | None = None) -> Result:
         gains,
         picture,
         name="panel alignment",
-        doubts=tuple(_doubts(slope_map, to_absorber, mounts is None)),
+        doubts=gather_doubts(serious_result(folder), _doubts(slope_map, to_absorber, mounts is None)),
         input_sha256=hash_files([*files, *([] if mounts is None else [mounts])]),
     )
 

@@ -7,7 +7,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from heliogauge.doubts import Doubt
+from heliogauge.doubts import Doubt, gather_doubts
 from heliogauge.errors import EstimationError, InputError
 from heliogauge.reporting.notation import number_text
 from heliogauge.results.arrays import LabelledArray, read_arrays, write_arrays
@@ -15,6 +15,7 @@ from heliogauge.results.folder import Summary, hash_files, read_summary, unit_of
 from heliogauge.results.frame import InstrumentResult
 from heliogauge.results.slope_map_file import read_slope_map
 from heliogauge.results.tables import read_table_csv
+from heliogauge.results.used_results import serious_results
 from heliogauge.slopes.grid import resample
 from heliogauge.slopes.map import SlopeMap
 from heliogauge.validate import FloatArray
@@ -220,7 +221,7 @@ def run(folders: Sequence[Path]) -> Comparison:
             for one in found[1:]
         ),
         name=found[0].summary.name,
-        doubts=tuple(doubts),
+        doubts=gather_doubts(serious_results({str(one.folder): one.summary for one in found}), doubts),
         input_sha256={f"{k}/{one.name}": next(iter(hash_files([one]).values())) for k, one in inputs},
     )
 

@@ -14,6 +14,7 @@ from heliogauge.reporting.notation import number_text
 from heliogauge.results.folder import SUMMARY_FILE, Summary, hash_files, read_summary, write_table_csv
 from heliogauge.results.frame import InstrumentResult
 from heliogauge.results.tables import read_table_csv
+from heliogauge.results.used_results import serious_results
 from observer.files import (
     ANGLES,
     CHANGED_MODULES,
@@ -133,19 +134,15 @@ def run(folders: Sequence[Path]) -> FieldComparison:
     if not shared:
         names = " and ".join(", ".join(list(one)[:3]) + (" ..." if len(one) > 3 else "") for one in tables)
         raise InputError(f"observer compare: no module was measured at both dates; their names are {names}")
-    numbers, panels, used, serious = [], [], [], []
+    numbers, panels = [], []
+    used: dict[str, Summary] = {}
     for name in shared:
         own = [table[name].folder for table in tables]
         refuse_other_collector(own, [read_collector(one / COLLECTOR) for one in own])
         summaries = [read_summary(one) for one in own]
         numbers.append(number_changes(summaries[0].numbers, summaries[1].numbers))
         panels.append(_panels(own))
-        serious += [
-            str(folder)
-            for folder, one in zip(own, summaries, strict=True)
-            if any(doubt.severity is Severity.SERIOUS for doubt in one.doubts)
-        ]
-        used += [one / SUMMARY_FILE for one in own]
+        used |= {str(one): summary for one, summary in zip(own, summaries, strict=True)}
     decided = iter(decide_together([one for one in panels if one is not None]))
     modules = tuple(
         ModuleChange(name, tables[0][name].place, changes, tuple(sure), None if part is None else next(decided))
@@ -155,8 +152,8 @@ def run(folders: Sequence[Path]) -> FieldComparison:
         (folders[0], folders[1]),
         modules,
         name=f"{folders[0].resolve().name} to {folders[1].resolve().name}",
-        doubts=gather_doubts(_only_once(tables, folders), _seriously_doubtful(serious)),
-        input_sha256={str(one): next(iter(hash_files([one]).values())) for one in used},
+        doubts=gather_doubts(_only_once(tables, folders), serious_results(used)),
+        input_sha256={one: next(iter(hash_files([Path(one) / SUMMARY_FILE]).values())) for one in used},
     )
 
 
@@ -204,16 +201,6 @@ def _only_once(tables: Sequence[dict[str, _Measured]], folders: Sequence[Path]) 
             text = f"{count} measured in {folder} only: {', '.join(names[:_SHOWN])}{more}"
             found.append(Doubt("module_at_one_date", text, {"modules_count": len(names)}, Severity.NOTE))
     return found
-
-
-def _seriously_doubtful(folders: Sequence[str]) -> Doubt | None:
-    if not folders:
-        return None
-    more = f" and {len(folders) - _SHOWN} more" if len(folders) > _SHOWN else ""
-    text = f"{len(folders)} of the results compared are seriously doubtful, see their reports: "
-    return Doubt(
-        "compared_results_doubtful", f"{text}{', '.join(folders[:_SHOWN])}{more}", {"modules_count": len(folders)}
-    )
 
 
 def _turned_count(one: ModuleChange) -> int:

@@ -2,7 +2,7 @@
 
 import pickle
 
-from heliogauge.doubts import Doubt, Severity, gather_doubts
+from heliogauge.doubts import Doubt, Severity, gather_doubts, heaviest_first
 
 
 def test_doubts_are_values() -> None:
@@ -13,6 +13,17 @@ def test_doubts_are_values() -> None:
     assert hash(first) == hash(again)
     assert first != other
     assert pickle.loads(pickle.dumps(first)) == first
+
+
+def test_the_heaviest_doubt_stands_first_and_keeps_its_number() -> None:
+    weights = (Severity.NOTE, Severity.DOUBT, Severity.SERIOUS, Severity.DOUBT)
+    doubts = [Doubt(f"d{k}", "", severity=one) for k, one in enumerate(weights, start=1)]
+    assert [(number, one.code) for number, one in heaviest_first(doubts)] == [
+        (3, "d3"),
+        (2, "d2"),
+        (4, "d4"),
+        (1, "d1"),
+    ]
 
 
 def test_gathered_doubts_keep_order_and_each_once() -> None:

@@ -51,7 +51,7 @@ def test_what_is_said() -> None:
     assert shape_doubt(clear, None, 1e-4) is None
     assert shape_doubt(clear, False, 1e-4) is None
     assert "shape_from_slopes = true does not fit" in str(shape_doubt(clear, True, 1e-4))
-    assert "taken to, as real mirrors do" in str(shape_doubt(unclear, None, 1e-4))
+    assert "does not decide between the two; the former was taken" in str(shape_doubt(unclear, None, 1e-4))
     assert shape_doubt(unclear, True, 1e-4) is None
     assert shape_doubt(ShapeShare(0.4, 0.3, 2e-5), None, 1e-4) is None
 

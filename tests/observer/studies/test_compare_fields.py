@@ -77,7 +77,7 @@ def test_the_panel_that_turned_is_named_by_the_command(tmp_path: Path) -> None:
     changed = read_table_csv(tmp_path / "out" / "changed_numbers.csv", ("of", "is_sure"))
     assert [of for of, one in zip(changed["of"], changed["is_sure"], strict=True) if one == "1"] == ["m4"]
     found = read_summary(tmp_path / "out")
-    assert {one.code for one in found.doubts} == {"module_at_one_date", "compared_results_doubtful"}
+    assert {one.code for one in found.doubts} == {"module_at_one_date", "used_results_serious"}
     change, sigma = (found.numbers[f"{k}intercept_change_mean_ratio"] for k in ("", "sigma_"))
     assert sigma == pytest.approx(np.sqrt(2.0 / 6.0) * 1e-3)
     assert change == pytest.approx(-0.025 / 6, abs=4 * sigma)
