@@ -68,8 +68,7 @@ def edge_likeness(normalised: FloatArray, curve: IntArray, row: IntArray, y_m: F
     known = np.isfinite(table)
     filled = np.where(known, table, 0.0)
     lags = np.arange(1, max(2, int(_READ_SHARE * y_m.size)) + 1)
-    pairs = np.array([np.count_nonzero(known[:, k:] & known[:, :-k]) for k in lags])
-    shared = np.array([np.sum(filled[:, k:] * filled[:, :-k]) for k in lags])
+    pairs, shared = np.rint(_products(known.astype(np.float64))[lags]), _products(filled)[lags]
     enough = pairs >= _FEWEST_PAIRS
     if not enough.any():
         return APART
@@ -82,3 +81,11 @@ def edge_likeness(normalised: FloatArray, curve: IntArray, row: IntArray, y_m: F
     left = (pairs * (found - share[:, None] * shapes) ** 2).sum(axis=1)
     best = int(np.argmin(left))
     return EdgeLikeness(float(share[best]), float(lengths[best]))
+
+
+def _products(table: FloatArray) -> FloatArray:
+    """Return the sum of all products of values of one line at each distance, shape (r, n) to (n,), from spectra."""
+    size = 2 * table.shape[1]
+    spectra = np.fft.rfft(table, size, axis=1)
+    power = sum(np.einsum("rn,rn->n", part, part) for part in (spectra.real, spectra.imag))
+    return np.fft.irfft(power, size)[: table.shape[1]]
