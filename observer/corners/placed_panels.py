@@ -151,7 +151,8 @@ def place_by_edges(
     """
     steady = _Steady.of(sights, ends, photos, _Panels.of(ends, lattice, lean_sigma))
     solved = steady.solve(shape_m)
-    moved, places = _moved(photos, steady, solved), _places(photos, steady, solved)
+    gain = _gain(photos, steady)
+    moved, places = _moved(photos, steady, solved, gain), _places(photos, steady, solved, gain)
     across, up = np.split(solved.ends, 2)
     over = np.abs(across) / np.sqrt(np.diag(solved.prior_ends)[: across.size])
     beside = np.stack([across, up + shape_m], axis=1)
@@ -329,22 +330,24 @@ class _Solved(NamedTuple):
         return np.asarray(moved + np.einsum("mi,mi->m", sights.by_place, place[sights.end]))
 
 
-def _moved(photos: Photos, steady: _Steady, solved: _Solved) -> Photos:
+def _moved(photos: Photos, steady: _Steady, solved: _Solved, gain: FloatArray) -> Photos:
     """Return all poses with what the edges say; those whose edges were not looked at follow the others."""
-    gain = _gain(photos, steady)
     moves = (gain @ solved.steps).reshape(-1, 6)
-    taken = np.eye(len(steady.root)) - solved.covariance_steps
-    after = photos.covariance - gain @ taken @ gain.T
+    taken, ways = np.linalg.eigh(np.eye(len(steady.root)) - solved.covariance_steps)
+    # The product of a matrix and its own transpose takes half the time of any other.
+    root = gain @ (ways * np.sqrt(np.maximum(taken, 0.0)))
     poses = tuple(pose.moved(move) for pose, move in zip(photos.poses, moves, strict=True))
-    return Photos(poses, 0.5 * (after + after.T))
+    return Photos(poses, photos.covariance - root @ root.T)
 
 
 def _gain(photos: Photos, steady: _Steady) -> FloatArray:
     """Return what one unit of each combination of the looked-at steps does to all steps, shape (6 n, k)."""
-    return np.asarray(np.linalg.solve(steady.root, photos.covariance[steady.steps]).T)
+    from scipy.linalg import solve_triangular
+
+    return np.asarray(solve_triangular(steady.root, photos.covariance[steady.steps], lower=True).T)
 
 
-def _places(photos: Photos, steady: _Steady, solved: _Solved) -> PanelPlaces | None:
+def _places(photos: Photos, steady: _Steady, solved: _Solved, gain_of_steps: FloatArray) -> PanelPlaces | None:
     """Return heights and leans of the panels; None where they are held."""
     panels = steady.panels
     n = panels.variance.size // 3
@@ -360,7 +363,7 @@ def _places(photos: Photos, steady: _Steady, solved: _Solved) -> PanelPlaces | N
     return PanelPlaces(
         gain @ solved.ends,
         0.5 * (covariance + covariance.T),
-        with_steps @ _gain(photos, steady).T,
+        with_steps @ gain_of_steps.T,
         by_poses,
         panels.lean_sigma,
     )
