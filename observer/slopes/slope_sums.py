@@ -102,10 +102,13 @@ class SlopeSums:
         own = weights.reshape(count, -1) @ solved[..., 0::2].reshape(count, -1).T
         if self._others is not None:
             flat = solved.reshape(count, -1)
-            # One after the other: a sum's slopes stay in the processor's cache.
-            for number, (first, last) in enumerate(spans):
-                pulled = self._others[:, first:last] @ _pulled(solved[number, first:last], self._system.bands)
-                own[:, number] += flat @ pulled.reshape(-1)
+            pulled = np.empty((min(count, _AT_ONCE), *solved.shape[1:]))
+            for start in range(0, count, _AT_ONCE):
+                part, bands = spans[start : start + _AT_ONCE], self._system.bands
+                for place, (first, last) in enumerate(part):
+                    pulled[place] = self._others[:, first:last] @ _pulled(solved[start + place, first:last], bands)
+                # Ten at once: all solutions together are larger than the processor's cache.
+                own[:, start : start + len(part)] += flat @ pulled[: len(part)].reshape(len(part), -1).T
         return solved, np.asarray(0.5 * (own + own.T))
 
 
