@@ -83,9 +83,13 @@ class Reduction:
         return derivatives_of(self._lines, len(self._covariance))
 
     @cached_property
+    def _by_slopes(self) -> "csr_array":
+        return self._rows.derivatives()
+
+    @cached_property
     def _by_row(self) -> "list[tuple[csr_array, csc_array]]":
         """Derivatives of each row's lines with respect to its slopes, and those to the common unknowns, transposed."""
-        by_slopes, size = self._rows.derivatives(), 2 * self._rows.grid.x_m.size
+        by_slopes, size = self._by_slopes, 2 * self._rows.grid.x_m.size
         return [
             (by_slopes[first:last, size * i : size * (i + 1)], self._derivatives[first:last].T)
             for i, (first, last) in enumerate(pairwise(self._first))
@@ -106,10 +110,13 @@ class Reduction:
             system = alike_system(self._rows, prior, correlation)
         solved = system.factor.solve(self._pull)
         evidence = 0.5 * (system.log_determinant + float((self._pull * solved).sum()))
-        count, by_slopes = len(self._covariance), self._rows.derivatives()
+        count, nothing = len(self._covariance), np.zeros((0, 0))
+        if count == 0 and beside is None:
+            return Reduced(np.zeros(0), nothing, nothing, evidence, Beside(np.zeros(0), nothing))
+        by_slopes = self._by_slopes
         left = self._values - by_slopes @ solved.reshape(-1)
         if count == 0:
-            normal, root, common = np.zeros((0, 0)), np.zeros((0, 0)), np.zeros(0)
+            normal, root, common = nothing, nothing, np.zeros(0)
         else:
             normal = self._projected_alike(system) if isinstance(system, AlikeSystem) else self._projected(system)
             precision, spread = _precision(self._covariance)
@@ -119,7 +126,7 @@ class Reduction:
             common = -solve_with(root, gradient)
             evidence -= 0.5 * (narrowed + spread + float(gradient @ common))
         if beside is None:
-            return Reduced(common, normal, root, evidence, Beside(np.zeros(0), np.zeros((0, 0))))
+            return Reduced(common, normal, root, evidence, Beside(np.zeros(0), nothing))
         patterns = beside[0][self._order] / self._sigma[:, None]
         pulls = np.stack([self._rows.right_sides(one) for one in patterns.T])
         seen = patterns - (by_slopes @ system.factor.solve(pulls).reshape(len(pulls), -1).T)
@@ -174,7 +181,7 @@ class Reduction:
     @cached_property
     def _of_all_rows(self) -> "tuple[csr_array, FloatArray]":
         """Products of the derivatives: of slopes by common unknowns, and of these by themselves."""
-        return self._rows.derivatives().T @ self._derivatives, (self._derivatives.T @ self._derivatives).toarray()
+        return self._by_slopes.T @ self._derivatives, (self._derivatives.T @ self._derivatives).toarray()
 
     def _projected_alike(self, system: AlikeSystem) -> FloatArray:
         """Return the normal matrix where all rows are one system, shape (c, c)."""

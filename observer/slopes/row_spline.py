@@ -157,9 +157,10 @@ class Rows:
         """Return the factorised normal equations together with what is known of the slopes beforehand."""
         bands = prior_bands(self.grid, prior)
         n, count = self.grid.x_m.size, 2 * len(bands) - 1
-        whole = np.zeros((len(self.normal), n, 2, count))
-        whole[..., : self.normal.shape[2]] = self.normal.reshape(-1, n, 2, self.normal.shape[2])
-        whole[..., 0::2] += np.moveaxis(bands, 0, -1)
+        known = np.zeros((n, 2, count))
+        known[..., 0::2] = np.moveaxis(bands, 0, -1)
+        whole = np.broadcast_to(known, (len(self.normal), n, 2, count)).copy()
+        whole[..., : self.normal.shape[2]] += self.normal.reshape(-1, n, 2, self.normal.shape[2])
         factor = factorise(whole.reshape(-1, 2 * n, count))
         return RowSystem(factor, bands, len(whole) * _log_determinant(bands) - float(factor.log_determinant.sum()))
 
