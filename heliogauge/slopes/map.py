@@ -59,6 +59,15 @@ class CommonModes:
         terms = monomials((x_m - self.center_m[0]) / self.scale_m, (y_m - self.center_m[1]) / self.scale_m, self.degree)
         return np.tensordot(self.coefficients, terms, axes=(2, 0))
 
+    def of_sum(self, x_m: FloatArray, y_m: FloatArray, weights: FloatArray) -> FloatArray:
+        """Return what the modes do to a weighted sum of slopes, without their values at the points.
+
+        Shapes: x_m, y_m, weights (n,).
+        Returns (k, 2): Change of the sums of slope_x and of slope_y for +1 sigma of each source [rad].
+        """
+        terms = monomials((x_m - self.center_m[0]) / self.scale_m, (y_m - self.center_m[1]) / self.scale_m, self.degree)
+        return np.asarray(self.coefficients @ (terms @ weights))
+
     def on_grid(self, x_m: FloatArray, y_m: FloatArray) -> Iterator[FloatArray]:
         """Yield the modes at the nodes of a grid, one after the other.
 

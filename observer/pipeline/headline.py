@@ -68,9 +68,9 @@ def _sigma_rms(angle_rad: FloatArray, slope_map: SlopeMap) -> float:
     angle, turn = angle_rad[valid], 1 / (1 + slope_map.slope_x[valid] ** 2)
     pull = angle * turn / max(float(np.linalg.norm(angle)) * np.sqrt(angle.size), 1e-12)
     x, y = np.meshgrid(slope_map.x_m, slope_map.y_m)
-    modes = slope_map.common.evaluate(x[valid], y[valid])[:, 0]
+    moved = slope_map.common.of_sum(x[valid], y[valid], pull)[:, 0]
     noise = slope_map.noise_correlation * float(np.sum((pull * slope_map.sigma_random_x[valid]) ** 2))
-    return float(np.sqrt(noise + np.sum((modes @ pull) ** 2)))
+    return float(np.sqrt(noise + np.sum(moved**2)))
 
 
 def _across_only(slope_map: SlopeMap) -> SlopeMap:

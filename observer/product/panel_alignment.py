@@ -107,7 +107,6 @@ def panel_tilts(
     x, y = np.meshgrid(slope_map.x_m, slope_map.y_m)
     panel = collector.panel_index(x, y)
     used = slope_map.valid & np.isfinite(angle_rad)
-    modes = slope_map.common.evaluate(x, y)[:, 0]
     # d angle / d slope = -1 / (1 + slope^2)
     turn = 1 / (1 + slope_map.design_slope_x**2)
     columns, rows = collector.panel_edges_x_m, collector.panel_edges_y_m
@@ -123,7 +122,7 @@ def panel_tilts(
             sigma[number] = sigma_rad[number]
             continue
         noise = slope_map.noise_correlation * np.sum((turn * slope_map.sigma_random_x)[own] ** 2) / own.sum() ** 2
-        together = np.sum((modes[:, own] * turn[own]).mean(axis=1) ** 2)
+        together = np.sum(slope_map.common.of_sum(x[own], y[own], turn[own] / own.sum())[:, 0] ** 2)
         sigma[number] = np.sqrt(noise + together)
     centre_x, centre_y = np.meshgrid((columns[:-1] + columns[1:]) / 2, (rows[:-1] + rows[1:]) / 2)
     return PanelTilts(centre_x.ravel(), centre_y.ravel(), tilt, sigma, share)

@@ -35,7 +35,6 @@ def panel_shapes(slope_map: SlopeMap, collector: Collector) -> PanelShapes:
     """
     x, y = np.meshgrid(slope_map.x_m, slope_map.y_m)
     panel = collector.panel_index(x, y)
-    modes = slope_map.common.evaluate(x, y)[:, 0]
     count = (len(collector.panel_edges_x_m) - 1) * (len(collector.panel_edges_y_m) - 1)
     focal, sigma, rest = (np.full(count, np.nan) for _ in range(3))
     for number in range(count):
@@ -49,7 +48,7 @@ def panel_shapes(slope_map: SlopeMap, collector: Collector) -> PanelShapes:
         weights = beside / (beside @ beside)
         curvature = float(weights @ slope_map.slope_x[own])
         noise = slope_map.noise_correlation * float(weights**2 @ slope_map.sigma_random_x[own] ** 2)
-        together = float(np.sum((modes[:, own] @ weights) ** 2))
+        together = float(np.sum(slope_map.common.of_sum(x[own], y[own], weights)[:, 0] ** 2))
         focal[number] = 1 / (2 * curvature)
         sigma[number] = np.sqrt(noise + together) / (2 * curvature**2)
         left = slope_map.slope_x[own] - slope_map.slope_x[own].mean() - curvature * beside

@@ -249,3 +249,10 @@ def test_differences_reach_beyond_shared_pixels():
     middle = tuple(size // 2 for size in value.shape)
     assert value[middle] == pytest.approx(own.value_per_m[middle], rel=1e-9)
     assert curvature(shared)[0].sigma_per_m[middle] < own.sigma_per_m[middle]
+
+
+def test_modes_of_a_sum_are_the_sums_of_the_modes() -> None:
+    rng = np.random.default_rng(3)
+    modes = CommonModes(("pose", "camera"), rng.standard_normal((2, 2, 10)), np.array([0.3, -0.2]), 1.7)
+    x, y, weights = rng.standard_normal((3, 40))
+    np.testing.assert_allclose(modes.of_sum(x, y, weights), modes.evaluate(x, y) @ weights, rtol=1e-12)
