@@ -27,6 +27,8 @@ _SMALLEST_PX, _LARGEST_PX, _LEAST_CONTRAST_DN, _MOST_TILT_RAD = 3.0, 60.0, 8.0, 
 _SMALL_PX = 4.0
 #: Logarithm of the contrast of a dot that only the lattice expects over that of its neighbours, at most: half or twice.
 _LIKE_NEIGHBOURS = np.log(2.0)
+#: Share of its neighbours' contrast below which there is no dot: half of the least that one may have.
+_NOTHING = 0.25
 #: So many of the nearest dots say how large a dot is that only the lattice expects.
 LIKE_SO_MANY = 4
 #: Dots whose blur and size stand for all: both are known to a tenth from each.
@@ -203,7 +205,7 @@ def _measured(image_dn: npt.NDArray[Any], spots: _Spots, number: IntArray, on_la
         )
     expected, their_number = expected_dots(places, number)
     like, usual_dn = _like_neighbours(expected, chosen, centres.contrast_dn)
-    more = _centres(image_dn, spots, like, float(np.median(centres.residual_dn[good])))
+    more = _centres(image_dn, spots, like, float(np.median(centres.residual_dn[good])), usual_dn)
     with np.errstate(invalid="ignore", divide="ignore"):
         there = more.settled & (np.abs(np.log(more.contrast_dn / usual_dn)) < _LIKE_NEIGHBOURS)
     # What has no centre of its own keeps that of its outline, as sure as those of its neighbours are.
@@ -260,11 +262,18 @@ class _Centres:
     by_light: BoolArray
 
 
-def _centres(image_dn: npt.NDArray[Any], every: _Spots, dots: _Spots, noise_dn: float | None = None) -> _Centres:
+def _centres(
+    image_dn: npt.NDArray[Any],
+    every: _Spots,
+    dots: _Spots,
+    noise_dn: float | None = None,
+    usual_dn: FloatArray | None = None,
+) -> _Centres:
     """Measure dots: small ones that have free ground around them by their light, others by a template.
 
     every: All spots of the photo, which may stand beside the dots.
     noise_dn: Usual noise of a pixel where it is known [DN].
+    usual_dn (n,): Usual contrast of dots where there may be none [DN].
     """
     from scipy.spatial import cKDTree
 
@@ -288,8 +297,10 @@ def _centres(image_dn: npt.NDArray[Any], every: _Spots, dots: _Spots, noise_dn: 
                 found.settled.copy(),
                 np.ones(count, dtype=np.bool_),
             )
-            # Beside the mirror's edge, or a light: the template leaves out what is no disc.
-            _by_template(image_dn, dots, np.flatnonzero(~found.settled), result)
+            # Beside the mirror's edge, or a light: the template leaves out what is no disc. On even ground that shows
+            # nothing, as all around the pattern, it would take its most steps to tell the same.
+            seen = True if usual_dn is None else ~(np.abs(found.start_contrast_dn) < _NOTHING * usual_dn)
+            _by_template(image_dn, dots, np.flatnonzero(~found.settled & seen), result)
             return result
     unknown = np.full(count, np.nan)
     result = _Centres(
@@ -359,8 +370,10 @@ def index_lattices(places_px: FloatArray) -> tuple[IntArray, IntArray]:
     steps = np.tile(np.stack([across, [-across[1], across[0]]]) * float(np.median(distances[:, 0])), (count, 1, 1))
     links = _links(near, apart, steps)
     for _ in range(1, _ROUNDS):
-        steps = _steps_around(places_px, near, links, steps)
+        steps, before = _steps_around(places_px, near, links, steps), links
         links = _links(near, apart, steps)
+        if np.array_equal(links, before):
+            break
     return _numbered(links)
 
 

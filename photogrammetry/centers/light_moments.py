@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from heliogauge.short_repr import ShortRepr
-from heliogauge.validate import BoolArray, FloatArray
+from heliogauge.validate import BoolArray, Float32Array, FloatArray
 
 #: How far beyond the outline light counts, with half a pixel on either side in which it fades out. Of 0.75, 1, 1.25
 #: and 1.5 this has the smallest errors on drawn dots of 3 to 8 px with a blur of 0.5 to 1 px, and sigmas that hold
@@ -25,6 +25,8 @@ _LEAST_NOISE_DN = 12**-0.5
 _LEAST_SIGMAS = 8.0
 #: Passes: the window follows the centre, a twentieth of the first shift is left after the first.
 _PASSES = 2
+#: Which sum of powers (1, x, y, x^2, x y, y^2) stands where in a product of (1, x, y) with itself.
+_PRODUCTS = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])
 #: Dots that are worked on together: their windows stay in the caches.
 _AT_ONCE = 1024
 
@@ -38,6 +40,7 @@ class LightCenters(ShortRepr):
     contrast_dn (n,): Level inside minus outside; negative for dark dots [DN].
     residual_dn: Usual noise of a pixel of the ground [DN].
     settled (n,): Whether there is a centre: the dot stands out, its ground is free, the centre is where the outline is.
+    start_contrast_dn (n,): The contrast in the outline as it was given; NaN where the ground around that is not free.
     """
 
     centers_px: FloatArray
@@ -45,6 +48,7 @@ class LightCenters(ShortRepr):
     contrast_dn: FloatArray
     residual_dn: float
     settled: BoolArray
+    start_contrast_dn: FloatArray
 
 
 def light_centers(
@@ -73,12 +77,15 @@ def light_centers(
     half_all = np.ceil(np.sqrt(np.einsum("nii->ni", shapes_px2).max(axis=1)) + _MARGIN_PX + _RING_PX + 1).astype(
         np.intp
     )
+    at_start, noise_there = np.full(count, np.nan), np.full(count, np.nan)
     order = np.argsort(half_all, kind="stable")
     for first in range(0, count, _AT_ONCE):
         rows = order[first : first + _AT_ONCE]
         half = int(half_all[rows].max())
-        for _ in range(_PASSES):
+        for turn in range(_PASSES):
             found = _moments(image_dn, centers[rows], shapes_px2[rows], free_px[rows], half)
+            if turn == 0:
+                at_start[rows], noise_there[rows] = np.where(found.has_ground, found.light, np.nan), found.noise_dn
             centers[rows] += np.where(found.fine[:, None], found.shift_px, 0.0)
         light[rows], noise[rows], settled[rows], covariance[rows] = (
             found.light,
@@ -91,9 +98,11 @@ def light_centers(
     usual = (float(np.median(noise[settled])) if settled.any() else 0.0) if noise_dn is None else noise_dn
     settled &= np.hypot(*(centers - centers_px).T) < np.maximum(0.5 * radius, 0.5)
     settled &= np.abs(light) > _LEAST_SIGMAS * usual * np.sqrt(area)
-    settled &= noise < _MOST_NOISES * max(usual, _LEAST_NOISE_DN)
+    most = _MOST_NOISES * max(usual, _LEAST_NOISE_DN)
+    settled &= noise < most
     covariance *= np.maximum(noise, usual)[:, None, None] ** 2
-    return LightCenters(centers, covariance, light / area, usual, settled)
+    at_start = np.where(noise_there < most, at_start, np.nan) / area
+    return LightCenters(centers, covariance, light / area, usual, settled, at_start)
 
 
 def counted_share(radius_px: float, blur_px: float, outline_px: float) -> float:
@@ -116,18 +125,24 @@ def counted_share(radius_px: float, blur_px: float, outline_px: float) -> float:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Moments:
-    """Shift of the centres, light over ground, noise of the ground, covariance per noise, whether all is there."""
+    """Shift of the centres, light over ground, noise of the ground, covariance per noise, whether ground and all is."""
 
     shift_px: FloatArray
     light: FloatArray
     noise_dn: FloatArray
     spread: FloatArray
+    has_ground: BoolArray
     fine: BoolArray
 
 
 def _moments(
     image_dn: npt.NDArray[np.generic], centers: FloatArray, shapes: FloatArray, free_px: FloatArray, half: int
 ) -> _Moments:
+    """Measure dots in windows of 2 half + 1 pixels.
+
+    All sums are over the powers of the same whole pixels, x and y from the middle of the window, so that they are
+    products of matrices; what refers to the dot's own place follows from them.
+    """
     middle = np.rint(centers).astype(np.intp)
     offset = np.arange(-half, half + 1)
     height, width = image_dn.shape
@@ -135,38 +150,69 @@ def _moments(
     column = np.clip(middle[:, 0], half, width - 1 - half)[:, None] + offset
     row = np.clip(middle[:, 1], half, height - 1 - half)[:, None] + offset
     values = image_dn[row[:, :, None], column[:, None, :]].astype(np.float32).reshape(len(centers), -1)
-    size = (len(centers), offset.size, offset.size)
-    x = np.broadcast_to((offset - (centers[:, 0] - middle[:, 0])[:, None])[:, None, :], size).reshape(values.shape)
-    y = np.broadcast_to((offset - (centers[:, 1] - middle[:, 1])[:, None])[:, :, None], size).reshape(values.shape)
-    x, y = x.astype(np.float32), y.astype(np.float32)
-    inverse = np.linalg.inv(shapes).astype(np.float32)
-    square = inverse[:, 0, 0, None] * x * x + 2 * inverse[:, 0, 1, None] * x * y + inverse[:, 1, 1, None] * y * y
-    length = np.sqrt(x * x + y * y)
-    beyond = length * (1 - 1 / np.sqrt(np.maximum(square, 1e-6)))
+    y, x = (one.ravel().astype(np.float32) for one in np.meshgrid(offset, offset, indexing="ij"))
+    powers = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y])
+    beyond, length_squared = _around(centers - middle, shapes, powers)
     weight = np.clip(_MARGIN_PX + 0.5 - beyond, 0.0, 1.0)
-    ring = ((beyond > _MARGIN_PX + 0.5) & (beyond <= _MARGIN_PX + 0.5 + _RING_PX) & (length < free_px[:, None])).astype(
-        np.float32
-    )
-    terms = np.stack([np.ones_like(x), x, y], axis=1)
-    on_ring = terms * ring[:, None]
-    count = ring.sum(axis=1)
+    ring = beyond > _MARGIN_PX + 0.5
+    ring &= beyond <= _MARGIN_PX + 0.5 + _RING_PX
+    ring &= length_squared < (free_px * np.maximum(free_px, 0.0))[:, None].astype(np.float32)
+    on_ring = ring.astype(np.float32)
+
+    def sums(of: Float32Array, count: int = 6) -> FloatArray:
+        return (of @ powers[:count].T).astype(np.float64)
+
+    by_ring = sums(on_ring)
+    count = by_ring[:, 0]
+    # Above the mean of the ring: little is lost when squares are summed in single precision.
+    values -= (np.einsum("nk,nk->n", on_ring, values) / np.maximum(count, 1.0).astype(np.float32))[:, None]
+    on_ring *= values
+    right = sums(on_ring, 3)
     # A plane through a ring that neighbours leave open on one side is as good as its normal matrix says.
-    normal = (on_ring @ np.swapaxes(terms, 1, 2)).astype(np.float64) + 1e-6 * np.eye(3)
-    solver = np.linalg.inv(normal)
-    plane = (solver @ (on_ring @ values[:, :, None]).astype(np.float64))[..., 0]
-    left = values - (plane[:, None].astype(np.float32) @ terms)[:, 0]
-    noise = np.sqrt((ring * left * left).sum(axis=1) / np.maximum(count - 3, 1))
-    weighed = weight * terms.transpose(1, 0, 2)
-    light = (weight * left).sum(axis=1).astype(np.float64)
+    solver = np.linalg.inv(by_ring[:, _PRODUCTS] + 1e-6 * np.eye(3))
+    plane = (solver @ right[..., None])[..., 0]
+    squares = np.einsum("nk,nk->n", on_ring, values) - np.einsum("ni,ni->n", plane, right)
+    noise = np.sqrt(np.maximum(squares, 0.0) / np.maximum(count - 3, 1))
+    # Light, and light times x and y, from the middle of the window; then from the dot.
+    values *= weight
+    by_weight = sums(weight)[:, _PRODUCTS]
+    left = sums(values, 3) - (by_weight @ plane[..., None])[..., 0]
+    light, own = left[:, 0], (centers - middle)[..., None]
+    weight *= weight
+    by_square = sums(weight)[:, _PRODUCTS]
+    outer = own * by_square[:, None, 0, 1:]
+    squared = by_square[:, 1:, 1:] - outer - np.swapaxes(outer, 1, 2)
+    squared += by_square[:, :1, :1] * own * np.swapaxes(own, 1, 2)
+    by_plane = by_weight[:, 1:] - own * by_weight[:, :1]
     with np.errstate(divide="ignore", invalid="ignore"):
-        shift = np.stack([(one * left).sum(axis=1) / light for one in weighed[1:]], axis=1)
-        own = weighed[1:].transpose(1, 0, 2).astype(np.float64)
-        by_plane = own @ np.swapaxes(terms, 1, 2)
-        spread = (own @ np.swapaxes(own, 1, 2) + by_plane @ solver @ np.swapaxes(by_plane, 1, 2)) / light[
-            :, None, None
-        ] ** 2
-    fine = inside & (count >= _LEAST_PIXELS) & np.isfinite(shift).all(axis=1) & (np.hypot(*shift.T) < half)
-    return _Moments(np.asarray(shift), light, np.asarray(noise), np.asarray(spread), fine)
+        shift = left[:, 1:] / light[:, None] - own[..., 0]
+        spread = (squared + by_plane @ solver @ np.swapaxes(by_plane, 1, 2)) / light[:, None, None] ** 2
+    has_ground = inside & (count >= _LEAST_PIXELS)
+    fine = has_ground & np.isfinite(shift).all(axis=1) & (np.hypot(*shift.T) < half)
+    return _Moments(np.asarray(shift), light, np.asarray(noise), np.asarray(spread), has_ground, fine)
+
+
+def _around(own_px: FloatArray, shapes_px2: FloatArray, powers: Float32Array) -> tuple[Float32Array, Float32Array]:
+    """Return how far pixels lie beyond the outlines [px], and their squared distances from the centres [px^2], (n, k).
+
+    own_px (n, 2): Centres, from the middle of the window [px].
+    shapes_px2 (n, 2, 2): Ellipses [px^2].
+    powers (6, k): Powers of the pixels' places from there.
+    """
+
+    def form(matrices: FloatArray) -> Float32Array:
+        by_own = (matrices @ own_px[..., None])[..., 0]
+        parts = [np.einsum("ni,ni->n", by_own, own_px), *(-2 * by_own.T)]
+        parts += [matrices[:, 0, 0], 2 * matrices[:, 0, 1], matrices[:, 1, 1]]
+        return np.asarray(np.stack(parts, axis=1).astype(np.float32) @ powers)
+
+    square = form(np.asarray(np.linalg.inv(shapes_px2)))
+    length_squared = form(np.broadcast_to(np.eye(2), shapes_px2.shape))
+    np.maximum(length_squared, 0.0, out=length_squared)
+    np.sqrt(np.maximum(square, 1e-6, out=square), out=square)
+    beyond = np.sqrt(length_squared)
+    beyond -= beyond / square
+    return beyond, length_squared
 
 
 def has_free_ground(shapes_px2: FloatArray, free_px: FloatArray) -> BoolArray:
