@@ -33,4 +33,8 @@ def robust_scale_of_rows(deviations: FloatArray) -> FloatArray:
 
     deviations (n, k): Errors about zero.
     """
-    return np.asarray(SIGMA_PER_MAD * np.nanmedian(np.abs(deviations), axis=1))
+    # NaN is sorted to the end; numpy's own median without NaN takes three times as long.
+    ordered = np.sort(np.abs(deviations), axis=1)
+    count = np.count_nonzero(~np.isnan(ordered), axis=1)
+    rows = np.arange(len(ordered))
+    return np.asarray(SIGMA_PER_MAD * 0.5 * (ordered[rows, (count - 1) // 2] + ordered[rows, count // 2]))

@@ -15,6 +15,9 @@ _PASSES = ((0.4, 1.7, 14), (0.7, 1.4, 15))
 _SEEN_SHARE = 0.75
 #: Edges farther from the ellipse than this many robust sigmas are left out of the second fit.
 _OUTLIER_SIGMAS = 3.0
+#: Which of the sums of x^4, x^3 y, ... y^4, x^3, ... y^3, x^2, x y, y^2 stands where in a product of (x^2, x y, y^2, x,
+#: y) with itself.
+_PRODUCTS = np.array([[0, 1, 2, 5, 6], [1, 2, 3, 6, 7], [2, 3, 4, 7, 8], [5, 6, 7, 9, 10], [6, 7, 8, 10, 11]])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -87,23 +90,27 @@ def _first_crossing(
 
     It enters it before where the spot has a hole.
     """
-    above = np.where(dark, 1.0, -1.0)[:, None, None] * (values - middle[:, None, None])
-    changes = np.asarray((above[..., 1:] > 0) & (above[..., :-1] <= 0))
-    seen = np.asarray(changes.any(axis=2))
-    at = changes.argmax(axis=2)[..., None]
-    before = np.take_along_axis(above, at, axis=2)[..., 0]
-    after = np.take_along_axis(above, at + 1, axis=2)[..., 0]
+    beyond = (values > middle[:, None, None].astype(np.float32)) == dark[:, None, None]
+    changes = beyond[..., 1:] & ~beyond[..., :-1]
+    at = changes.argmax(axis=2)
+    where = np.arange(at.size) * values.shape[2] + at.ravel()
+    before, after = (values.ravel()[one].reshape(at.shape).astype(np.float64) for one in (where, where + 1))
     step = before - after
-    share = before / np.where(step == 0, 1.0, step)
-    return radii[at[..., 0]] + share * (radii[1] - radii[0]), seen
+    share = (before - middle[:, None]) / np.where(step == 0, 1.0, step)
+    seen = np.take_along_axis(changes, at[..., None], axis=2)[..., 0]
+    return radii[at] + share * (radii[1] - radii[0]), seen
 
 
 def _fit(edges: FloatArray, used: BoolArray, circle: FloatArray) -> tuple[FloatArray, BoolArray]:
     """Conics A x^2 + B x y + C y^2 + D x + E y = 1 near the unit circle, where algebraic distances are true ones."""
-    x, y = edges * circle[:, 0], edges * circle[:, 1]
-    rows = np.stack([x * x, x * y, y * y, x, y], axis=2) * used[..., None]
-    normal = np.matmul(rows.transpose(0, 2, 1), rows) + 1e-9 * np.eye(5)
-    right = rows.sum(axis=1)
+    c, s = circle.T
+    # Sums of products of x = r c and y = r s over the rays are products of powers of r with those of c and s.
+    fourth, third, second, first = (
+        np.where(used, edges, 0.0) ** degree @ np.stack([c ** (degree - k) * s**k for k in range(degree + 1)], axis=1)
+        for degree in (4, 3, 2, 1)
+    )
+    normal = np.concatenate([fourth, third, second], axis=1)[:, _PRODUCTS] + 1e-9 * np.eye(5)
+    right = np.concatenate([second, first], axis=1)
     ok = used.sum(axis=1) >= 8
     return np.linalg.solve(normal, right[..., None])[..., 0], ok
 

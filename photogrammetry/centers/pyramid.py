@@ -52,12 +52,15 @@ class Pyramid:
         level (n,): On which level each row is sampled.
         """
         values = np.empty(x_px.shape, dtype=np.float32)
-        for k in np.unique(level).tolist():
+        for k in np.flatnonzero(np.bincount(level)).tolist():
             rows = np.flatnonzero(level == k)
             for first in range(0, len(rows), _ROWS):
-                part = rows[first : first + _ROWS]
-                scale, shift = np.float32(0.5**k), np.float32(0.5 ** (k + 1) - 0.5)
-                at_x, at_y = x_px[part] * scale + shift, y_px[part] * scale + shift
+                # Mostly all are on one level: no need to pick them out.
+                part = slice(first, first + _ROWS) if len(rows) == len(level) else rows[first : first + _ROWS]
+                at_x, at_y = x_px[part], y_px[part]
+                if k:
+                    scale, shift = np.float32(0.5**k), np.float32(0.5 ** (k + 1) - 0.5)
+                    at_x, at_y = at_x * scale + shift, at_y * scale + shift
                 values[part] = cv2.remap(self.levels[k], at_x, at_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         return values
 
@@ -69,12 +72,10 @@ class Pyramid:
         shapes_px2 (n, 2, 2): Shape matrices in the photo [px^2].
         unit (2, m): Places; the unit circle is the ellipse.
         """
-        frames, centers = ellipse_frames(shapes_px2).astype(np.float32), centers_px.astype(np.float32)
-        u, v = unit.astype(np.float32)
-        # Written out: numpy's products of many small matrices take ten times as long.
-        x = frames[:, 0, :1] * u + frames[:, 0, 1:] * v + centers[:, :1]
-        y = frames[:, 1, :1] * u + frames[:, 1, 1:] * v + centers[:, 1:]
-        return self.sample(x, y, self.level_for(shapes_px2))
+        # One product of two matrices for each axis: numpy's of many small ones take ten times as long.
+        maps = np.concatenate([ellipse_frames(shapes_px2), centers_px[..., None]], axis=2).astype(np.float32)
+        places = np.vstack([unit, np.ones(unit.shape[1])]).astype(np.float32)
+        return self.sample(maps[:, 0] @ places, maps[:, 1] @ places, self.level_for(shapes_px2))
 
 
 def make_pyramid(image_dn: npt.NDArray[np.generic], levels: int = 8) -> Pyramid:
