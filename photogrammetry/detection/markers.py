@@ -5,6 +5,7 @@ its corners are whole pixels. Here every bit must be that of the dictionary, wit
 edge; what fails is named with the reason.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -15,7 +16,7 @@ import numpy.typing as npt
 from heliogauge.errors import EstimationError, InputError
 from heliogauge.validate import BoolArray, FloatArray, freeze
 from photogrammetry.detection.detections import Detections
-from photogrammetry.detection.square_edges import SquareCorners, square_corners, with_correlated_errors
+from photogrammetry.detection.square_edges import SquareCorners, corners_of_squares, with_correlated_errors
 
 Bytes = npt.NDArray[np.uint8]
 
@@ -87,15 +88,17 @@ def find_markers(
     allowed = limits or MarkerLimits()
     found, numbers_found, _ = cv2.aruco.ArucoDetector(table).detectMarkers(_bytes(image_dn))
     numbers: Any = numbers_found  # an array, or None: the declaration knows the array only
+    # OpenCV 4 gives numbers as a column, OpenCV 5 as a row, both None without a marker.
+    read = np.ravel(numbers if numbers is not None else []).tolist()
+    starts = [np.asarray(start, dtype=np.float64).reshape(4, 2) for start in found]
     measured: list[tuple[int, SquareCorners]] = []
     rejected = []
-    # OpenCV 4 gives numbers as a column, OpenCV 5 as a row, both None without a marker.
-    for number, start in zip(np.ravel(numbers if numbers is not None else []).tolist(), found, strict=True):
-        corners = np.asarray(start, dtype=np.float64).reshape(4, 2)
-        try:
-            measured.append((number, _measure(image_dn, corners, _cells(table, number))))
-        except EstimationError as error:
-            rejected.append(RejectedMarker(number, freeze(corners.mean(axis=0)), str(error)))
+    squares_found = _measure(image_dn, starts, [_cells(table, number) for number in read])
+    for number, start, square in zip(read, starts, squares_found, strict=True):
+        if isinstance(square, EstimationError):
+            rejected.append(RejectedMarker(number, freeze(start.mean(axis=0)), str(square)))
+        else:
+            measured.append((number, square))
     kept = []
     honest = with_correlated_errors([square for _, square in measured])
     for (number, _), square in zip(measured, honest, strict=True):
@@ -128,12 +131,21 @@ def _to_bytes(image_dn: npt.NDArray[np.generic]) -> float:
     return 1 / 257 if deep else 1.0
 
 
-def _measure(image_dn: npt.NDArray[np.generic], corners: FloatArray, white: BoolArray) -> SquareCorners:
-    low = np.maximum(np.floor(corners.min(axis=0)).astype(int) - 7, 0)
-    high = np.ceil(corners.max(axis=0)).astype(int) + 8
-    window = np.asarray(image_dn[low[1] : high[1], low[0] : high[0]], dtype=np.float64)
-    square = square_corners(window, corners - low, white)
-    return replace(square, corners_px=freeze(square.corners_px + low))
+def _measure(
+    image_dn: npt.NDArray[np.generic], starts: Sequence[FloatArray], white: Sequence[BoolArray]
+) -> list[SquareCorners | EstimationError]:
+    """Measure the corners of markers in windows of the photo."""
+    lows, windows = [], []
+    for start in starts:
+        low = np.maximum(np.floor(start.min(axis=0)).astype(int) - 7, 0)
+        high = np.ceil(start.max(axis=0)).astype(int) + 8
+        windows.append(np.asarray(image_dn[low[1] : high[1], low[0] : high[0]], dtype=np.float64))
+        lows.append(low)
+    found = corners_of_squares(windows, [start - low for start, low in zip(starts, lows, strict=True)], white)
+    return [
+        one if isinstance(one, EstimationError) else replace(one, corners_px=freeze(one.corners_px + low))
+        for one, low in zip(found, lows, strict=True)
+    ]
 
 
 def _cells(table: cv2.aruco.Dictionary, number: int) -> BoolArray:

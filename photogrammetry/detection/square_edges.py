@@ -1,6 +1,6 @@
 """Corners of black squares from lines fitted to their sides: sub-pixel, with a covariance for each corner."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -8,7 +8,7 @@ import numpy.typing as npt
 
 from heliogauge.adjust.small_fits import Descent, SmallFits, descend
 from heliogauge.errors import EstimationError
-from heliogauge.validate import FloatArray, IntArray, freeze
+from heliogauge.validate import BoolArray, FloatArray, IntArray, freeze
 from photogrammetry.centers.disc_model import normal_distribution
 
 #: Part of a side that is used; near the corners the other side's blur disturbs, and corners are rounded in print.
@@ -17,6 +17,8 @@ _FROM, _TO = 0.1, 0.9
 _MOST_BAND_PX, _BAND_CELLS = 4.0, 0.85
 #: Passes: the detector's corners are off by a pixel or two, so the band is laid anew.
 _PASSES = 3
+#: Pixels of bands that are fitted together.
+_PIXELS_AT_ONCE = 20_000
 _N_PARAMETERS = 7
 #: Undamped steps alone swing for ever on edges narrower than a pixel, by 0.3 px on photos of a wall.
 _DESCENT = Descent(most_steps=20, first=1e-3, down=0.1, up=10.0, rise=1e-9, ridge=1e-9)
@@ -73,6 +75,26 @@ class _Side:
     excess: float
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Band:
+    """Pixels near one side.
+
+    along: Position along it (0 to 1).
+    outwards_px: Distance outwards [px].
+    values_dn: Grey values [DN].
+    border_px, white: What follows on the black border: the border's width there [px], and how white it is.
+    inside_dn, outside_dn: Levels of ink and paper [DN].
+    """
+
+    along: FloatArray
+    outwards_px: FloatArray
+    values_dn: FloatArray
+    border_px: FloatArray
+    white: FloatArray
+    inside_dn: float
+    outside_dn: float
+
+
 def square_corners(
     window_dn: npt.NDArray[np.float64], corners_px: npt.ArrayLike, white: npt.NDArray[np.bool_]
 ) -> SquareCorners:
@@ -89,15 +111,68 @@ def square_corners(
     the black border. A line follows from some hundred pixels, so that a corner is known to a few hundredths of a
     pixel, where a corner operator sees a dozen pixels that the print rounds.
     """
-    corners = np.array(corners_px, dtype=np.float64)
-    sides: list[_Side] = []
-    for _ in range(_PASSES):
-        start = corners
-        # Turned so that the side runs along the first row, from its first cell to its last.
-        sides = _fit_sides([_band_of_side(window_dn, start, k, np.rot90(white, k)[1]) for k in range(4)], sides)
-        corners, derivatives = _intersections(start, sides)
-        if np.abs(corners - start).max() < 1e-3:
-            break
+    found = corners_of_squares([window_dn], [np.asarray(corners_px)], [white])[0]
+    if isinstance(found, EstimationError):
+        raise found
+    return found
+
+
+def corners_of_squares(
+    windows_dn: Sequence[FloatArray], corners_px: Sequence[FloatArray], white: Sequence[BoolArray]
+) -> tuple[SquareCorners | EstimationError, ...]:
+    """Measure the corners of many squares, the sides of all of them at once: the same numbers as one by one.
+
+    windows_dn, corners_px, white: As `square_corners` takes them, of each square.
+    Returns: One for each square; why there are no corners otherwise.
+    """
+    corners = [np.array(one, dtype=np.float64) for one in corners_px]
+    found: list[SquareCorners | EstimationError | None] = [None] * len(corners)
+    sides: dict[int, list[_Side]] = {}
+    active = list(range(len(corners)))
+    for last in (False,) * (_PASSES - 1) + (True,):
+        bands: dict[int, list[_Band]] = {}
+        for k in active:
+            try:
+                # Turned so that the side runs along the first row, from its first cell to its last.
+                turned = [np.rot90(white[k], side)[1] for side in range(4)]
+                bands[k] = [_band_of_side(windows_dn[k], corners[k], side, turned[side]) for side in range(4)]
+            except EstimationError as error:
+                found[k] = error
+        active = []
+        for group in _fitted_together(bands):
+            fits = _fit_sides(
+                [one for k in group for one in bands[k]], [one for k in group for one in sides.get(k, [])]
+            )
+            for first, k in enumerate(group):
+                try:
+                    sides[k] = [_side(*fits[4 * first + side], bands[k][side]) for side in range(4)]
+                    moved, derivatives = _intersections(corners[k], sides[k])
+                except EstimationError as error:
+                    found[k] = error
+                    continue
+                step, corners[k] = np.abs(moved - corners[k]).max(), moved
+                if last or step < 1e-3:
+                    found[k] = _measured(moved, derivatives, sides[k])
+                else:
+                    active.append(k)
+    return tuple(one for one in found if one is not None)
+
+
+def _fitted_together(bands: dict[int, list[_Band]]) -> Iterator[list[int]]:
+    """Yield squares of nearly one size, as many as stay in the caches: the longest band is the length of all."""
+    longest = {k: max(one.along.size for one in bands[k]) for k in bands}
+    group: list[int] = []
+    for k in sorted(longest, key=longest.__getitem__):
+        if group and 4 * (len(group) + 1) * longest[k] > _PIXELS_AT_ONCE:
+            yield group
+            group = []
+        group.append(k)
+    if group:
+        yield group
+
+
+def _measured(corners: FloatArray, derivatives: list[FloatArray], sides: list[_Side]) -> SquareCorners:
+    """Return the corners with their covariances from those of the sides, and what the sides say of the square."""
     covariances = []
     for k in range(4):
         before, after = sides[k - 1].covariance_px2, sides[k].covariance_px2
@@ -140,26 +215,6 @@ def with_correlated_errors(squares: Sequence[SquareCorners]) -> tuple[SquareCorn
     )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Band:
-    """Pixels near one side.
-
-    along: Position along it (0 to 1).
-    outwards_px: Distance outwards [px].
-    values_dn: Grey values [DN].
-    border_px, white: What follows on the black border: the border's width there [px], and how white it is.
-    inside_dn, outside_dn: Levels of ink and paper [DN].
-    """
-
-    along: FloatArray
-    outwards_px: FloatArray
-    values_dn: FloatArray
-    border_px: FloatArray
-    white: FloatArray
-    inside_dn: float
-    outside_dn: float
-
-
 def _band_of_side(window_dn: FloatArray, corners: FloatArray, k: int, behind: npt.NDArray[np.bool_]) -> _Band:
     """Return the pixels near the side from corner k to the next."""
     cells = len(behind)
@@ -189,8 +244,8 @@ def _band_of_side(window_dn: FloatArray, corners: FloatArray, k: int, behind: np
     return _Band(t, d, values, ends[0] + t * (ends[1] - ends[0]), white, inside, outside)
 
 
-def _fit_sides(bands: list[_Band], before: list[_Side]) -> list[_Side]:
-    """Fit the lines of all sides.
+def _fit_sides(bands: list[_Band], before: list[_Side]) -> list[tuple[FloatArray, FloatArray, FloatArray]]:
+    """Fit the lines of all sides: parameters (7,), derivatives (7, k) and residuals (k,) of each.
 
     before: The same sides in the pass before: the corners have moved to their lines, and the edges are as wide and
         high as they were. Empty in the first pass.
@@ -232,8 +287,8 @@ def _fit_sides(bands: list[_Band], before: list[_Side]) -> list[_Side]:
             _limit_width,
         )
     return [
-        _side(fits.parameters[row], fits.jacobian[row, :, : counts[row]], fits.residuals[row, : counts[row]], one)
-        for row, one in enumerate(bands)
+        (fits.parameters[row], fits.jacobian[row, :, :count], fits.residuals[row, :count])
+        for row, count in enumerate(counts)
     ]
 
 
