@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
@@ -461,9 +462,12 @@ def find_lights(
     """
     of_each = []
     for region in regions:
-        above = np.where(region, image_dn.astype(np.float32) - ground_dn, 0.0)
-        sigma = robust_scale(above[region], centred=False)
-        of_each.append(sorted(_spots(above, region, _LIGHT_SIGMAS * sigma), key=lambda one: -one[0]))
+        part, corner = _around(region)
+        seen = region[part]
+        above = np.where(seen, image_dn[part].astype(np.float32) - ground_dn[part], np.float32(0.0))
+        sigma = robust_scale(above[seen], centred=False)
+        spots = [(light, place + corner) for light, place in _spots(above, seen, _LIGHT_SIGMAS * sigma)]
+        of_each.append(sorted(spots, key=lambda one: -one[0]))
     brightest = max((spots[0][0] for spots in of_each if spots), default=0.0)
     if not brightest:
         raise EstimationError(
@@ -484,6 +488,16 @@ def find_lights(
     return places
 
 
+def _around(region: BoolArray) -> tuple[tuple[slice, slice], FloatArray]:
+    """Return the part of the photo that holds a region, one pixel beyond it, and the part's first pixel (x, y) [px]."""
+    first, last = [], []
+    for axis in (1, 0):
+        seen = np.flatnonzero(region.any(axis=axis))
+        first.append(max(int(seen[0]) - 1, 0) if seen.size else 0)
+        last.append(int(seen[-1]) + 2 if seen.size else 1)
+    return (slice(first[0], last[0]), slice(first[1], last[1])), np.array([first[1], first[0]], dtype=np.float64)
+
+
 def _spots(above_dn: Float32Array, region: BoolArray, limit_dn: float) -> Sequence[tuple[float, FloatArray]]:
     """Return light (sum above the ground) and centre of each connected spot above a limit, within a region (h, w)."""
     import cv2
@@ -491,8 +505,12 @@ def _spots(above_dn: Float32Array, region: BoolArray, limit_dn: float) -> Sequen
     count, label = cv2.connectedComponents((above_dn > limit_dn).astype(np.uint8), connectivity=8)
     inner = cv2.erode(region.astype(np.uint8), np.ones((3, 3), dtype=np.uint8), borderValue=0)
     found = []
-    for spot in range(1, count):
-        row, column = np.nonzero(label == spot)
+    rows, columns = np.nonzero(label)
+    of_spot = label[rows, columns]
+    order = np.argsort(of_spot, kind="stable")
+    bounds = np.searchsorted(of_spot[order], np.arange(1, count + 1))
+    for first, last in pairwise(bounds.tolist()):
+        row, column = rows[order[first:last]], columns[order[first:last]]
         # The ground is not known in the corners of a mirror, which therefore look bright.
         if not inner[row, column].all():
             continue
