@@ -74,6 +74,8 @@ STATE_WORDS: dict[State, str] = {
 }
 #: Doubts in the box of a verdict; the rest is a link away.
 MOST_REMARKS = 5
+#: Place in a page of the list of all doubts.
+_ALL_DOUBTS = "all-doubts"
 
 
 #: Letters of a headline number that stay on one line: more do not fit beside its label on a phone.
@@ -140,11 +142,11 @@ def verdict_box(verdict: Verdict) -> Html:
         lines.append(f'<li class="doubtful {remark.severity}"><a href="#{remark.mark}">{text}</a></li>')
     more = len(verdict.doubtful) - MOST_REMARKS
     if more > 0:
-        lines.append(f'<li class="doubtful"><a href="#{doubt_mark(1)}">and {more} more</a></li>')
+        lines.append(f'<li class="doubtful"><a href="#{_ALL_DOUBTS}">and {more} more</a></li>')
     lines += [f'<li class="passed">{html.escape(text)}</li>' for text in verdict.passed]
     if verdict.notes:
         words = "1 note" if verdict.notes == 1 else f"{verdict.notes} notes"
-        lines.append(f'<li class="note"><a href="#{doubt_mark(1)}">{words}</a></li>')
+        lines.append(f'<li class="note"><a href="#{_ALL_DOUBTS}">{words}</a></li>')
     items = f"<ul>{''.join(lines)}</ul>" if lines else ""
     return Html(f'<div class="verdict {verdict.state}"><strong>{STATE_WORDS[verdict.state]}</strong>{items}</div>')
 
@@ -171,7 +173,7 @@ def doubts_box(results: HasSummary) -> Html:
         f'<li class="{one.severity}" id="{doubt_mark(number)}">{html.escape(one.text)}</li>'
         for number, one in heaviest_first(doubts)
     )
-    return Html(f'<ul class="doubts">{items}</ul>')
+    return Html(f'<ul class="doubts" id="{_ALL_DOUBTS}">{items}</ul>')
 
 
 def number_table(results: HasSummary) -> Html:

@@ -41,12 +41,13 @@ def export_slope_map(result: Path, out: Path, form: str, *, facet: str | None = 
     slope_map = read_slope_map(file, facet)
     if not slope_map.valid.any():
         raise InputError(f"{file}: no node has a slope, so there is nothing to export")
+    serious = serious_result(result)
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(f"{out}: no folder can be made there ({error.strerror or error})") from error
     _FORMS[form][1](out, slope_map)
-    said, serious = f"{int(slope_map.valid.sum())} nodes: {out}", serious_result(result)
+    said = f"{int(slope_map.valid.sum())} nodes: {out}"
     return said if serious is None else f"{said}\nserious: {serious}"
 
 

@@ -85,6 +85,7 @@ def export_system(result: Path, out: Path, choices: SystemChoices, *, force: boo
     optics += [OpticPair(ABSORBER, dark, dark)] if extra else []
     elements = (*(one.element for one in found), *extra)
     system = SolTraceSystem(sun, tuple(optics), (SystemStage("measured mirror", elements),))
+    serious = serious_result(result)
     out.parent.mkdir(parents=True, exist_ok=True)
     for name, one in zip(names, found, strict=True):
         write_text(out.parent / name, one.text)
@@ -94,7 +95,6 @@ def export_system(result: Path, out: Path, choices: SystemChoices, *, force: boo
     ]
     said += [f"{one.element.comment}: {reason}" for one in found for reason in one.reasons]
     said += list(_what_is_left_out(slope_map, choices))
-    serious = serious_result(result)
     if serious is not None:
         said.append(f"serious: {serious}")
     return said

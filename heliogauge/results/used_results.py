@@ -24,8 +24,7 @@ def serious_results(summaries: Mapping[str, Summary]) -> Doubt | None:
         return None
     said = "; ".join(f"{name}: {_shortened(texts[0])}" for name, texts in list(bad.items())[:_SHOWN])
     more = f"; and {len(bad) - _SHOWN} more" if len(bad) > _SHOWN else ""
-    which = "the result that this was made from is" if len(summaries) == 1 else f"{len(bad)} of the results used are"
-    text = f"{which} not to be used as it stands, and neither is what follows from it ({said}{more})"
+    text = f"made from results that are not to be used as they stand, so neither is this: {said}{more}"
     return Doubt("used_results_serious", text, {"results_count": len(bad)}, Severity.SERIOUS)
 
 

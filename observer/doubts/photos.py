@@ -124,15 +124,21 @@ def missing_photos_doubt(names: Sequence[str]) -> Doubt | None:
     parts = [(one[1], int(one[2])) for one in found if one is not None]
     if len(parts) < max(3, len(names)) or len({start for start, _ in parts}) > 1:
         return None
-    numbers = np.array(sorted(number for _, number in parts))
+    numbers, given = (
+        np.array(sorted(number for _, number in parts)),
+        [name for _, name in sorted(zip(parts, names, strict=True))],
+    )
+    if int(np.ptp(numbers)) + 1 > 2 * numbers.size:
+        # Numbers that are times or dates leave out nearly all; a single photo of another flight lies beyond the rest.
+        kept = _without_stray_ends(numbers)
+        numbers, given = numbers[kept], given[kept]
     steps = np.diff(numbers)
     span = int(numbers[-1] - numbers[0]) + 1
     missing = span - numbers.size
-    # Numbers that are times or dates leave out nearly all.
     if (steps < 1).any() or not _MISSING_SHARE * span <= missing <= numbers.size:
         return None
     widest = int(np.argmax(steps))
-    between = f"{names[widest]} and {names[widest + 1]}" if steps[widest] > 2 else f"{names[0]} and {names[-1]}"
+    between = f"{given[widest]} and {given[widest + 1]}" if steps[widest] > 2 else f"{given[0]} and {given[-1]}"
     return Doubt(
         "photos_missing",
         f"{missing} of {span} numbers of photos are missing, "
@@ -142,6 +148,13 @@ def missing_photos_doubt(names: Sequence[str]) -> Doubt | None:
         {"missing_count": missing, "photos_count": int(numbers.size)},
         Severity.NOTE if np.ptp(steps) == 0 else Severity.DOUBT,
     )
+
+
+def _without_stray_ends(numbers: IntArray) -> slice:
+    """Return where numbers are without a single one at either end that is half as far off as all others span."""
+    first = int(numbers[1] - numbers[0] > np.ptp(numbers[1:]) / 2)
+    last = int(numbers[-1] - numbers[-2] > np.ptp(numbers[:-1]) / 2)
+    return slice(first, numbers.size - last)
 
 
 def other_sizes_doubt(

@@ -206,10 +206,18 @@ def heights_doubt(reflector: Reflector) -> Doubt | None:
     excess = float(np.mean(height[measured] ** 2 / (unit**2 - sigma[measured] ** 2)))
     if excess < _HEIGHTS_EXCESS:
         return None
+    remedy = f"state {1e3 * unit * np.sqrt(excess):.1g} mm"
+    mean, scatter = float(height[measured].mean()), float(height[measured].std(ddof=1))
+    # Panels that are mounted each for itself have a mean within three times this, those of a shifted list do not.
+    if abs(mean) > 3.0 * scatter / np.sqrt(np.count_nonzero(measured)):
+        remedy = (
+            f"all are {1e3 * abs(mean):.1f} mm too {'high' if mean > 0 else 'low'} on average, as wrong heights in the "
+            f"list of targets or a wrong focal_length_m make it: check these first; of panels alone {remedy}"
+        )
     return Doubt(
         "panel_heights_contradict_reflection",
         f"collector.panel_height_sigma_mm = {1e3 * unit:g} does not fit: the reflection's width says that panels are "
-        f"{np.sqrt(excess):.1f} times as far from the design's height; state {1e3 * unit * np.sqrt(excess):.1g} mm, "
-        "until then slopes are less certain than their sigma says",
+        f"{np.sqrt(excess):.1f} times as far from the design's height; {remedy}; until then slopes are less certain "
+        "than their sigma says",
         {"stated_sigma_m": unit, "seen_sigma_m": unit * float(np.sqrt(excess))},
     )

@@ -1,8 +1,8 @@
 """Results of the modules of a field at two dates: which panels of which module turned, what changed."""
 
 import os
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -32,11 +32,14 @@ from observer.product.changes import (
     panel_changes,
     surely_changed,
 )
+from observer.product.orientation_study import LEAST_TURN_RAD
 from observer.studies.compare import long_table, number_table, read_panels, refuse_other_collector, refuse_same
 
 KIND = "observer-compare-fields"
 #: Modules that a doubt and the terminal name.
 _SHOWN = 8
+#: Modules stand further apart than this [m].
+_SAME_PLACE_M = 1.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -79,10 +82,9 @@ class FieldComparison(InstrumentResult):
             "modules_with_turned_panels_count": sum(_turned_count(one) > 0 for one in self.modules),
         }
         if kept:
-            # Modules are measured each for itself.
             numbers["intercept_change_mean_ratio"] = float(np.mean([one.change for one in kept]))
-            sigma = float(np.sqrt(np.sum([one.sigma_change**2 for one in kept]))) / len(kept)
-            numbers["sigma_intercept_change_mean_ratio"] = sigma
+            # Modules of a flight share camera and weather: how much of their sigmas is alike is not known, all at most.
+            numbers["sigma_intercept_change_mean_ratio"] = float(np.mean([one.sigma_change for one in kept]))
         first, other = self.folders
         return self._summary(numbers, {"first": str(first), "other": str(other)})
 
@@ -120,11 +122,11 @@ class FieldComparison(InstrumentResult):
 def run(folders: Sequence[Path]) -> FieldComparison:
     """Compare the modules of a field at two dates.
 
-    folders: Two results of ``heliogauge observer measure`` with several modules, or of ``heliogauge measure`` with an
-        overview, each with the modules' results below it; the earlier one first.
+    folders: Two results of ``heliogauge observer measure`` with several modules, or overviews of such results by their
+        whole paths; the earlier one first.
     Returns: Changes of the modules that both have, known by their names. A panel has surely turned, and a number surely
         changed, where chance makes the largest change of the whole field so large once in a hundred times.
-    InputError: Not two results, the same one twice, no module in both, or modules of different collectors.
+    InputError: Not two results, the same one twice, or no module of one design in both.
     """
     if len(folders) != 2:
         raise InputError(f"observer compare: {len(folders)} results of several modules given; give those of two dates")
@@ -134,25 +136,36 @@ def run(folders: Sequence[Path]) -> FieldComparison:
     if not shared:
         names = " and ".join(", ".join(list(one)[:3]) + (" ..." if len(one) > 3 else "") for one in tables)
         raise InputError(f"observer compare: no module was measured at both dates; their names are {names}")
-    numbers, panels = [], []
+    compared, numbers, panels, doubts = [], [], [], [*_only_once(tables, folders)]
     used: dict[str, Summary] = {}
     for name in shared:
         own = [table[name].folder for table in tables]
-        refuse_other_collector(own, [read_collector(one / COLLECTOR) for one in own])
+        try:
+            refuse_same(own)
+            refuse_other_collector(own, [read_collector(one / COLLECTOR) for one in own])
+            part = _panels(own)
+        except InputError as error:
+            doubts.append(Doubt("module_not_compared", f"{name}: not compared: {error}"))
+            continue
         summaries = [read_summary(one) for one in own]
+        compared.append(name)
         numbers.append(number_changes(summaries[0].numbers, summaries[1].numbers))
-        panels.append(_panels(own))
+        panels.append(part)
+        doubts += _moved(name, [table[name].place for table in tables])
+        doubts += _turned_meanwhile(name, summaries)
         used |= {str(one): summary for one, summary in zip(own, summaries, strict=True)}
+    if not compared:
+        raise InputError(f"observer compare: no module can be compared\n{chr(10).join(str(one) for one in doubts)}")
     decided = iter(decide_together([one for one in panels if one is not None]))
     modules = tuple(
         ModuleChange(name, tables[0][name].place, changes, tuple(sure), None if part is None else next(decided))
-        for name, changes, sure, part in zip(shared, numbers, surely_changed(numbers), panels, strict=True)
+        for name, changes, sure, part in zip(compared, numbers, surely_changed(numbers), panels, strict=True)
     )
     return FieldComparison(
         (folders[0], folders[1]),
         modules,
         name=f"{folders[0].resolve().name} to {folders[1].resolve().name}",
-        doubts=gather_doubts(_only_once(tables, folders), serious_results(used)),
+        doubts=gather_doubts(_serious_of_some(used), doubts),
         input_sha256={one: next(iter(hash_files([Path(one) / SUMMARY_FILE]).values())) for one in used},
     )
 
@@ -166,28 +179,66 @@ class _Measured:
 
 
 def _measured(folder: Path) -> dict[str, _Measured]:
-    """Return the measured modules of a date by their names: their folders, from the one that all lie in."""
+    """Return the measured modules of a date by their names.
+
+    Modules of one flight lie below their overview and have its names; results from elsewhere have their paths, and the
+    name of each is its way from the folder that all of them lie in, those that failed too.
+    """
     table = read_table_csv(folder / OVERVIEW_TABLE, ("result",))
     failed = table.get("failed", [""] * len(table["result"]))
     places = [key for key in table if key == "loop" or (key.startswith("place_") and key.endswith("_m"))]
-    found = []
+    paths = [Path(name) for name in table["result"] if Path(name).is_absolute()]
+    base = os.path.commonpath([one.parent for one in paths]) if paths else ""
+    found = {}
     for row, name in enumerate(table["result"]):
-        # Modules of one flight lie below their overview; one of results from elsewhere has their paths.
-        own = next((one for one in (folder / name, Path(name)) if (one / SUMMARY_FILE).is_file()), None)
-        if own is not None and not failed[row]:
-            found.append(_Measured(own.resolve(), {key: table[key][row] for key in places}))
+        own = folder / name
+        if not failed[row] and (own / SUMMARY_FILE).is_file():
+            label = str(own.relative_to(base)) if Path(name).is_absolute() else name
+            found[label] = _Measured(own, {key: table[key][row] for key in places})
     if not found:
         raise InputError(
-            f"{folder}: none of its {len(failed)} modules has results there; measure again or move them back"
+            f"{folder}: none of its {len(failed)} modules has results below it; give the folder of a flight over "
+            "several modules, or an overview of results given by their whole paths"
         )
-    base = os.path.commonpath([one.folder.parent for one in found])
-    return {str(one.folder.relative_to(base)): one for one in found}
+    return found
 
 
 def _panels(folders: Sequence[Path]) -> PanelChanges | None:
     if not all((folder / ANGLES).is_file() for folder in folders):
         return None
     return panel_changes(*(read_panels(folder, read_collector(folder / COLLECTOR)) for folder in folders))
+
+
+def _serious_of_some(used: dict[str, Summary]) -> Doubt | None:
+    """Return what is serious of single modules: serious for them, for the field a doubt unless most are."""
+    found = serious_results(used)
+    if found is None or 2 * found.numbers["results_count"] >= len(used):
+        return found
+    return replace(found, severity=Severity.DOUBT)
+
+
+def _moved(name: str, places: Sequence[dict[str, str]]) -> Iterator[Doubt]:
+    """Doubt that a module is the same where the two overviews have it at different places or in different loops."""
+    moved = [key for key in places[0] if key in places[1] and _differ(places[0][key], places[1][key])]
+    if moved:
+        said = ", ".join(f"{key} {places[0][key]} and {places[1][key]}" for key in moved)
+        yield Doubt("module_elsewhere", f"{name}: the two dates have it at different places ({said}): is it the same?")
+
+
+def _differ(first: str, other: str) -> bool:
+    try:
+        return abs(float(first) - float(other)) > _SAME_PLACE_M
+    except ValueError:
+        return bool(first and other) and first != other
+
+
+def _turned_meanwhile(name: str, summaries: Sequence[Summary]) -> Iterator[Doubt]:
+    """Say that a module was measured in two orientations: its weight, too, turns panels."""
+    turns = [one.numbers.get("orientation_rad") for one in summaries]
+    if None not in turns and np.ptp(np.array(turns, dtype=np.float64)) >= LEAST_TURN_RAD:
+        said = " and ".join(f"{np.degrees(float(one or 0.0)):g}" for one in turns)
+        text = f"{name}: measured at {said} degrees from zenith; what weight does counts as change here"
+        yield Doubt("module_turned_meanwhile", text)
 
 
 def _only_once(tables: Sequence[dict[str, _Measured]], folders: Sequence[Path]) -> list[Doubt]:

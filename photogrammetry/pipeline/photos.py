@@ -530,7 +530,8 @@ def _unusual_rings(rings: Sequence[UnreadRings]) -> Iterator[Doubt]:
         yield Doubt(
             "code_rings_at_other_radii",
             f"the code rings lie at {inner:.2f} to {outer:.2f} radii of their dots, not at {stated.inner:g} to "
-            f"{stated.outer:g}; that was found from the photos and used",
+            f"{stated.outer:g}; that was found from the photos and used: either the print differs from the standard "
+            "one, or the diameter that is stated for the dots is not theirs",
             {"ring_inner_radius_ratio": inner, "ring_outer_radius_ratio": outer, "photos_count": len(found)},
             Severity.NOTE,
         )

@@ -18,6 +18,10 @@ def test_lost_photos_are_counted_and_placed() -> None:
     assert said is not None
     assert said.severity is Severity.DOUBT
     assert said.text.startswith("7 of 15 numbers of photos are missing, 6 of them between DJI_0004.JPG and DJI_0011")
+    # One of another flight does not hide them.
+    other = missing_photos_doubt([*names([1, 2, 3, 4, 11, 12, 13, 15]), "DJI_0099.JPG"])
+    assert other is not None
+    assert other.text == said.text
     every_second = missing_photos_doubt(names([1, 3, 5, 7, 9]))
     assert every_second is not None
     assert every_second.severity is Severity.NOTE

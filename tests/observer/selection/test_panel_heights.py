@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from functools import cache
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -166,6 +167,16 @@ def test_panels_far_from_the_design_are_told():
     assert heights_doubt(solved(SIGMA_M, 0)) is None
     said = str(heights_doubt(solved(0.2e-3, 0)))
     assert "collector.panel_height_sigma_mm = 0.2 does not fit" in said
+
+
+@pytest.mark.parametrize(("mean_m", "is_named"), [(0.0, False), (4e-3, True)])
+def test_panels_that_all_stand_too_high_are_the_lists_fault_first(mean_m, is_named):
+    height = mean_m + 2e-3 * np.random.default_rng(3).standard_normal(16)
+    unknowns = SimpleNamespace(panel_heights_m=lambda *_: (height, np.full(16, 1e-4)), height_unit_m=0.5e-3)
+    errors = SimpleNamespace(common=None, covariance_common=None)
+    said = str(heights_doubt(SimpleNamespace(unknowns=unknowns, errors=errors)))
+    assert "state" in said
+    assert ("too high on average, as wrong heights in the list of targets" in said) == is_named
 
 
 def test_a_sigma_in_other_units_is_refused():
