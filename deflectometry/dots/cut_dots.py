@@ -96,7 +96,8 @@ class _Window:
         self.used = (near < reach) & (self.inside_px > -BLURS * blur_px)
         # Without the dots around, whose own light is in many pixels of the window where they stand close.
         self.values_dn = (rim.photo_dn[part] - rim.ground_dn[part])[self.used]
-        self.sign = 1.0 if np.median(self.values_dn[(near < 0.5)[self.used]]) < 0.0 else -1.0
+        middle = self.values_dn[(near < 0.5)[self.used]]
+        self.sign = 1.0 if middle.size and np.median(middle) < 0.0 else -1.0
         self.fine_x = (np.arange(width * _FINE) + 0.5) / _FINE - 0.5 + left
         self.fine_y = ((np.arange(height * _FINE) + 0.5) / _FINE - 0.5 + top)[:, None]
         resized = cv2.resize(self.inside_px, (width * _FINE, height * _FINE), interpolation=cv2.INTER_LINEAR)

@@ -39,7 +39,8 @@ class Gains:
     logarithm (c,): Adjusted.
     shift_m (c, 2): By what each camera stands beside its stated place, in x and y of the mirror.
     covariance (3 c, 3 c): Of the logarithms, of all shifts in x, of all shifts in y, were the profile exactly known.
-    misfit (c,): RMS of each camera's residuals over their sigmas, the share that two slopes took away restored.
+    misfit (c,): RMS of each camera's residuals over their sigmas, the share that two slopes took away restored; nodes
+        that no slopes explain count less.
     profile: The sun's, adjusted with them; its steps are what stays unknown of it.
     by_profile (3 c, k): What each of its steps does to logarithms and shifts.
     """
@@ -120,10 +121,11 @@ def fit_gains(facets: Sequence[Brightness], profile: SunProfile, prior: FloatArr
             share_left = np.divide(left, weight, out=np.zeros(left.shape), where=weight > 0)
             # Where the slopes take a camera's light as it is, its residual says nothing.
             tested = share_left > _TESTED
-            squares += (residual**2 * weight * tested).sum(axis=0)
-            freedom += (share_left * tested).sum(axis=0)
-            # Nodes that no slopes explain would draw the gains to themselves.
+            # Nodes that no slopes explain would draw the gains to themselves, and three of 400 the misfit of all.
             share = 1.0 / np.maximum(1.0, found.misfit / (4.0 * max(count - 2, 1)))
+            counts = share[:, None] * tested
+            squares += (residual**2 * weight * counts).sum(axis=0)
+            freedom += (share_left * counts).sum(axis=0)
             by_place = d_light_d_place(seen, found.slopes, adjusted, gains)
             by_radiance = np.moveaxis(light_of_profile(seen, found.slopes, adjusted, gains), 0, 1)
             own = [_diagonal(one) for one in (model, by_place[..., 0], by_place[..., 1])]

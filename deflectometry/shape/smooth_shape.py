@@ -20,6 +20,10 @@ from heliogauge.validate import FloatArray
 SHAPE_DEGREE = 4
 #: The shape and the tilt are converged when no slope changes by more than this [rad].
 SLOPE_TOLERANCE_RAD = 1e-9
+#: Slopes that change by more than this run away: single sights along a surface that is seen edge on make thousands.
+_NO_SURFACE = 1e6
+#: A line of sight that meets a surface so many half sizes from the facet's middle does not meet the facet.
+_OFF_FACET = 100.0
 #: A fit is settled when reweighting changes its coefficients by less than this share of the largest.
 SETTLED = 1e-7
 #: Where the biweight ends, in median absolute residuals: 95 % efficient for normal errors.
@@ -288,11 +292,15 @@ def solve_shape(
             change = max(change, turned)
         if change < SLOPE_TOLERANCE_RAD:
             return ShapeSolution(pose, surfaces, tilts, iteration)
-    if not limits.must_settle:
+        if not change < _NO_SURFACE:
+            break
+    if not limits.must_settle and change < _NO_SURFACE:
         return ShapeSolution(pose, surfaces, tilts, limits.outer)
+    changes = f"still changes by {change:.2g} rad" if change < _NO_SURFACE else "runs away"
     raise EstimationError(
-        f"slopes: after {limits.outer} rounds a slope still changes by {change:.2g} rad between shape and slopes; "
-        "check the screen's size and pose, the mirror's pose and distance, and the design's focal length (in metres)"
+        f"slopes: after {iteration} rounds a slope {changes} between shape and slopes; "
+        "check the screen's size and pose, the mirror's pose and distance, the design's focal length (in metres), and "
+        "that nothing hides a part of the mirror, whose edge was taken for its outline"
     )
 
 
@@ -318,9 +326,11 @@ def _fit_facet(
     """Fit shape and tilt of one facet once; the fit of the round before is near."""
     facet_from_cam = cam_from_facet.inverse()
     camera = facet_from_cam.translation_m
-    points = surface.intersect(camera, facet_from_cam.rotation @ sample.rays_cam)
     screen = facet_from_cam.rotation @ sample.screen_cam_m + camera[:, None]
-    error = np.stack(slopes_at(points, camera, screen)) - np.stack(surface.design.gradient(points[0], points[1]))
+    # Where nothing settles the shape runs away, which is found below.
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        points = surface.intersect(camera, facet_from_cam.rotation @ sample.rays_cam)
+        error = np.stack(slopes_at(points, camera, screen)) - np.stack(surface.design.gradient(points[0], points[1]))
     near_shape, near_quadratic = (None, None) if near is None else (near.surface.coefficients_m[1:], near.quadratic)
     shape = _fit_potential(surface, points, error, SHAPE_DEGREE, reweighting, near_shape)
     quadratic = _fit_potential(surface, points, error, 2, reweighting, near_quadratic)
@@ -350,13 +360,14 @@ def _fit_potential(
 
     near (n_terms - 1,): Coefficients to begin reweighting with, instead of those of plain least squares.
     """
-    usable = np.isfinite(points_m).all(axis=0) & np.isfinite(slope_error).all(axis=0)
+    places = (points_m[:2] - surface.center_m[:, None]) / surface.scale_m
+    usable = (np.abs(places) < _OFF_FACET).all(axis=0) & np.isfinite(slope_error).all(axis=0)
     if np.count_nonzero(usable) < (degree + 1) * (degree + 2) // 2:
         raise EstimationError(
             f"slopes: only {np.count_nonzero(usable)} of {usable.size} lines of sight meet the mirror's surface; check "
             "the camera (focal length and center in pixels), the mirror's pose and its design (all in metres)"
         )
-    u, v = (points_m[:2, usable] - surface.center_m[:, None]) / surface.scale_m
+    u, v = places[:, usable]
     matrix = gradient_terms(u, v, degree).swapaxes(0, 1).reshape(-1, 2 * u.size) / surface.scale_m
     target = slope_error[:, usable]
 

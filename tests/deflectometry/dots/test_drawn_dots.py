@@ -1,5 +1,6 @@
 """Photos of dots drawn by tracing rays: slopes within their sigmas, the origin found, and wrong input named."""
 
+import warnings
 from dataclasses import replace
 from pathlib import Path
 
@@ -119,3 +120,15 @@ def test_dots_of_another_wall_are_refused_or_named(
         codes = {"slopes_of_no_surface"}
     contradictions = {"slopes_of_no_surface", "slopes_too_far_off_design", "design_curvature_is_not_the_mirrors"}
     assert codes & (contradictions | {"setup_contradicts_slopes"}), name
+
+
+def test_a_mirror_of_which_half_is_hidden_is_refused_in_a_sentence(folder: Path, tmp_path: Path) -> None:
+    """The edge of what hides it is taken for the outline, and no shape agrees; nothing overflows on the way."""
+    half = _changed(folder, tmp_path / "half")
+    photo = cv2.imread(str(half / "photo.png"), cv2.IMREAD_UNCHANGED)
+    photo[:, : photo.shape[1] // 2] = np.percentile(photo, 2)
+    cv2.imwrite(str(half / "photo.png"), photo)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", RuntimeWarning)
+        with pytest.raises(EstimationError, match="nothing hides a part of the mirror"):
+            run(load_dots(half))

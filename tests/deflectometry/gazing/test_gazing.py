@@ -106,6 +106,20 @@ def test_near_zero_slope_is_named_by_its_sigma_where_the_profile_is_flat() -> No
     assert np.sqrt(np.mean((1e3 * found.slopes) ** 2)) < np.sqrt(np.mean(sigma**2))
 
 
+def test_single_points_that_contradict_are_no_cloud() -> None:
+    """Two of 200 with 100 sigma more light than any slopes give: misfit of all cameras stays that of the others."""
+    seen, _ = points(0.4, 1.0)
+    misfits = []
+    for wrong in (0, 2, 200):
+        value = seen.value.copy()
+        value[0, :wrong] += 1.0
+        misfits.append(
+            fit_gains([replace(seen, value=value)], PROFILE, 1e-4 * np.eye(4), 4e-6 * np.eye(4)).misfit.max()
+        )
+    assert misfits[1] == pytest.approx(misfits[0], abs=0.3)
+    assert misfits[2] > 20
+
+
 def test_profile_is_the_sun_that_was_drawn() -> None:
     image = sun_light(super_gaussian(RADIUS, EXPONENT), 150, 7000.0)
     found = measure_sun(image, 7000.0, "sun")
