@@ -264,8 +264,9 @@ def _collector_content(scene: TroughScene) -> dict[str, Any]:
     }
     # Panels of a mirror without stated heights stand as designed: as if their frame had been surveyed.
     content["panel_height_sigma_mm"] = 1e3 * design.panel_height_sigma_m or _SURVEYED_MM
+    content["support_y_m"] = design.support_y_m.tolist()
     if len(design.support_y_m):
-        content |= {"support_y_m": design.support_y_m.tolist(), "support_width_m": design.support_width_m}
+        content["support_width_m"] = design.support_width_m
     if all(view.orientation_deg is None for view in scene.views):
         content["orientation_deg"] = scene.world.surroundings.orientation_deg
     return {key: round(value, 9) if isinstance(value, float) else value for key, value in content.items()}

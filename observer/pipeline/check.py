@@ -2,7 +2,9 @@
 
 from dataclasses import replace
 
+from heliogauge.doubts import gather_doubts
 from heliogauge.measurement.findings import Findings
+from observer.doubts.stated_collector import far_targets_doubt, panels_doubts, supports_doubt
 from observer.keys import ObserverMeasurement
 from observer.pipeline.inputs import build_inputs, listed_coordinates, read_tables
 from observer.pipeline.target_list import other_size_doubt
@@ -20,6 +22,8 @@ def find_faults(measurement: ObserverMeasurement, findings: Findings) -> None:
     """
     model = measurement.model
     findings.add(measurement.doubts)
+    sections = [one.collector or model.collector for one in model.module] or [model.collector]
+    findings.add(gather_doubts(*map(panels_doubts, sections), *map(supports_doubt, sections)))
     if measurement.photo_files:
         findings.few_photos(measurement.photo_files, _LEAST_PHOTOS, "a measurement of a trough")
     for name in [one.targets_file or model.targets_file for one in model.module] or [model.targets_file]:
@@ -34,6 +38,9 @@ def find_faults(measurement: ObserverMeasurement, findings: Findings) -> None:
         inputs = findings.attempt(build_inputs, measurement, tables, coordinates)
         if inputs is not None:
             findings.add(() if inputs.tilts is None else inputs.tilts.doubts)
+            # A list that several modules have in common has targets beside each of them.
+            if not model.module:
+                findings.add(far_targets_doubt(coordinates, inputs.collector))
             survey = inputs.survey
             other = other_size_doubt(findings.sizes_px(survey.photo_files), inputs.finder)
             if other is not None:

@@ -7,7 +7,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from heliogauge.doubts import Doubt
+from heliogauge.doubts import Doubt, gather_doubts
 from heliogauge.errors import InputError
 from heliogauge.geometry.rigid import rotation_from_vector
 from heliogauge.measurement.load import MEASUREMENT_FILE
@@ -19,6 +19,7 @@ from heliogauge.sunlight.sun_shapes import BuieSun, GaussianSun, PillboxSun, Sun
 from heliogauge.validate import FloatArray
 from observer.corners.lattice import PanelLattice
 from observer.corners.tie import SearchedCollector
+from observer.doubts.stated_collector import panels_doubts, supports_doubt
 from observer.files import ABSORBER_COLUMNS, SUN_COLUMNS, absorber_of_table, is_number, number_in_cell, read_sun_table
 from observer.keys import ObserverMeasurement, SunSection, TroughSection
 from observer.light.trace import Sunlight
@@ -85,7 +86,8 @@ class Inputs:
     column_step_m: Wanted distance of the nodes of the map across the trough [m].
     prior: How slopes may vary.
     shape_from_slopes: Whether the mirror's surface follows its slopes; None: as the reflection shows.
-    doubts: What is wrong with the photos' files and was worked around.
+    doubts: What is wrong with the photos' files and was worked around, and what is assumed of the tube.
+    panels_doubts: What measurement.toml lacks of the mirror's panels.
     input_sha256: Hash of each file.
     n_modules: Modules of the flight, this one among them.
     """
@@ -104,6 +106,7 @@ class Inputs:
     prior: Roughness
     shape_from_slopes: bool | None
     doubts: tuple[Doubt, ...]
+    panels_doubts: tuple[Doubt, ...] = ()
     corners: CornerSearch | None = None
     tilts: Tilts | None = None
     shutter: Shutter | None = None
@@ -249,7 +252,8 @@ def build_inputs(
         1e-3 * model.evaluation.column_step_mm,
         Roughness(_FIRST_ROUGHNESS, 1e-3 * model.evaluation.longitudinal_slope_mrad),
         model.evaluation.shape_from_slopes,
-        (*measurement.doubts, *left_out_doubts(tables)),
+        gather_doubts(measurement.doubts, left_out_doubts(tables), supports_doubt(model.collector)),
+        tuple(panels_doubts(model.collector)),
         corners,
         tilts,
         read_shutter(model.rolling_shutter, measurement.photo_files),

@@ -58,6 +58,7 @@ def judge(
         inputs.doubts,
         listed.doubts,
         camera,
+        inputs.panels_doubts,
         panels_doubt(reflector.roughness, inputs.collector),
         heights_doubt(reflector) if with_sizes else None,
         sparse,
