@@ -33,7 +33,7 @@ from observer.slopes.panel_places import PanelPlaces
 from observer.slopes.pose_modes import CameraModes
 from observer.trough.absorber_path import AbsorberPath
 from observer.trough.expectation import Expectation
-from observer.trough.glass import count_receivers, glass_beside_tube, turned_rad
+from observer.trough.glass import count_receivers, glass_beside_tube, glass_ends, turned_rad
 from observer.trough.observation_equation import Misfit, Sights, change_across, misfit
 
 #: What the stated radius is good for, as a share of it.
@@ -196,7 +196,7 @@ def common_unknowns(
     n_stations = path.n if np.diagonal(path.covariance_m2).any() else 0
     n_photo = n_modes + n_photos
     outward, unit = _outward(edges, sights, found, collector.focal_length_m)
-    place = _place(found, path) if n_stations else (np.zeros((m, 0), dtype=np.intp), np.zeros((m, 0)))
+    place = _place(found, sights, expected) if n_stations else (np.zeros((m, 0), dtype=np.intp), np.zeros((m, 0)))
     tube = _tube(found, sights, expected, outward, float(np.hypot(_OUTWARD * unit, outward_rad)))
     lifted = _lift_panels(sights, found, expected, None if panels is None else panels.lean_sigma)
     first_tube = n_photo + 2 * n_stations
@@ -290,17 +290,28 @@ def _outward(edges: ReflectionEdges, sights: Sights, found: Misfit, focal_m: flo
     return change_across(sights, found, focal_m) * np.sign(edges.contrast) / looks, unit
 
 
-def _place(found: Misfit, path: AbsorberPath) -> tuple[IntArray, FloatArray]:
-    """Return the coordinates of the tube's stations that move each line, and by how much, shapes (m, 4).
+def _place(found: Misfit, sights: Sights, expected: Expectation) -> tuple[IntArray, FloatArray]:
+    """Return the coordinates of the tube's stations that move each line, and by how much, shapes (m, 4) or (m, 12).
 
-    By how much the tube leans between them is held: of a change along the tube within metres that is a hundredth.
+    Where the tube hangs lower within its glass it looks wider, as much again as by its distance from the mirror: with
+    the tube where the line passes, the middle of the glass beside it is known by the tube at both ends of the glass.
+    By how much the tube leans between stations is held: of a change along the tube within metres that is a hundredth.
     """
-    before, share = path.shares(np.nan_to_num(found.passing_y_m))
-    after = np.minimum(before + 1, path.n - 1)
-    weights = np.column_stack([1 - share, share])
-    by_x, by_z = found.d_angle_d_absorber.T
-    index = np.column_stack([before, after, path.n + before, path.n + after])
-    return index, np.column_stack([weights * by_x[:, None], weights * by_z[:, None]])
+    path, y_m = expected.absorber, np.nan_to_num(found.passing_y_m)
+    by_place, by_glass = found.d_angle_d_absorber, np.stack(_by_glass(found, sights, expected), axis=1)
+    parts = [(y_m, by_place)]
+    ends = glass_ends(expected.collector, y_m)
+    if ends is not None:
+        share = ends.share[:, None]
+        parts = [(y_m, by_place - by_glass), (ends.first_m, (1 - share) * by_glass), (ends.last_m, share * by_glass)]
+    index, derivative = [], []
+    for at_m, by in parts:
+        before, share = path.shares(at_m)
+        after = np.minimum(before + 1, path.n - 1)
+        weights = np.column_stack([1 - share, share])
+        index += [before, after, path.n + before, path.n + after]
+        derivative += [weights * by[:, :1], weights * by[:, 1:]]
+    return np.column_stack(index), np.column_stack(derivative)
 
 
 class _Tube(NamedTuple):

@@ -45,6 +45,30 @@ def count_receivers(collector: Collector) -> int:
     return max(collector.held_y_m.size - 1, 1)
 
 
+class GlassEnds(NamedTuple):
+    """Which piece of glass surrounds the tube at some places, where it begins and ends, and the share of the way.
+
+    Shapes: receiver, first_m, last_m, share (m,).
+    """
+
+    receiver: IntArray
+    first_m: FloatArray
+    last_m: FloatArray
+    share: FloatArray
+
+
+def glass_ends(collector: Collector, y_m: FloatArray) -> GlassEnds | None:
+    """Return the glass around places (m,) along the tube, between its bellows; None without two supports."""
+    supports, half = collector.held_y_m, collector.support_width_m / 2
+    if supports.size < 2:
+        return None
+    receiver = np.clip(np.searchsorted(supports, y_m, side="right") - 1, 0, supports.size - 2)
+    first, last = (supports[:-1] + half)[receiver], (supports[1:] - half)[receiver]
+    return GlassEnds(
+        np.asarray(receiver, dtype=np.intp), first, last, np.asarray(np.clip((y_m - first) / (last - first), 0.0, 1.0))
+    )
+
+
 def glass_beside_tube(collector: Collector, path: AbsorberPath, y_m: FloatArray) -> GlassBeside:
     """Return where a glass that is straight between its bellows is beside a tube that sags and bends within it.
 
@@ -52,15 +76,12 @@ def glass_beside_tube(collector: Collector, path: AbsorberPath, y_m: FloatArray)
     y_m (m,): Places along the trough [m].
     Returns: Of each place; zeros where no two supports are listed.
     """
-    supports, half = collector.held_y_m, collector.support_width_m / 2
-    if supports.size < 2:
+    ends = glass_ends(collector, y_m)
+    if ends is None:
         return GlassBeside(np.zeros(y_m.size, dtype=np.intp), np.zeros(y_m.size), np.zeros(y_m.size))
-    receiver = np.clip(np.searchsorted(supports, y_m, side="right") - 1, 0, supports.size - 2)
-    first, last = supports[:-1] + half, supports[1:] - half
-    share = np.clip((y_m - first[receiver]) / (last - first)[receiver], 0.0, 1.0)
     # A station at a bellows has its place from those beside it; the tube is held there and has no kink.
     beside = [
-        (1 - share) * at_first[receiver] + share * at_last[receiver] - at_tube
-        for at_first, at_last, at_tube in zip(path.at(first), path.at(last), path.at(y_m), strict=True)
+        (1 - ends.share) * at_first + ends.share * at_last - at_tube
+        for at_first, at_last, at_tube in zip(path.at(ends.first_m), path.at(ends.last_m), path.at(y_m), strict=True)
     ]
-    return GlassBeside(np.asarray(receiver, dtype=np.intp), beside[0], beside[1])
+    return GlassBeside(ends.receiver, beside[0], beside[1])

@@ -157,6 +157,22 @@ def test_a_tube_that_sags_in_straight_glass_looks_as_traced_rays_say() -> None:
     assert np.abs(moved).max() > 1e-4
 
 
+def test_where_the_tube_moves_within_straight_glass_its_width_follows() -> None:
+    edges, sights = some_edges(np.random.default_rng(10))
+    where = expected(PRIOR_M**2 * np.eye(34))
+    held = replace(where, collector=HELD)
+    (unknowns, before), (plain, _) = (unknowns_of(edges, sights, one) for one in (held, where))
+    step = 1e-5 * np.sin(2 * np.pi / 8.0 * np.tile(STATIONS_M, 2) + np.repeat([0.3, 1.7], 17))
+    common, without = np.zeros(len(unknowns.covariance)), np.zeros(len(plain.covariance))
+    common[unknowns.place] = without[plain.place] = step
+    later = replace(held, absorber=unknowns.moved(held.absorber, common, unknowns.covariance))
+    moved = design_misfit(sights.points_m, sights.eyes_m, sights.side, HELD, later.absorber)
+    glass = glass_widening_rad(moved, sights, later) - glass_widening_rad(before, sights, held)
+    by_glass = effect(unknowns, common) - effect(plain, without)
+    np.testing.assert_allclose(by_glass, glass, atol=0.02 * np.abs(glass).max())
+    assert np.abs(glass).max() > 1e-8
+
+
 def test_each_glass_has_a_place_of_its_own() -> None:
     where, _ = sagging(HELD)
     edges, sights = some_edges(np.random.default_rng(9))
