@@ -123,7 +123,8 @@ class PlannedScan:
         every = crossed if plan.target_m is None else predicted_lines(endless, design, laser_m, sigma_spot_m)
         return _Sent(
             crossed.scan,
-            int(np.count_nonzero(crossed.unclear)),
+            # What is clear on an endless target was cut off by the rim of this one.
+            int(np.count_nonzero(crossed.unclear & every.unclear)),
             int(np.count_nonzero(~(every.scan.seen | every.unclear))),
         )
 

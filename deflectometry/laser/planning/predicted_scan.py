@@ -10,8 +10,8 @@ from heliogauge.geometry.rays import reflect
 from heliogauge.geometry.surfaces import Quadric
 from heliogauge.validate import FloatArray
 
-#: Points of a line that are seen.
-_POINTS_OF_LINE = 301
+#: Points of a line that are seen: 64 times an odd number, so that other numbers of lines do not cross in points.
+_POINTS_OF_LINE = 320
 
 
 def predicted_beams(plan: LaserPlanSection, design: Quadric, laser_m: FloatArray) -> LaserScan:
@@ -47,7 +47,7 @@ def predicted_lines(plan: LaserPlanSection, design: Quadric, laser_m: FloatArray
         normals[:, axis], normals[:, 2] = 1.0, tangents
         normals /= np.linalg.norm(normals, axis=1, keepdims=True)
         spots = _spots(plan, design, laser_m, beams)[:2].reshape(2, count, _POINTS_OF_LINE)
-        along_m = np.asarray(np.gradient(spots, axis=2))
+        along_m = _along(spots)
         across = np.stack([-along_m[1], along_m[0]]) / np.maximum(np.hypot(*along_m), np.finfo(float).tiny)
         noise = sigma_spot_m * rng.standard_normal(spots.shape[1:]) * across
         for sweeps, seen in ((exact, spots), (scattered, spots + noise)):
@@ -57,6 +57,12 @@ def predicted_lines(plan: LaserPlanSection, design: Quadric, laser_m: FloatArray
     cross_once = cross_lines(scattered[0], scattered[1], sigma_spot_m).scan.seen
     spots_m = np.where(cross_once, crossed.scan.spots_m, np.nan)
     return CrossedLines(crossed.scan.with_spots(spots_m), crossed.unclear | (crossed.scan.seen & ~cross_once))
+
+
+def _along(spots: FloatArray) -> FloatArray:
+    """Return the steps along lines (2, k, n) at each of their points, at their ends to the one neighbour; 0 alone."""
+    steps = np.nan_to_num(np.diff(spots, axis=2))
+    return np.asarray(np.pad(steps, ((0, 0), (0, 0), (1, 0))) + np.pad(steps, ((0, 0), (0, 0), (0, 1))))
 
 
 def _places(plan: LaserPlanSection, axis: int, count: int) -> FloatArray:

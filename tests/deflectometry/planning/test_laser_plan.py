@@ -107,6 +107,24 @@ def test_a_target_that_is_too_small_is_a_hole(tmp_path: Path) -> None:
     assert "meet no target" not in hole.text
 
 
+@pytest.mark.parametrize(("width_m", "target_m", "lines"), [(1.2, 0.91, 30), (1.9, 1.42, 43)])
+def test_crossings_at_the_rim_of_the_target_are_seen_and_those_beyond_are_said_to_be(
+    tmp_path: Path, width_m: float, target_m: float, lines: int
+) -> None:
+    """Far within the focal length every pair crosses once: what is not seen is beside the target, and only that."""
+    write_line_sweep(tmp_path / "s", replace(line_scene(), columns=31, rows=21))
+    flat = {"design": "paraboloid", "focal_length_m": 10.0, "distance_m": 5.0}
+    content = {"width_m": width_m, "height_m": width_m, "columns": lines, "rows": lines, "target_m": [target_m] * 2}
+    prospect = planned(tmp_path / "s", {"mirror": flat, "plan": content}).prospect()
+    # A beam to x comes back to x (2 - d / f), as far as tangents are angles.
+    x = width_m * ((np.arange(lines) + 0.5) / lines - 0.5)
+    seen = np.mean(np.abs(1.5 * x) < 0.5 * target_m) ** 2
+    assert prospect.seen_share == pytest.approx(seen, rel=0.01)
+    (hole,) = [one for one in prospect.doubts if one.code == "plan_beams_without_spot"]
+    assert f"{1 - prospect.seen_share:.1%} of the beams come back beside the target" in hole.text
+    assert "cross more than once" not in hole.text
+
+
 @pytest.mark.parametrize(("focal_m", "distance_m", "away"), [(0.4, 6.0, True), (1.71, 20.0, False)])
 def test_beams_that_miss_any_target_and_a_target_beyond_a_flat_mirrors_are_named(
     tmp_path: Path, focal_m: float, distance_m: float, away: bool
