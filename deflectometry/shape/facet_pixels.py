@@ -86,16 +86,18 @@ def _why_not(facet: Facet, region: BoolArray, screen_map: ScreenMap) -> str:
     if total == 0:
         return f"facet {facet.name} fills no pixel of the image; check the mirror's pose"
     counts = count_flags(screen_map.flags, region)
+    if not counts:
+        return f"facet {facet.name} has {total} px, {FEWEST_PIXELS} are needed: come nearer, or take a longer lens"
     reasons = ", ".join(f"{FLAG_TEXTS[flag]} ({count} px)" for flag, count in counts.items())
     remedy = "check screen, exposure and pattern"
     if SampleFlag.OFF_SCREEN in counts:
         remedy = "show the pattern over a larger screen or move the mirror"
-    elif counts and max(counts, key=lambda flag: counts[flag]) is SampleFlag.FRINGE_ORDER_UNCERTAIN:
+    elif max(counts, key=lambda flag: counts[flag]) is SampleFlag.FRINGE_ORDER_UNCERTAIN:
         remedy = (
             "add fringes of fewer periods: one set below 1, each next at most about six times finer; or, for images "
             "taken already, say which point of the display one pixel sees ([pattern.known_point])"
         )
-    return f"facet {facet.name} was not measured: of its {total} px {reasons or 'none is flagged'}; {remedy}"
+    return f"facet {facet.name} was not measured: of its {total} px {reasons}; {remedy}"
 
 
 def solve_shape_of_pixels(

@@ -113,7 +113,7 @@ class Bench:
         except EstimationError as error:
             if hole is None:
                 raise
-            raise EstimationError(f"{hole.text}. As planned, measuring would be refused") from error
+            raise EstimationError(f"{hole.text}. As planned, measuring would be refused: {error}") from error
 
     def prospect(self, result: Result, texts: Mapping[str, str]) -> Prospect:
         """Return what a result on predicted samples says of the measurement."""

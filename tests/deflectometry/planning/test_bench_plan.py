@@ -106,6 +106,15 @@ def test_a_screen_that_is_too_small_is_named_with_the_size_it_needs(tmp_path: Pa
     assert whole.seen_share == 1.0
 
 
+def test_a_plan_with_a_hole_is_refused_with_the_reason_of_which_the_hole_is_none(tmp_path: Path) -> None:
+    """At nine times the distance the facet is too small in the image, whether or not its rim looks past the screen."""
+    far = (9 * preset_scene("small").bench.cam_from_mirror.translation_m).tolist()
+    for width_m, hole in ((8.727, False), (1.24, True)):
+        with pytest.raises(EstimationError, match=r"px, \d+ are needed: come nearer") as refused:
+            prospect(planned(tmp_path / "p", plan={"mirror_m": far}, screen={"width_m": width_m}))
+        assert ("As planned, measuring would be refused: " in str(refused.value)) is hole
+
+
 def test_the_stated_point_of_the_mirror_stands_at_the_stated_place(tmp_path: Path) -> None:
     point = [0.1, -0.1, 0.05]
     distance = {"distance": {"distance_m": 9.0, "sigma_mm": 1.0, "point_m": point}}
