@@ -206,7 +206,12 @@ def has_shadows(edges: ReflectionEdges, fate: IntArray, y_m: FloatArray) -> bool
     the tube step either way, but do not go on from row to row.
     """
     wrong = fate == EdgeFate.WRONG_STEP
-    return bool(np.mean(wrong & ~is_alone(edges, wrong, y_m)) > _SHADOWS_SHARE)
+    return _share(wrong & ~is_alone(edges, wrong, y_m), fate) > _SHADOWS_SHARE
+
+
+def _share(which: BoolArray, fate: IntArray) -> float:
+    """Return the share of edges that are of some kind; not counted are lesser steps, which come with another edge."""
+    return float(np.mean(which[fate != EdgeFate.LESSER_STEP]))
 
 
 def unchecked_doubt(fate: IntArray) -> Doubt | None:
@@ -214,10 +219,10 @@ def unchecked_doubt(fate: IntArray) -> Doubt | None:
 
     Shapes: fate (m,).
     """
-    lonely = float(np.mean(fate == EdgeFate.ONE_SIDED))
+    lonely = _share(fate == EdgeFate.ONE_SIDED, fate)
     if lonely < _MOST_ONE_SIDED:
         return None
-    wrong = float(np.mean(fate == EdgeFate.WRONG_STEP))
+    wrong = _share(fate == EdgeFate.WRONG_STEP, fate)
     return Doubt(
         "edges_unchecked",
         f"{100 * wrong:.0f} % of the edges in the reflection step the other way than the tube's, as those of shadows, "

@@ -6,7 +6,14 @@ import numpy as np
 
 from observer.photo_edges.edges import Edges
 from observer.photo_edges.rectify import Strip
-from observer.photo_edges.reflection_edges import ReflectionEdges, _is_lesser_step, _is_tube_dark, _Look, _unevenness
+from observer.photo_edges.reflection_edges import (
+    ReflectionEdges,
+    _is_lesser_step,
+    _is_tube_dark,
+    _Look,
+    _unevenness,
+    joined,
+)
 from observer.selection.edge_refusal import EdgeFate, first_fate, has_shadows, is_alone, unchecked_doubt
 
 Y = np.arange(50) * 0.02
@@ -68,6 +75,16 @@ def test_noise_that_does_not_go_on_from_row_to_row_is_no_shadow() -> None:
         fate = np.full(edges.row.size, int(EdgeFate.USED))
         fate[800:] = int(EdgeFate.WRONG_STEP)
         assert has_shadows(edges, fate, Y) is is_shadow
+
+
+def test_lesser_steps_do_not_hide_shadows() -> None:
+    """One edge in a hundred is a shadow's; with the rim of the glass beside each of the tube's, one in two hundred."""
+    tube = [curve(photo, np.arange(50), np.full(50, 0.1)) for photo in range(100)]
+    rims = [curve(photo, np.arange(50), np.full(50, 0.12)) for photo in range(100)]
+    shadow = curve(0, np.arange(50), np.full(50, -0.5))
+    fate = np.repeat([EdgeFate.USED, EdgeFate.WRONG_STEP, EdgeFate.LESSER_STEP], [5000, 50, 5000])
+    assert has_shadows(joined([*tube, shadow]), fate[:5050], Y)
+    assert has_shadows(joined([*tube, shadow, *rims]), fate, Y)
 
 
 def edges_between(dark: np.ndarray, bright: np.ndarray) -> Edges:
@@ -172,3 +189,5 @@ def test_a_word_is_said_where_most_edges_stand_alone() -> None:
     fate = np.repeat([EdgeFate.USED, EdgeFate.WRONG_STEP, EdgeFate.ONE_SIDED], [40, 10, 50])
     assert "50 % are not confirmed" in str(unchecked_doubt(fate))
     assert unchecked_doubt(fate[:55]) is None
+    # Lesser steps, which come with another edge, do not count.
+    assert str(unchecked_doubt(np.append(fate, np.full(400, int(EdgeFate.LESSER_STEP))))) == str(unchecked_doubt(fate))
