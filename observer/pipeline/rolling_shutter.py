@@ -41,6 +41,9 @@ _STATED_SHARE = 0.05
 _USUAL_READOUT_S = 0.04
 #: No drone takes photos sooner after each other (data sheet of the Zenmuse P1): where none says when it was taken [s].
 _SOONEST_S = 0.7
+#: Between photos more than so many times the usual time apart the drone paused, or flew to the next pass: photos at
+#: even times, cut off to whole seconds, are no further apart, also where one is missing between two.
+_PAUSE_TIMES = 3.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -113,8 +116,8 @@ def frame_motion_m(section: RollingShutterSection, files: Sequence[Path], places
     files: Photos or frames of a video, in the order of the flight.
     places_m: Where the drone took them, by their names [m].
 
-    The speed is the length of the way over its time. Where no photo says when it was taken, the camera flew from one
-    to the next in no less than a drone needs between two.
+    The speed is the length of the way over its time, without pauses and what is flown in them. Where no photo says when
+    it was taken, the camera flew from one to the next in no less than a drone needs between two.
     """
     readout_s = _USUAL_READOUT_S if section.readout_ms is None else 1e-3 * abs(section.readout_ms)
     if section.speed_m_s is not None:
@@ -122,10 +125,12 @@ def frame_motion_m(section: RollingShutterSection, files: Sequence[Path], places
     placed = [file for file in files if file.name in places_m]
     if len(placed) < 2:
         return 0.0
-    way_m = float(np.linalg.norm(np.diff([places_m[file.name] for file in placed], axis=0), axis=1).sum())
-    said = _said_times(placed)
-    lasted_s = said[-1][0] - said[0][0] if said else 0.0
-    return readout_s * way_m / (lasted_s if lasted_s > 0 else _SOONEST_S * (len(placed) - 1))
+    ways_m = np.linalg.norm(np.diff([places_m[file.name] for file in placed], axis=0), axis=1)
+    times_s = np.diff([time_s for time_s, _ in _said_times(placed)])
+    if not (times_s > 0).any():
+        return readout_s * float(ways_m.mean()) / _SOONEST_S
+    in_flight = (times_s >= 0) & (times_s <= _PAUSE_TIMES * np.median(times_s[times_s > 0]))
+    return readout_s * float(ways_m[in_flight].sum() / times_s[in_flight].sum())
 
 
 def _times_of(files: Sequence[Path]) -> dict[str, float]:

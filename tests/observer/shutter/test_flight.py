@@ -121,3 +121,17 @@ def test_how_far_a_camera_flies_over_a_frame_follows_from_places_and_times(tmp_p
     assert frame_motion_m(RollingShutterSection(readout_ms=20.0, speed_m_s=3.0), files, {}) == pytest.approx(0.06)
     # 17 to 74 ms.
     assert 0.017 < frame_motion_m(RollingShutterSection(speed_m_s=1.0), files, {}) < 0.074
+
+
+@pytest.mark.parametrize(("between_s", "pause_s"), [(0.4, 3), (1.0, 3), (1.3, 1200), (2.5, 7)])
+def test_a_pause_in_the_flight_makes_the_camera_no_slower(tmp_path, between_s, pause_s):
+    """Sixteen photos at 2 m/s with a pause after the eighth; their times are cut off to whole seconds."""
+    files = [tmp_path / f"p{k:02d}.jpg" for k in range(16)]
+    for paused in (0, pause_s):
+        for k, file in enumerate(files):
+            minutes, seconds = divmod(int(between_s * k) + paused * (k > 7), 60)
+            file.write_bytes(b"\xff\xd8" + exif(f"2023:01:15 18:{10 + minutes}:{seconds:02d}"))
+        places = {file.name: np.array([2.0 * between_s * k, 100.0, 15.0]) for k, file in enumerate(files)}
+        motion_m = frame_motion_m(RollingShutterSection(readout_ms=20.0), files, places)
+        # The first and the last time of each pass are up to a second off.
+        assert motion_m == pytest.approx(0.02 * 2.0, rel=2 / (14 * between_s))
