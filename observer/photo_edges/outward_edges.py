@@ -34,10 +34,12 @@ def outward_between(
 
     Shapes: eyes_m (n, 3), result (k,).
     first, second: Edges of the same photos, found in two ways with the same poses.
-    Returns: Of each edge of the second for which the first has one that steps the same way nearby [rad].
+    Returns: Of each edge of the second for which the first has one that steps the same way nearby, lesser steps of
+        both left out [rad].
     """
     # Of four hundred photos a few were looked at in the second way.
-    first = first.chosen(np.isin(first.photo, second.photo))
+    first = first.chosen(np.isin(first.photo, second.photo) & ~first.is_lesser)
+    second = second.chosen(~second.is_lesser)
     looks = looks_rad_per_m(first.points_m, eyes_m[first.photo], focal_length_m)
     curves: dict[tuple[int, int, bool], list[int]] = {}
     for number, key in enumerate(_curves(first)):

@@ -108,7 +108,7 @@ def edge_profiles(shot: Shot, expected: Expectation) -> FloatArray:
     """Return the brightness across edges of the reflection, from the darker to the brighter side.
 
     expected: Collector, absorber and rows.
-    Returns (n, 13): Brightness at -6 to 6 pixels from each edge that is even on both sides [DN].
+    Returns (n, 13): Brightness at -6 to 6 pixels from each edge that is even on both sides and no lesser step [DN].
     """
     [look] = _looks([shot], expected)
     place = np.arange(-_PROFILE_PX, _PROFILE_PX + 1)
@@ -116,7 +116,7 @@ def edge_profiles(shot: Shot, expected: Expectation) -> FloatArray:
         return np.zeros((0, place.size))
     strip, pixel_m = look.strip, look.pixel_m
     [edges] = _plausible(*find_edges([strip]), [look], expected)
-    edges = edges.chosen((edges.unevenness > 0) & (edges.unevenness < _PROFILE_UNEVEN))
+    edges = edges.chosen((edges.unevenness > 0) & (edges.unevenness < _PROFILE_UNEVEN) & ~edges.is_lesser)
     step = float(strip.x_m[1] - strip.x_m[0])
     at = (edges.points_m[:, :1] + pixel_m * place - strip.x_m[0]) / step
     inside = ((at > 0) & (at < strip.x_m.size - 1)).all(axis=1)

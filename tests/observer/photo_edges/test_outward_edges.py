@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from observer.photo_edges.outward_edges import moved_outward, outward_between
-from observer.photo_edges.reflection_edges import ReflectionEdges
+from observer.photo_edges.reflection_edges import ReflectionEdges, joined
 from observer.planning.simulated_edges import Scene
 from observer.selection.solve_and_refuse import solve_reflector
 from observer.slopes.pose_modes import Photos
@@ -52,6 +52,11 @@ def test_what_edges_lie_further_outward_is_found_again_from_some_of_them() -> No
     moved = moved_outward(edges, np.full(12, BY_RAD), eyes, focal)
     some = moved.chosen(np.flatnonzero((rng.random(moved.row.size) < 0.7) & (moved.photo % 2 == 0)))
     found = outward_between(edges, some, eyes, focal)
+    assert found.size == some.row.size
+    assert np.median(found) == pytest.approx(BY_RAD, rel=0.01)
+    # Nor do lesser steps count that have not moved.
+    rims = [replace(one, is_lesser=np.ones(one.row.size, dtype=bool)) for one in (edges, edges, edges)]
+    found = outward_between(joined([edges, *rims]), joined([some, *rims]), eyes, focal)
     assert found.size == some.row.size
     assert np.median(found) == pytest.approx(BY_RAD, rel=0.01)
     # Nothing steps the same way in rows that have no edges.

@@ -33,8 +33,11 @@ def beside_axis_m(points: np.ndarray, eye: np.ndarray) -> np.ndarray:
     return np.abs(to_axis[..., 0] * across[..., 1] - to_axis[..., 1] * across[..., 0])
 
 
-def drawn_mirror(pose: RigidTransform, seed: int) -> np.ndarray:
-    """Draw the mirror with the tube's reflection; four times four lines of sight a pixel, noise of 1 DN."""
+def drawn_mirror(pose: RigidTransform, seed: int, around_dn: float = 180.0) -> np.ndarray:
+    """Draw the mirror with the tube's reflection; four times four lines of sight a pixel, noise of 1 DN.
+
+    around_dn: Brightness of what is 25 mm around the tube.
+    """
     fine = (np.arange(4) + 0.5) / 4 - 0.5
     u, v = np.meshgrid((np.arange(360)[:, None] + fine).ravel(), (np.arange(260)[:, None] + fine).ravel())
     rays = np.stack([(u - 181.3) / 1050, (v - 128.2) / 1050, np.ones_like(u)], axis=-1) @ pose.rotation
@@ -44,7 +47,8 @@ def drawn_mirror(pose: RigidTransform, seed: int) -> np.ndarray:
     c = eye[0] ** 2 - 4 * 1.49 * eye[2]
     points = eye + (-c / (b + np.sqrt(b * b - a * c)))[..., None] * rays
     on_mirror = (np.abs(points[..., 0]) < 1.0) & (np.abs(points[..., 1]) < 0.7)
-    tone = np.where(on_mirror, np.where(beside_axis_m(points, eye) < 0.035, 20.0, 180.0), 90.0)
+    beside = beside_axis_m(points, eye)
+    tone = np.where(on_mirror, np.select([beside < 0.035, beside < 0.06], [20.0, around_dn], 180.0), 90.0)
     image = cv2.GaussianBlur(tone.reshape(260, 4, 360, 4).mean(axis=(1, 3)), (0, 0), 0.5)
     return np.rint(image + np.random.default_rng(seed).normal(0, 1.0, image.shape)).astype(np.uint8)
 
@@ -85,6 +89,17 @@ def test_several_photos_at_once_give_what_each_gives_alone(shots: list[Shot]) ->
     assert reflection_edges([], EXPECTED) == []
     assert edge_profiles(shots[0], EXPECTED).shape[1] == 13
     assert edge_profiles(shots[2], EXPECTED).shape == (0, 13)
+
+
+def test_profiles_are_none_of_lesser_steps() -> None:
+    """What is around the tube has 50 of 180 DN: from there to the tube brightness steps less than to there."""
+    pose = looking(np.array([0.55, 0.1, 7.0]), np.array([0.0275, 0.0, 0.1]))
+    shot = Shot(drawn_mirror(pose, 0, around_dn=50.0), 0, View(CAMERA, pose))
+    [edges] = reflection_edges([shot], EXPECTED)
+    profiles = edge_profiles(shot, EXPECTED)
+    assert np.count_nonzero(edges.is_lesser) >= 90
+    assert len(profiles) >= 45
+    np.testing.assert_allclose(profiles[:, -1] - profiles[:, 0], 130.0, atol=8.0)
 
 
 def test_tubes_of_several_photos_at_once_are_those_of_each_alone() -> None:
