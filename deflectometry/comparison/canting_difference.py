@@ -1,6 +1,6 @@
 """The canting of single facets in two results of one mirror: differences against the mean of all, and their sigmas."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -103,22 +103,23 @@ def partners(
 def canting_difference(
     first: Mapping[str, SlopeMap],
     second: Mapping[str, SlopeMap],
+    left_out: Collection[str],
     pairs: Sequence[FacetPartner] | None = None,
     sigma_turn_rad: float = 0.0,
 ) -> CantingDifference | None:
     """Compare the canting of facets that two results have measured.
 
     first, second: The map of each facet, in the facet's own frame.
+    left_out: Facets of the first that are not compared, of `facets_left_out`.
     pairs: Which facets belong together; default: those of the same name.
     sigma_turn_rad: Of the turn between both frames [rad].
-    Returns: None where fewer than two facets of the same design are measured in both on half of their area.
+    Returns: None where fewer than two facets are compared.
 
     An error that all facets share, of the pose or of a camera, moves them alike and mostly cancels: the covariance is
     that of all facets together, random parts by themselves and each common mode through all of them.
     """
     every = [FacetPartner.of(name) for name in first] if pairs is None else pairs
-    left = facets_left_out(first, second, pairs, sigma_turn_rad)
-    used = [one for one in every if one.first in first and one.first not in left]
+    used = [one for one in every if one.first in first and one.first not in left_out]
     if len(used) < 2:
         return None
     names, count = tuple(one.first for one in used), len(used)
@@ -151,7 +152,10 @@ def facets_left_out(
     pairs: Sequence[FacetPartner] | None = None,
     sigma_turn_rad: float = 0.0,
 ) -> dict[str, str]:
-    """Return why the canting of facets of the first result is not compared, by their names; as `canting_difference`."""
+    """Return why the canting of facets of the first result is not compared, by their names.
+
+    Compared are facets of the same design, measured in both on half of their area; arguments as `canting_difference`.
+    """
     found = {}
     partner = {one.first: one for one in pairs or ()}
     for name, one in first.items():

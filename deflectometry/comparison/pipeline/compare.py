@@ -174,16 +174,17 @@ def _canting_difference(sides: tuple[Side, Side], placed: Placed) -> tuple[Canti
     if not (first and second):
         return None, ()
     pairs: tuple[FacetPartner, ...] | None = None
-    sigma_turn_rad, reasons = 0.0, facets_left_out(first, second)
+    sigma_turn_rad, nowhere = 0.0, list[str]()
     if placed.is_moved:
         frames_a, frames_b = (facet_frames(one.summary) for one in sides)
         sigma_turn_rad = 0.0 if placed.found is None else float(placed.found.sigmas[0])
         pairs = partners(frames_a, frames_b, placed.motion)
-        reasons = facets_left_out(first, second, pairs, sigma_turn_rad)
         nowhere = [one.name for one, frames in zip(sides, (frames_a, frames_b), strict=True) if not frames]
-        if nowhere:
-            reasons = dict.fromkeys(first, f"{' and '.join(nowhere)} does not say where its facets stand")
-    cantings = canting_difference(first, second, pairs, sigma_turn_rad)
+    if nowhere:
+        reasons = dict.fromkeys(first, f"{' and '.join(nowhere)} does not say where its facets stand")
+    else:
+        reasons = facets_left_out(first, second, pairs, sigma_turn_rad)
+    cantings = canting_difference(first, second, reasons, pairs, sigma_turn_rad)
     return cantings, tuple(_doubts_of_left_out(first, cantings, reasons))
 
 

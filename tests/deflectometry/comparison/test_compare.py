@@ -296,7 +296,7 @@ def test_canting_differs_as_its_sigmas_say() -> None:
     rng, chances, squares = np.random.default_rng(1), [], []
     for _ in range(24):
         leans = 1e-3 * rng.normal(size=(FACETS, 2))
-        found = canting_difference(drawn_ensemble(rng, leans), drawn_ensemble(rng, leans))
+        found = canting_difference(drawn_ensemble(rng, leans), drawn_ensemble(rng, leans), ())
         assert found is not None
         chances.append(found.probability)
         squares.append(np.mean((found.difference_rad / found.sigma_rad) ** 2))
@@ -359,18 +359,18 @@ def test_canting_is_compared_where_one_map_was_moved(turn_rad: float) -> None:
         }
         pairs = partners(frames, frames_there, PlaneMotion(turn_rad, np.zeros(2)))
         assert {one.first: one.second for one in pairs} == dict(zip(frames, names, strict=True))
-        found = canting_difference(first, second, pairs)
+        found = canting_difference(first, second, facets_left_out(first, second, pairs), pairs)
         assert found is not None
         assert found.names == tuple(frames)
         squares.append(np.mean((found.difference_rad / found.sigma_rad) ** 2))
     # Half of the variance is that of the first, the same in all five: 8 numbers, and 40.
     assert np.mean(squares) == pytest.approx(1.0, abs=3 * np.sqrt(0.25 * 2 / 8 + 0.25 * 2 / 40))
     # 5 mrad between the frames move facets canted by 20 mrad by 0.1 mrad, half of it squared in x and half in y.
-    unsure = canting_difference(first, second, pairs, 5e-3)
+    unsure = canting_difference(first, second, (), pairs, 5e-3)
     assert unsure is not None
     added = np.sum(unsure.sigma_rad**2 - found.sigma_rad**2, axis=0)
     assert added == pytest.approx(0.5 * FACETS * 1e-4**2, rel=0.1)
-    by_name = canting_difference(first, second)
+    by_name = canting_difference(first, second, ())
     assert by_name is not None
     assert np.abs(by_name.difference_rad / by_name.sigma_rad).max() > 10
 
