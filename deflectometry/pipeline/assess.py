@@ -128,7 +128,9 @@ def measure_source(ready: SourceMeasurement, progress: Progress) -> Result:
         if normal is not None:
             numbers |= normal.numbers()
             turns = turns_by_inputs(setup, evaluation, inputs)
-            texts["mean normal"] = words_of_normal(normal, turns, unstated, is_placed=setup.are_errors_joint)
+            texts["mean normal"] = words_of_normal(
+                normal, turns, unstated, setup, has_place=measurement.model.mirror.place is not None
+            )
     doubts = gather_doubts(
         check_screen(measurement, setup.screen),
         ready.doubts,

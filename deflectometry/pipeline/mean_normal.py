@@ -86,13 +86,14 @@ def words_as_exact(unstated: Collection[str]) -> str:
 
 
 def words_of_normal(
-    found: MeanNormal, turns: Mapping[str, FloatArray], unstated: Collection[str], *, is_placed: bool
+    found: MeanNormal, turns: Mapping[str, FloatArray], unstated: Collection[str], setup: Setup, *, has_place: bool
 ) -> str:
     """Say how well the mean normal is known, what rules that, and what would better it.
 
     turns: Of `turns_by_inputs`, from sigmas that hang together where the place was surveyed.
     unstated: As for `words_as_exact`.
-    is_placed: Whether the mirror's surveyed place was used.
+    setup: Camera and screen, after the mirror's surveyed place was heard.
+    has_place: Whether there is one.
     """
     sigma = 1e3 * found.sigma_rad
     said = (
@@ -101,8 +102,11 @@ def words_of_normal(
     )
     if exact := words_as_exact(unstated):
         said = f"{said}, with {exact} as exact, of which no sigma is given"
-    if is_placed:
-        return f"{said}; from the surveyed place of the mirror, which tells the turn of camera against screen, too"
+    if setup.are_errors_joint:
+        said = f"{said}; from the surveyed place of the mirror"
+        if not setup.covariance_cam_from_screen[:3, :3].any():
+            return f"{said}, to which the camera gave way and the turn of the screen did not"
+        return f"{said}, which tells the turn of camera against screen, too"
     total = float((found.sigma_rad**2).sum())
     by_size = sorted(turns.items(), key=lambda one: -float((one[1] ** 2).sum()))
     named = [
@@ -111,6 +115,8 @@ def words_of_normal(
         if float((turn**2).sum()) > _LEAST_SHARE * total
     ]
     ruled = f"; of it {', '.join(named)}" if named else ""
+    if has_place:
+        return f"{said}{ruled}; the surveyed place of the mirror was not used, for want of sigmas of camera and screen"
     return (
         f"{said}{ruled}. It is as good as the line from the mirror to the middle between camera and screen: the "
         "surveyed place of a point of the mirror in the screen's frame, [mirror.place], gives it without camera and "

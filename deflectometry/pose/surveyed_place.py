@@ -40,7 +40,7 @@ class PlacedSetup:
     setup: With the values and the joint errors that image and place leave.
     apart_m (3,): Place by the image, with what was stated, minus the surveyed one, in the screen's frame [m].
     probability: Of being so far apart.
-    doubt: Where both contradict each other.
+    doubt: Where both contradict each other, or nothing can give way to the place.
     """
 
     setup: Setup
@@ -64,7 +64,7 @@ def setup_with_place(setup: Setup, located: UncertainPose, place: SurveyedPlace)
     steps = [one for one in setup_steps(setup) if one.moves_pose]
     here = _place(setup, located, place)
     if not steps:
-        return PlacedSetup(setup, here - place.place_m, 1.0, None)
+        return PlacedSetup(setup, here - place.place_m, 1.0, _not_used(here - place.place_m))
     design = np.stack([_place(moved_setup(setup, (one,), np.ones(1)), located, place) - here for one in steps], axis=1)
     turned = located.cam_from_mirror.rotate(place.mirror_point_m)
     by_pose = setup.cam_from_screen.rotation.T @ np.hstack([-skew(turned), np.eye(3)])
@@ -115,6 +115,17 @@ def _joint_warp(steps: list[SetupStep], amounts: FloatArray) -> SmoothWarp:
         if isinstance(one.warp, SmoothWarp):
             found = float(amount) * one.warp.coefficients + found
     return SmoothWarp(found)
+
+
+def _not_used(apart_m: FloatArray) -> Doubt:
+    far = float(np.linalg.norm(apart_m))
+    return Doubt(
+        "place_not_used",
+        f"the surveyed place of the mirror was not used, and the image puts the mirror {1e3 * far:.2g} mm beside it: "
+        "neither the camera nor the pose of the screen has a sigma, so that nothing can give way to it; state [screen] "
+        "sigma_rotation_mrad and sigma_translation_mm, and [camera] sigma_focal_px and sigma_center_px",
+        {"apart_m": far},
+    )
 
 
 def _doubt(apart_m: FloatArray, covariance: FloatArray, probability: float) -> Doubt | None:

@@ -204,6 +204,26 @@ def test_a_mean_normal_without_sigmas_of_camera_and_screen_is_named(tmp_path: Pa
     assert found.sigmas()["mean_normal"] < 1e-4
 
 
+def test_a_surveyed_place_is_said_to_be_used_as_far_as_it_is(tmp_path: Path) -> None:
+    """To a place gives way what has a sigma: the camera alone, or nothing, and then it is not used."""
+    bench = preset_scene("small").bench
+    place = bench.cam_from_wall.inverse().apply(bench.cam_from_mirror.translation_m).tolist()
+    mirror = {"place": {"place_m": place, "sigma_mm": 2.0}, "distance": None}
+    sure_camera = {"sigma_focal_px": None, "sigma_center_px": None}
+    sure_screen = {"sigma_rotation_mrad": None, "sigma_translation_mm": None}
+    found = [
+        prospect(planned(tmp_path / "p", Knowledge(), mirror=mirror, camera=camera, screen=sure_screen))
+        for camera in ({"sigma_focal_px": 3.0, "sigma_center_px": 3.0}, sure_camera)
+    ]
+    camera_alone, neither = (one.texts["mean normal"] for one in found)
+    assert "with the pose of the screen as exact" in camera_alone
+    assert "to which the camera gave way and the turn of the screen did not" in camera_alone
+    assert "with the camera and the pose of the screen as exact" in neither
+    assert "was not used, for want of sigmas" in neither
+    assert not any("[mirror.place]" in one.texts["mean normal"] for one in found)
+    assert ["place_not_used" in {doubt.code for doubt in one.doubts} for one in found] == [False, True]
+
+
 @pytest.mark.slow
 def test_predicted_dots_are_where_they_will_be_seen_and_less_noise_is_worth_something(tmp_path: Path) -> None:
     """Dots 0.02 px off their places are rough slopes: half of the noise made their sigmas 1.7 times as large."""
