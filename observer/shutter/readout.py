@@ -228,6 +228,7 @@ def estimate_motions(
     motions_m (n, 3): The motions at which the normal equations hold, in the frame [m].
     flight: How the camera flew past each photo.
     known: The readout as stated; None: unknown.
+    EstimationError: The normal equations determine nothing, as in a network that does not fit at all.
     """
     relative = np.repeat(flight.doubt / np.median(flight.doubt), 3)
     right = reduced.matrix @ motions_m.ravel() - reduced.gradient
@@ -274,7 +275,10 @@ class _Conditional:
             whole[0, 0] += known.sigma**-2
             both[0] += known.value * known.sigma**-2
         self._scale = np.sqrt(np.diag(whole))
-        self._factor = cho_factor(whole / self._scale[:, None] / self._scale, lower=True)
+        try:
+            self._factor = cho_factor(whole / self._scale[:, None] / self._scale, lower=True)
+        except np.linalg.LinAlgError as error:
+            raise EstimationError("the motions over the photos' rows are not determined by their targets") from error
         self.mean: FloatArray = cho_solve(self._factor, both / self._scale) / self._scale
         half_log = float(np.log(np.diag(self._factor[0])).sum() + np.log(self._scale).sum())
         self.log_evidence = float(0.5 * both @ self.mean - half_log + 0.5 * np.log(weight).sum())
