@@ -73,6 +73,7 @@ INSTRUMENT = Instrument(
             init_option="--scan",
             init_help="For points of the surface by laser tracker or scanner, instead of images of fringes.",
             run="deflectometry.scans.pipeline.measure:run",
+            plan="deflectometry.scans.planning.plan:run",
             options="deflectometry.pipeline.choices:Options",
         ),
         Kind(

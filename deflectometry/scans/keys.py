@@ -7,6 +7,7 @@ from typing import Literal
 from pydantic import Field
 
 from deflectometry.exchange.measure_slopes import SlopesEvaluationSection, SlopesMirrorSection
+from deflectometry.scans.planning.keys import SurfacePlanSection
 from heliogauge.measurement.load import MEASUREMENT_FILE, read_measurement, refuse_missing
 from heliogauge.measurement.models import MeasurementModel, Number, Positive, Section, Text
 
@@ -55,6 +56,7 @@ class SurfaceScanModel(MeasurementModel):
     points: PointsSection = Field(description="The points.")
     mirror: SlopesMirrorSection = Field(description="The mirror's design.")
     evaluation: ScanEvaluationSection = Field(ScanEvaluationSection(), description="Choices of the evaluation.")
+    plan: SurfacePlanSection | None = Field(None, description="What is expected of a scan before it is made.")
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -127,6 +127,45 @@ def run(
         raise InputError(f"{measurement.folder}: a scan has no alignment; see place in [evaluation]; leave it out")
     with progress.stage("read points"):
         scanned = read_points(measurement.points_file, model.points.unit)
+    found = evaluate_points(model, scanned, str(measurement.points_file), options, progress)
+    return SurfaceScanResult(
+        name=model.name,
+        slope_map=found.slope_map,
+        numbers=found.numbers,
+        place=found.place,
+        patches=found.patches,
+        points=int(np.count_nonzero(~found.odd)),
+        doubts=found.doubts,
+        durations_s=dict(progress.durations_s),
+        input_sha256=hash_files(measurement.input_files, measurement.folder),
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class EvaluatedPoints:
+    """What points of the surface say of the mirror.
+
+    slope_map: After what was to be removed.
+    numbers, place, patches, doubts: As in `SurfaceScanResult`.
+    odd (n,): Points that were left out.
+    """
+
+    slope_map: SlopeMap
+    numbers: Numbers
+    place: Registration
+    patches: tuple[PatchSlopes, ...]
+    odd: BoolArray
+    doubts: tuple[Doubt, ...]
+
+
+def evaluate_points(
+    model: SurfaceScanModel, scanned: ScannedPoints, where: str, options: Options, progress: Progress
+) -> EvaluatedPoints:
+    """Find the slopes of a mirror from points of its surface.
+
+    where: What the points are called in messages.
+    InputError, EstimationError: As for `run`.
+    """
     design = build_design(model.mirror)
     doubts: list[Doubt] = []
     with progress.stage("find mirror"):
@@ -138,7 +177,7 @@ def run(
         step_mm = model.evaluation.grid_step_mm if options.grid_step_mm is None else options.grid_step_mm
         step_m = None if step_mm is None else 1e-3 * step_mm
         if model.points.slopes_from == "normals":
-            as_measured = _from_normals(measurement, points, normals, design, step_m, doubts)
+            as_measured = _from_normals(model, where, points, normals, design, step_m, doubts)
         else:
             as_measured, patches = _from_points(model, points[~odd], design, sigma, step_m)
         scale = 1e-6 * (model.points.sigma_scale_ppm or 0.0)
@@ -149,17 +188,7 @@ def run(
         slope_map = remove(as_measured, options.remove or Removal(model.evaluation.remove))
         numbers = facet_numbers(slope_map, as_measured) | _own_numbers(place, sigma, patches, points)
     doubts += _doubts(model, place, odd, as_measured, design)
-    return SurfaceScanResult(
-        name=model.name,
-        slope_map=slope_map,
-        numbers=numbers,
-        place=place,
-        patches=tuple(patches),
-        points=int(np.count_nonzero(~odd)),
-        doubts=tuple(doubts),
-        durations_s=dict(progress.durations_s),
-        input_sha256=hash_files(measurement.input_files, measurement.folder),
-    )
+    return EvaluatedPoints(slope_map, numbers, place, tuple(patches), odd, tuple(doubts))
 
 
 _FRAME = "mirror frame of the design: x across, y up, seen from the front, z out of the mirror [m]"
@@ -277,24 +306,23 @@ def _axis(values: FloatArray, step: float) -> FloatArray:
 
 
 def _from_normals(
-    measurement: SurfaceScanMeasurement,
+    model: SurfaceScanModel,
+    where: str,
     points_m: FloatArray,
     normals: FloatArray | None,
     design: Quadric,
     step_m: float | None,
     doubts: list[Doubt],
 ) -> SlopeMap:
-    section = measurement.model.points
+    section = model.points
     if normals is None:
         raise InputError(
-            f'{measurement.points_file}: slopes_from = "normals", but the points have none (nx, ny, nz; in CSV '
+            f'{where}: slopes_from = "normals", but the points have none (nx, ny, nz; in CSV '
             "normal_x, normal_y, normal_z); leave slopes_from out to take them from the points"
         )
     if not (normals[:, 2] > 0).all():
         count = int((normals[:, 2] <= 0).sum())
-        raise InputError(
-            f"{measurement.points_file}: {count} of {len(normals)} normals point the other way than the rest; turn them"
-        )
+        raise InputError(f"{where}: {count} of {len(normals)} normals point the other way than the rest; turn them")
     sigma = 1e-3 * (section.sigma_normal_mrad or 0.0)
     if section.sigma_normal_mrad is None:
         doubts.append(

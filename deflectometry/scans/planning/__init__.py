@@ -1,0 +1,1 @@
+"""Plans of scans of the surface."""
