@@ -11,7 +11,8 @@ from deflectometry.pipeline.choices import Options
 from deflectometry.planning.pipeline.plan import PlanResult, run_plan
 from deflectometry.planning.prospect import NOISE, Change, FacetProspect, Prospect
 from deflectometry.scans.keys import SurfaceScanModel
-from deflectometry.scans.pipeline.measure import evaluate_points
+from deflectometry.scans.patch_slopes import best_patch
+from deflectometry.scans.pipeline.measure import EvaluatedPoints, evaluate_points
 from deflectometry.scans.pipeline.read_points import ScannedPoints
 from deflectometry.scans.planning.keys import SurfacePlanSection
 from deflectometry.scans.planning.predicted_points import predicted_points
@@ -26,6 +27,8 @@ from heliogauge.running.progress import Progress, SilentProgress
 _SCANS = 4
 #: The predicted points have the noise of this draw.
 _SEED = 1
+#: What the polynomial of a patch does not follow, with what it could lose unseen.
+_LOST = "waves that patches lose"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,6 +61,19 @@ class PlannedSurfaceScan:
 
         InputError, EstimationError: As for `deflectometry.planning.prospect.PlannedSource`.
         """
+        found, plan = self._evaluated(), self.plan
+        count = plan.columns * plan.rows
+        return Prospect(
+            slope_map=found.slope_map,
+            numbers=found.numbers,
+            facets=(FacetProspect("mirror", 1.0, "", found.slope_map, RigidTransform.identity()),),
+            spacing_m=float(np.sqrt(plan.width_m * plan.height_m / count)),
+            samples=count,
+            doubts=(*found.doubts, *self._doubts_of_waves()),
+        )
+
+    def _evaluated(self) -> EvaluatedPoints:
+        """Return what the measurement's own evaluation makes of predicted points."""
         plan, points = self.plan, self.model.points
         if points.sigma_point_mm is None:
             raise InputError(
@@ -65,31 +81,14 @@ class PlannedSurfaceScan:
                 "cannot be found from them: give what the scanner is good for"
             )
         normal_rad = 1e-3 * (points.sigma_normal_mrad or 0.0)
-        place, normals = predicted_points(
-            plan, build_design(self.model.mirror), 1e-3 * points.sigma_point_mm, normal_rad, _SEED
-        )
+        design = build_design(self.model.mirror)
+        place, normals = predicted_points(plan, design, 1e-3 * points.sigma_point_mm, normal_rad, _SEED)
         # Predicted points are in the mirror's frame: the scanner is somewhere before it.
         before = plan.center_m[0], plan.center_m[1], 10.0 * max(plan.width_m, plan.height_m)
         seen = points.model_copy(update={"scanner_m": before, "x_axis": (1.0, 0.0, 0.0)})
-        found = evaluate_points(
-            self.model.model_copy(update={"points": seen}),
-            ScannedPoints(place, normals if points.slopes_from == "normals" else None),
-            "the predicted points",
-            Options(),
-            SilentProgress(),
-        )
-        texts = {}
-        if "patch_side_m" in found.numbers:
-            texts["patch"] = f"slopes from patches of {float(found.numbers['patch_side_m'] or 0.0):.2g} m"
-        return Prospect(
-            slope_map=found.slope_map,
-            numbers=found.numbers,
-            facets=(FacetProspect("mirror", 1.0, "", found.slope_map, RigidTransform.identity()),),
-            spacing_m=float(np.sqrt(plan.width_m * plan.height_m / len(place))),
-            samples=len(place),
-            texts=texts,
-            doubts=(*found.doubts, *self._doubts_of_waves()),
-        )
+        scanned = ScannedPoints(place, normals if points.slopes_from == "normals" else None)
+        model = self.model.model_copy(update={"points": seen})
+        return evaluate_points(model, scanned, "the predicted points", Options(), SilentProgress())
 
     def _doubts_of_waves(self) -> Iterator[Doubt]:
         if self.plan.wave_mrad is None and self.model.points.slopes_from == "points":
@@ -101,8 +100,19 @@ class PlannedSurfaceScan:
             )
 
     def limits(self, prospect: Prospect) -> Mapping[str, Mapping[str, float]]:
-        """Return the share of each source of errors in each variance; what patches lose counts as noise."""
-        return prospect.limits()
+        """Return the share of each source of errors in each variance: of slopes also that of what patches lose."""
+        found = {name: dict(shares) for name, shares in prospect.limits().items()}
+        patches = self._evaluated().patches
+        if patches:
+            side_mm = self.model.evaluation.patch_mm
+            patch = best_patch(list(patches))
+            if side_mm is not None:
+                patch = min(patches, key=lambda one: abs(one.side_m - 1e-3 * side_mm))
+            square, lost = patch.noise_rad**2, np.nan_to_num(patch.lost_rad) ** 2
+            for name, share in zip(("slope_x", "slope_y"), (lost / (square + lost)).tolist(), strict=True):
+                both = found[name][NOISE]
+                found[name] |= {NOISE: (1 - share) * both, _LOST: share * both}
+        return found
 
     def changes(self) -> Iterator[Change]:
         """Yield what might be done otherwise."""

@@ -99,6 +99,9 @@ def test_waves_and_points_count(tmp_path: Path) -> None:
     none = {"plan.wave_mrad": None, "plan.wave_length_m": None}
     without = planned(folder, few | none).prospect()
     assert without.sigmas()["slope_x"] < 0.7 * with_waves.sigmas()["slope_x"]
+    shares = [planned(folder, one).limits(two)["slope_x"] for one, two in ((few, with_waves), (few | none, without))]
+    assert [sum(one.values()) for one in shares] == pytest.approx([1.0, 1.0])
+    assert shares[0]["waves that patches lose"] > shares[1]["waves that patches lose"] > 0
     assert "plan_without_waves" in {one.code for one in without.doubts}
     assert "plan_without_waves" not in {one.code for one in with_waves.doubts}
 
