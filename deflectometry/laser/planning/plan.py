@@ -14,6 +14,7 @@ from deflectometry.laser.planning.keys import LaserPlanSection
 from deflectometry.laser.planning.predicted_scan import predicted_beams, predicted_lines
 from deflectometry.laser.scan import LaserScan
 from deflectometry.pipeline.choices import Options
+from deflectometry.planning.pipeline.changed_values import changed_model, value_of
 from deflectometry.planning.pipeline.plan import PlanResult, run_plan
 from deflectometry.planning.prospect import NOISE, Change, FacetProspect, Prospect
 from heliogauge.doubts import Doubt
@@ -136,7 +137,7 @@ class PlannedScan:
         before, noise = prospect.sigmas(), prospect.limits()
         found = {name: {NOISE: shares[NOISE]} for name, shares in noise.items()}
         for key, words in _SHARED.items():
-            if _value(self.model, key):
+            if value_of(self.model, key):
                 after = self._changed({key: None}).prospect().sigmas()
                 for name, sigma in before.items():
                     found[name][words] = max(1.0 - (after[name] / sigma) ** 2, 0.0) if sigma > 0 else 0.0
@@ -152,7 +153,7 @@ class PlannedScan:
                 factor * mirror.distance_m,
             )
         for key, words in _SHARED.items():
-            sigma = _value(self.model, key)
+            sigma = value_of(self.model, key)
             if sigma:
                 yield self._change(f"{words} known twice as well", key, 0.5 * sigma, words)
         # Each beam has both by itself.
@@ -178,20 +179,11 @@ class PlannedScan:
         )
 
     def _change(self, words: str, key: str, value: float, *betters: str) -> Change:
-        before = _value(self.model, key)
+        before = value_of(self.model, key)
         return Change(words, key, f"{before:g}", f"{value:g}", self._changed({key: value}), betters)
 
     def _changed(self, values: Mapping[str, Any]) -> "PlannedScan":
-        content = self.model.model_dump(exclude_unset=True)
-        for key, value in values.items():
-            table, name = key.split(".")
-            content[table][name] = value
-        return replace(self, model=LaserModel.model_validate(content))
-
-
-def _value(model: LaserModel, key: str) -> Any:
-    table, name = key.split(".")
-    return getattr(getattr(model, table), name)
+        return replace(self, model=changed_model(self.model, values))
 
 
 def _hole(sent: _Sent, plan: LaserPlanSection) -> str:

@@ -18,6 +18,7 @@ from deflectometry.pipeline.result import Result
 from deflectometry.pipeline.stated_inputs import INPUTS_FILE, UNSTATED, inputs_table
 from deflectometry.planning.holes import OF_HOLES, hole_doubt, words_of_hole
 from deflectometry.planning.keys import BenchPlanSection
+from deflectometry.planning.pipeline.changed_values import changed_model, value_of
 from deflectometry.planning.predicted_sight import FacetSight, facet_sight, facing_pose
 from deflectometry.planning.prospect import Change, FacetProspect, PlannedSource, Prospect
 from deflectometry.setup.camera_and_screen import Setup
@@ -289,7 +290,7 @@ def bench_changes(bench: Bench, planned: Planner) -> Iterator[Change]:
             planned(changed(measurement, larger)),
         )
     for key, words, sources in _SIGMAS:
-        sigma = _value(measurement.model, key)
+        sigma = value_of(measurement.model, key)
         each = np.atleast_1d(np.array(0.0 if sigma is None else sigma, dtype=np.float64))
         if (each > 0).any():
             half = 0.5 * each
@@ -343,20 +344,7 @@ def _surveyed(bench: Bench, planned: Planner) -> Iterator[Change]:
 
 def changed(measurement: _Measurement, values: Mapping[str, Any]) -> _Measurement:
     """Return a measurement with other values of keys, as if its file had said so."""
-    content = measurement.model.model_dump(exclude_unset=True)
-    for key, value in values.items():
-        *path, last = key.split(".")
-        table = content
-        for name in path:
-            table = table.setdefault(name, {})
-        table[last] = value
-    return replace(measurement, model=type(measurement.model).model_validate(content))
-
-
-def _value(model: Any, key: str) -> Any:
-    for name in key.split("."):
-        model = getattr(model, name, None)
-    return model
+    return replace(measurement, model=changed_model(measurement.model, values))
 
 
 def _text(values: Any) -> str:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from deflectometry.pipeline.choices import Options
+from deflectometry.planning.pipeline.changed_values import changed_model
 from deflectometry.planning.pipeline.plan import PlanResult, run_plan
 from deflectometry.planning.prospect import NOISE, Change, FacetProspect, Prospect
 from deflectometry.scans.keys import SurfaceScanModel
@@ -146,11 +147,7 @@ class PlannedSurfaceScan:
             )
 
     def _changed(self, values: Mapping[str, Any]) -> "PlannedSurfaceScan":
-        content = self.model.model_dump(exclude_unset=True)
-        for key, value in values.items():
-            table, name = key.split(".")
-            content[table][name] = value
-        return replace(self, model=SurfaceScanModel.model_validate(content))
+        return replace(self, model=changed_model(self.model, values))
 
 
 def run(folder: Path, progress: Progress | None = None) -> PlanResult:
