@@ -7,7 +7,6 @@ import numpy as np
 
 from heliogauge.reporting import page
 from heliogauge.reporting.html import FirstScreen, Html, join
-from heliogauge.reporting.look import FAINT
 from heliogauge.reporting.notation import number_text
 from heliogauge.reporting.verdict import verdict_of
 from heliogauge.results.folder import Summary, read_summary, read_table_csv, unit_of
@@ -89,13 +88,7 @@ def field_chart(results: FieldChanges) -> ChartView:
             series.append(ChartSeries(name, x[own], y[own], color, Mark.POINTS, None, labels, False, 13.0, shown))
     axes = ("across [m]", "along [m]") if is_placed else ("module in the order of the table", "panels turned")
     note = "Modules by whether any of their panels surely turned; which ones is in the table below."
-    return ChartView(
-        "What turned between the two dates", *axes, tuple(series or _empty()), note, x_counts=not is_placed
-    )
-
-
-def _empty() -> list[ChartSeries]:
-    return [ChartSeries("modules", np.zeros(0), np.zeros(0), FAINT, Mark.POINTS)]
+    return ChartView("What turned between the two dates", *axes, tuple(series), note, x_counts=not is_placed)
 
 
 def turned(results: FieldChanges) -> TableView | Html:
