@@ -92,8 +92,6 @@ class AlikeFactor:
         With the root L of A it is the square of ``L^-1 P^T``. An edge's photo touches few nodes, and above the first of
         them its column is zero: columns come in node after node.
         """
-        from scipy.linalg import blas
-
         n_nodes, width, _ = self.turned.shape
         reach, count = self.below.shape[1], pulls.shape[1]
         number = np.arange(2 * self.n_rows * n_nodes).reshape(self.n_rows, n_nodes, 2)
@@ -117,10 +115,8 @@ class AlikeFactor:
                 half = self.turned[i] @ table[own : own + width, :many]
                 table[own : own + width, :many] = half
                 table[own + width : own + width + len(below), :many] -= below @ half
-            # Of a symmetric square one half.
-            found[:most, :most] += blas.dsyrk(1.0, table[:size].T).T
+            found[:most, :most] += table[:size].T @ table[:size]
             carried = table[size:]
-        found = np.tril(found) + np.tril(found, -1).T
         back = np.argsort(order)
         return found[np.ix_(back, back)]
 

@@ -4,7 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.sparse import csr_array
 
+from observer.slopes.alike_rows import AlikeFactor
 from observer.slopes.common_elimination import Reduction
 from observer.slopes.row_spline import LARGEST_SLOPE_RAD, Likeness, Roughness, RowGrid, prior_bands
 from tests.observer.slopes.test_joint_solution import random_lines, small_grid
@@ -96,3 +98,25 @@ def test_rows_that_are_hardly_alike_are_independent() -> None:
     np.testing.assert_allclose(hardly.common, alone.common, rtol=1e-6)
     np.testing.assert_allclose(hardly.normal, alone.normal, rtol=1e-6, atol=1e-6 * np.abs(alone.normal).max())
     assert hardly.evidence == pytest.approx(alone.evidence, rel=1e-8)
+
+
+def test_explained_is_that_of_the_solution_where_columns_begin_late(capfd: pytest.CaptureFixture[str]) -> None:
+    rng = np.random.default_rng(5)
+    n_rows, n_nodes, reach = 2, 40, 3
+    width = 2 * n_rows
+    turned = np.tril(rng.normal(size=(n_nodes, width, width)) * 0.1) + np.eye(width)
+    below = rng.normal(size=(n_nodes, reach, width, width)) * 0.1
+    for away in range(1, reach + 1):
+        below[n_nodes - away :, away - 1] = 0.0
+    factor = AlikeFactor(turned, below, n_rows)
+    # The first sixteen nodes, which are summed at once, touch none of the columns.
+    pulls = np.zeros((n_rows, n_nodes, 2, 5))
+    pulls[:, 20, :, :3] = rng.normal(size=(n_rows, 2, 3))
+    pulls[:, 33:35, :, 3:] = rng.normal(size=(n_rows, 2, 2, 2))
+    columns = pulls.reshape(-1, 5)
+    solved = factor.solve(columns.T.reshape(5, n_rows, 2 * n_nodes)).reshape(5, -1)
+
+    explained = factor.explained(csr_array(columns))
+
+    np.testing.assert_allclose(explained, solved @ columns, rtol=1e-10, atol=1e-12)
+    assert capfd.readouterr() == ("", "")
