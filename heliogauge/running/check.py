@@ -8,7 +8,7 @@ from heliogauge.files.texts import read_toml
 from heliogauge.instruments import Kind, resolve
 from heliogauge.measurement.files import image_files
 from heliogauge.measurement.findings import Findings, read_photos
-from heliogauge.measurement.load import MEASUREMENT_FILE, kind_of
+from heliogauge.measurement.load import MEASUREMENT_FILE, kind_of, refuse_missing
 from heliogauge.running.progress import Progress
 
 #: Keys of [images] that name an image, and those that name several.
@@ -46,6 +46,10 @@ def _images(folder: Path, measurement: Any, findings: Findings) -> Iterator[Path
         return
     file = folder / MEASUREMENT_FILE
     content = (findings.attempt(read_toml, file) or {}) if file.is_file() else {}
+    # Missing photos, which are looked for first, do not keep quiet about missing tables.
+    told = "\n".join(findings.faults)
+    untold = [name for name in _files(content) if name not in told and not Path(name).is_absolute()]
+    findings.attempt(refuse_missing, file, [folder / name for name in untold])
     section = content.get("images")
     named = section if isinstance(section, dict) else {}
     for key in _SEVERAL:
@@ -55,3 +59,13 @@ def _images(folder: Path, measurement: Any, findings: Findings) -> Iterator[Path
     for key in _SINGLE:
         if isinstance(value := named.get(key), str) and (folder / value).is_file():
             yield folder / value
+
+
+def _files(content: Any) -> Iterator[str]:
+    """Yield the names of files that keys called ``file``, or ending so, have anywhere in a measurement.toml."""
+    values = content.items() if isinstance(content, dict) else enumerate(content if isinstance(content, list) else ())
+    for key, value in values:
+        if isinstance(value, str) and str(key).split("_")[-1] == "file":
+            yield value
+        else:
+            yield from _files(value)

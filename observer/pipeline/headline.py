@@ -1,6 +1,6 @@
 """The numbers of a trough measurement: for summary.json and for the terminal."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -26,6 +26,8 @@ from observer.trough.collector import Collector
 from observer.trough.visibility import Visibility, seeable_shares
 
 Numbers = dict[str, float | int | None]
+#: What is beyond so many sigma is not of chance: once in 370 times.
+_SURE_TIMES = 3.0
 
 
 def slope_numbers(slope_map: SlopeMap, angles: AngleMaps, visible: Visibility) -> Numbers:
@@ -229,7 +231,9 @@ def headline_text(summary: Summary) -> str:
         sigma = numbers.get(f"sigma_{key}")
         return text(float(numbers[key] or 0.0), None if sigma is None else float(sigma))
 
-    height = with_sigma(height_text, "absorber_mean_z_offset_m")
+    height = with_sigma(height_text, "absorber_mean_z_offset_m") + _sag_text(numbers)
+    loses = float(numbers["intercept_gain_absorber_aligned_ratio"] or 0.0) < 0
+    aligned = "an absorber on the stated focal line loses" if loses else "an aligned absorber gains"
     return "\n".join(
         [
             f"{summary.name}: {numbers['photos_count']} photos, {numbers['edges_used_count']} edges of the reflection",
@@ -238,8 +242,8 @@ def headline_text(summary: Summary) -> str:
             f"  sigma of a point {said('median_sigma_theta_r_rad')} of theta_r, {said('median_sigma_theta_ra_rad')} of "
             "theta_ra (median)",
             f"  absorber         x {said('absorber_mean_x_m')}, {height}",
-            f"  intercept factor {said('intercept_ratio')}; an aligned absorber gains "
-            f"{with_sigma(light_text, 'intercept_gain_absorber_aligned_ratio')}, perfect mirrors "
+            f"  intercept factor {said('intercept_ratio')}; {aligned} "
+            f"{with_sigma(_size_of_light, 'intercept_gain_absorber_aligned_ratio')}, perfect mirrors gain "
             f"{with_sigma(light_text, 'intercept_gain_mirror_perfect_ratio')}",
             f"  light            {summary.texts['light']}",
             f"  panels           {turns_text(summary)}",
@@ -250,6 +254,20 @@ def headline_text(summary: Summary) -> str:
             *([f"  rolling shutter  {_shutter_text(summary)}"] if "frame_motion_rms_m" in numbers else []),
         ]
     )
+
+
+def _size_of_light(gain_ratio: float, sigma_ratio: float | None) -> str:
+    return light_text(abs(gain_ratio), sigma_ratio)
+
+
+def _sag_text(numbers: Mapping[str, float | int | None]) -> str:
+    """Say that a mean height hides a tube that surely hangs between its supports; nothing where it does not."""
+    sag, sigma = (float(numbers.get(key) or 0.0) for key in ("absorber_sag_down_m", "sigma_absorber_sag_down_m"))
+    if abs(sag) <= _SURE_TIMES * sigma:
+        return ""
+    way = "lower" if sag > 0 else "higher"
+    size = number_text(abs(sag), sigma, "m", "absorber_sag_down_m")
+    return f" on average; between supports up to {size} {way} than at them"
 
 
 def _shutter_text(summary: Summary) -> str:

@@ -96,6 +96,19 @@ def test_every_file_that_is_missing_is_named(facet: Path) -> None:
     assert "day.png" in found
 
 
+def test_missing_photos_do_not_hide_missing_tables(tmp_path: Path) -> None:
+    """A fresh template names photos, a camera's file and a list of targets, of which none is there; each once."""
+    with pytest.raises(SystemExit) as ended:
+        cli.main(["observer", "init", str(tmp_path / "trough")])
+    assert ended.value.code == 0
+    photos, tables = faults(tmp_path / "trough")
+    assert "images.photos" in photos
+    assert "there is no file camera.json, targets.csv in" in tables
+    (tmp_path / "trough" / "a.jpg").write_bytes(b"")
+    told = "\n".join(faults(tmp_path / "trough"))
+    assert (told.count("camera.json"), told.count("targets.csv")) == (1, 1)
+
+
 @pytest.mark.slow
 def test_frames_in_the_wrong_order_are_found(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The dry run looks at what the frames show, as the measurement would."""

@@ -65,12 +65,23 @@ def test_mirror_alone_and_with_the_absorber_are_compared_as_angles():
         ),
         0.5,
     ) | {"panels_count": 8, "panels_to_turn_count": 3, "panels_worth_turning_count": 2}
-    said = headline_text(
-        Summary("observer", "t", numbers | others, texts={"design": "d", "encoding": "e", "light": "l"})
-    )
+    texts = {"design": "d", "encoding": "e", "light": "l"}
+    said = headline_text(Summary("observer", "t", numbers | others, texts=texts))
     assert re.search(r"SDx +2\.0\d* ± [\d.]+ mrad \(RMS of theta_r\)", said)
     assert re.search(r"with the absorber theta_ra 2\.0\d* ± [\d.]+ mrad RMS", said)
     assert "turning 3 of 8 gains 50 ± 50 % of the light, 2 of them worth a turn;" in said
     # Independent nodes, and a tube whose place is held.
     assert numbers["sigma_rms_theta_r_rad"] == pytest.approx(1e-4 / np.sqrt(2000), rel=3e-3)
     assert numbers["median_sigma_theta_ra_rad"] == pytest.approx(numbers["median_sigma_theta_r_rad"], rel=1e-6)
+    # What a wrong focal length makes of the tube's best place is no gain of -1 %, and a mean height hides a sag.
+    assert "an aligned absorber gains 50 % of the light, perfect mirrors gain 50 % of the light" in said
+    assert "than at them" not in said
+    own = {"absorber_sag_down_m": 7.1e-3, "sigma_absorber_sag_down_m": 3e-4}
+    own |= {"intercept_gain_absorber_aligned_ratio": -0.0101, "sigma_intercept_gain_absorber_aligned_ratio": 1e-3}
+    said = headline_text(Summary("observer", "t", numbers | others | own, texts=texts))
+    assert "an absorber on the stated focal line loses 1.01 ± 0.10 % of the light" in said
+    assert "on average; between supports up to 7.10 ± 0.30 mm lower than at them" in said
+    for sag in (8e-4, -8e-4, -1e-3):
+        of_sag = numbers | others | own | {"absorber_sag_down_m": sag}
+        said = headline_text(Summary("observer", "t", of_sag, texts=texts))
+        assert ("higher than at them" in said) == (sag < -9e-4), sag
