@@ -6,6 +6,11 @@ from statistics import NormalDist
 _TIMES_SIGMA = 3.0
 
 
+def chance(n_modules: int) -> float:
+    """Return how improbable something is that is not of chance: on either side of three sigma, in none of n modules."""
+    return 2 * NormalDist().cdf(-_TIMES_SIGMA) / n_modules
+
+
 def contradicting_sigmas(n_modules: int) -> float:
     """Return from how many sigmas on a module contradicts what was stated.
 
@@ -13,4 +18,4 @@ def contradicting_sigmas(n_modules: int) -> float:
     Returns: 3 for one module; for more so many that one of them all does so by chance as seldom as one alone would
         (Bonferroni): of a hundred modules at three sigma one in four flights would have a false alarm.
     """
-    return -NormalDist().inv_cdf(NormalDist().cdf(-_TIMES_SIGMA) / n_modules)
+    return -NormalDist().inv_cdf(0.5 * chance(n_modules))

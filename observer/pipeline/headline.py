@@ -13,6 +13,7 @@ from heliogauge.slopes.removal import Removal
 from heliogauge.slopes.statistics import statistics
 from heliogauge.validate import FloatArray
 from observer.absorber.position import AbsorberSolution
+from observer.doubts.halves import halves_words
 from observer.light.panel_gains import PanelGains
 from observer.product.panel_alignment import move_of_outer_mount, panel_tilts
 from observer.product.panel_shapes import panel_shapes
@@ -110,6 +111,19 @@ def edge_numbers(reflector: Reflector) -> Numbers:
         "edges_rejected_count": int((~used).sum()),
         "edge_residual_rms_rad": float(np.sqrt(np.mean(reflector.residuals_rad[used] ** 2))),
         "edge_noise_factor": reflector.noise_factor,
+    }
+
+
+def halves_numbers(reflector: Reflector) -> Numbers:
+    """Return what every second photo says beside the others; none where they are too far apart to check each other."""
+    halves = reflector.halves
+    if halves is None:
+        return {}
+    return {
+        "halves_difference_rms_rad": halves.rms_rad,
+        "halves_expected_rms_rad": halves.expected_rad,
+        "halves_chi_square_ratio": halves.chi_square,
+        "halves_numbers_count": halves.difference_rad.size,
     }
 
 
@@ -251,6 +265,7 @@ def headline_text(summary: Summary) -> str:
             "show the tube",
             f"  design           {summary.texts['design']}",
             f"  files            {summary.texts['encoding']}",
+            *(f"  halves           {text}" for text in halves_words(numbers)),
             *([f"  rolling shutter  {_shutter_text(summary)}"] if "frame_motion_rms_m" in numbers else []),
         ]
     )

@@ -4,6 +4,7 @@ import numpy as np
 
 from heliogauge.doubts import Doubt, gather_doubts
 from heliogauge.images.photos import read_luma
+from observer.doubts.halves import halves_doubt
 from observer.doubts.photos import missing_photos_doubt, other_sizes_doubt, overexposure_doubt, sparse_doubt
 from observer.doubts.stated_dimensions import (
     diameter_doubt,
@@ -79,6 +80,7 @@ def judge(
         incidence_doubt(slope_map, eyes, inputs.collector, along_rad),
         shape_doubt(reflector.shape, inputs.shape_from_slopes, usual_sigma),
         unchecked_doubt(reflector.fate),
+        halves_doubt(reflector.halves, usual_sigma, inputs.n_modules),
     )
 
 

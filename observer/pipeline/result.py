@@ -27,6 +27,7 @@ from observer.files import (
 from observer.pipeline.headline import (
     absorber_numbers,
     edge_numbers,
+    halves_numbers,
     headline_text,
     panel_columns,
     shutter_numbers,
@@ -125,6 +126,7 @@ class Result(InstrumentResult):
             "orientation_rad": self.orientation_rad,
             **edge_numbers(self.reflector),
             **surface_numbers(self.reflector),
+            **halves_numbers(self.reflector),
             **collected,
             "photos_count": len(bundle.problem.observations.photos),
             **shutter_numbers(self.motions),

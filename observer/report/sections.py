@@ -13,6 +13,7 @@ from heliogauge.reporting.verdict import Verdict, holes, verdict_of
 from heliogauge.results.folder import Summary, unit_of
 from heliogauge.validate import BoolArray
 from heliogauge.view.tables import TableColumn, TableView
+from observer.doubts.halves import halves_words
 from observer.photo_edges.tube_bearings import beside_support
 from observer.product.panel_turns import LEAST_GAIN_SHARE, is_worth
 from observer.report.lines import absorber, intercept, panels, residuals
@@ -180,6 +181,7 @@ def in_words(summary: Summary) -> Html:
         if "intercept_absorber_aligned_ratio" in summary.numbers:
             text += f"; with the absorber aligned it would be {said('intercept_absorber_aligned_ratio')}"
         sentences.append(text + ".")
+    sentences += [f"{text[0].upper()}{text[1:]}." for text in halves_words(summary.numbers)]
     return Html(f"<p>{html.escape(' '.join(sentences))}</p>")
 
 

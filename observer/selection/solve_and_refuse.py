@@ -18,6 +18,7 @@ from observer.slopes.along_variance import PossibleRoughness, averaged, find_alo
 from observer.slopes.common_unknowns import CommonUnknowns, common_unknowns, glass_widening_rad
 from observer.slopes.edge_gaps import EdgeGaps, edge_gaps
 from observer.slopes.edge_likeness import EdgeLikeness, edge_likeness
+from observer.slopes.halves import PRIOR_RAD, Halves, halves_of, halves_patterns
 from observer.slopes.joint_solution import SlopeErrors, find_roughness, solve_jointly
 from observer.slopes.mirror_surface import at_points, beside_chord, heights, on_surface
 from observer.slopes.pose_modes import Photos, pose_derivatives, pose_scatter, reduce_to_modes
@@ -124,6 +125,14 @@ class Reflector:
         """What lies between the edges of one row and panel, and how many edges the others foretell."""
         _, predicted = _residuals(self.lines, self.grid, self.errors)
         return edge_gaps(self.lines, self.grid, _confirmed(predicted, self.lines.sigma_rad))
+
+    @property
+    def halves(self) -> Halves | None:
+        """What every second photo says beside the others; None where photos are too far apart to check each other."""
+        own = np.sqrt(self.errors.random[..., 0, 0][self.measured])
+        if self.errors.beside is None or self.gaps.leave_open(float(np.median(own)) if own.size else np.inf):
+            return None
+        return halves_of(self.errors.beside)
 
     @property
     def alike(self) -> FloatArray:
@@ -249,6 +258,10 @@ def solve_reflector(
     def enlarged(rows: IntArray) -> float:
         return likeness.counted(expected.y_m[rows])
 
+    def halves(lines: TouchingLines, rows: IntArray) -> tuple[FloatArray, FloatArray]:
+        found = halves_patterns(lines, expected.y_m[rows][lines.row], expected.collector)
+        return found, np.full(found.shape[1], PRIOR_RAD)
+
     alone = replace(roughness, alike=None)
     if roughness.alike is not None:
         # Row by row, as they are looked at there: what cameras from all rows leave of each row looks like such slopes.
@@ -268,6 +281,7 @@ def solve_reflector(
         looks_like=lambda rows, columns: unknowns.place_as_slope(expected, expected.y_m[rows], grid.x_m[columns]),
         most_rows=most_rows,
         enlarged=enlarged,
+        patterns=halves,
     )
     others = [
         solve_jointly(

@@ -131,8 +131,8 @@ class Reduction:
         pulls = np.stack([self._rows.right_sides(one) for one in patterns.T])
         seen = patterns - (by_slopes @ system.factor.solve(pulls).reshape(len(pulls), -1).T)
         coupling = self._derivatives.T @ seen
-        normal = patterns.T @ seen + np.diag(beside[1] ** -2.0) - coupling.T @ solve_with(root, coupling)
-        spread_beside = np.linalg.inv(normal)
+        of_amounts = patterns.T @ seen + np.diag(beside[1] ** -2.0) - coupling.T @ solve_with(root, coupling)
+        spread_beside = np.linalg.inv(of_amounts)
         amount = -spread_beside @ (patterns.T @ left + coupling.T @ common)
         return Reduced(common, normal, root, evidence, Beside(amount, spread_beside))
 

@@ -31,6 +31,19 @@ class EdgeGaps:
     gap_m: float
     confirmed_share: float
 
+    @property
+    def strays_rad(self) -> float:
+        """How far a usual mirror strays in the middle of a gap [rad]."""
+        return float(np.sqrt(_USUAL_ROUGHNESS * self.gap_m**3 / 192))
+
+    def leave_open(self, own_rad: float) -> bool:
+        """Return whether slopes rest on the smoothness of the mirror more than on the photos.
+
+        own_rad: What noise and the distance to the next edge usually leave uncertain of a slope [rad].
+        """
+        is_known = self.confirmed_share > _CHECKED_SHARE or own_rad < _WANTED_RAD
+        return not (self.strays_rad < _WANTED_RAD and is_known)
+
 
 def edge_gaps(lines: TouchingLines, grid: RowGrid, confirmed: BoolArray) -> EdgeGaps:
     """Return how far apart edges are.
@@ -62,10 +75,9 @@ def gaps_doubt(found: EdgeGaps, roughness: Roughness, own_sigma_rad: FloatArray,
     ``g^(n - 1/2)``: so much nearer photos must be for the wanted one.
     """
     own = float(np.median(own_sigma_rad)) if own_sigma_rad.size else np.inf
-    strays = float(np.sqrt(_USUAL_ROUGHNESS * found.gap_m**3 / 192))
-    if strays < _WANTED_RAD and (found.confirmed_share > _CHECKED_SHARE or own < _WANTED_RAD):
+    if not found.leave_open(own):
         return None
-    usual = max(own, strays)
+    usual = max(own, found.strays_rad)
     steps = np.diff(np.sort(eyes_m[:, 0]))
     step = float(np.median(steps)) if steps.size else 0.0
     nearer = (_WANTED_RAD / usual) ** (1 / (roughness.order - 0.5))

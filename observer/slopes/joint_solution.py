@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from heliogauge.validate import BoolArray, FloatArray, IntArray
-from observer.slopes.common_elimination import Reduced, Reduction, inverse_of, root_of
+from observer.slopes.common_elimination import Beside, Reduced, Reduction, inverse_of, root_of
 from observer.slopes.row_spline import Likeness, Roughness, RowGrid, TouchingLines, assemble
 
 #: Rows that suffice to estimate the common unknowns; with all of them the solution would cost as much as all else. With
@@ -41,6 +41,8 @@ _INTERVALS = 32
 
 #: From rows and columns of nodes to by how much those unknowns that are apart look like slope there, shape (s, n, l).
 LooksLikeSlope = Callable[[IntArray, IntArray], FloatArray]
+#: From lines of some of the grid's rows, and these rows, to patterns of the lines with the sigmas of their amounts.
+Patterns = Callable[[TouchingLines, IntArray], tuple[FloatArray, FloatArray]]
 #: From rows to by what factor sigmas of edges are larger for what is found from these rows together.
 Enlarged = Callable[[IntArray], float]
 
@@ -73,6 +75,7 @@ class SlopeErrors:
     modes_apart (l, s, nx): The same of those unknowns that are shown apart, with what the others do along with
         them; `modes` are then what the others do besides.
     to_tube: Common share of the slope against the tube as it is; None where it was not asked for.
+    beside: Amounts of the patterns that were asked for.
     """
 
     slopes: FloatArray
@@ -84,6 +87,7 @@ class SlopeErrors:
     modes: FloatArray
     modes_apart: FloatArray
     to_tube: TubeShare | None = None
+    beside: Beside | None = None
 
 
 def find_roughness(
@@ -222,6 +226,7 @@ def solve_jointly(
     looks_like: LooksLikeSlope | None = None,
     most_rows: int | None = None,
     enlarged: Enlarged | None = None,
+    patterns: Patterns | None = None,
 ) -> SlopeErrors:
     """Solve for slopes and common unknowns.
 
@@ -237,6 +242,7 @@ def solve_jointly(
         more of them say nothing new.
     enlarged: By what factor sigmas of edges are larger for the common unknowns, because edges of different rows err
         together (`observer.slopes.edge_likeness`); None where each errs by itself.
+    patterns: What is looked for in the lines beside slopes and common unknowns, without influence on either.
 
     The common unknowns are estimated from a sample of rows, the slopes of all rows with them.
     """
@@ -249,7 +255,8 @@ def solve_jointly(
         own, fewer = _sampled(lines, grid, rows)
         factor = 1.0 if enlarged is None else enlarged(rows)
         weaker = replace(own, sigma_rad=factor * own.sigma_rad)
-        reduced = Reduction(weaker, fewer, covariance).under(prior)
+        wanted = None if patterns is None else patterns(weaker, rows)
+        reduced = Reduction(weaker, fewer, covariance).under(prior, beside=wanted)
         if columns is not None:
             # Slopes follow the common unknowns as they are solved below: row by row, with the edges' own sigmas.
             carried = Reduction(own, fewer, covariance).carried(prior, columns)
@@ -269,7 +276,8 @@ def solve_jointly(
     shared = _between_rows(_between_columns(variance, columns, grid), rows, grid.n_rows)
     shown = [np.moveaxis(_between_columns(np.moveaxis(one, 0, -1), columns, grid), -1, 0) for one in modes]
     to_tube = None if beside is None else TubeShare(shared[..., 2], shown[2])
-    return SlopeErrors(slopes, random, shared[..., :2], common, posterior, rows, shown[0], shown[1], to_tube)
+    values = slopes, random, shared[..., :2], common, posterior, rows, shown[0], shown[1], to_tube
+    return SlopeErrors(*values, None if patterns is None else reduced.beside)
 
 
 def _of_nodes(blocks: FloatArray, n_nodes: int) -> FloatArray:

@@ -7,7 +7,11 @@ its nodes together, ten passes.
 import numpy as np
 import pytest
 
+from heliogauge.geometry.rigid import RigidTransform, rotation_from_vector
+from observer.doubts.halves import within_chance
+from observer.photo_edges.views import View
 from observer.selection.solve_and_refuse import Reflector, solve_reflector
+from observer.slopes.halves import Halves
 from observer.slopes.pose_modes import Photos
 from observer.slopes.row_spline import Roughness
 from observer.trough.expectation import Expectation
@@ -20,16 +24,26 @@ from tests.observer.simulated_trough import believed_with_errors, short_scene, s
 APART_X_M, APART_ROWS, ALONG_RAD = 0.3, 1, 0.7e-3
 
 
-def whitened_errors(seed: int) -> np.ndarray:
-    """Solve a simulated pass with wrong poses; return the errors at some nodes, whitened together."""
+def flight(seed: int, *, stated_share: float = 1.0, lean_rad: float = 0.0) -> tuple[Reflector, TypicalMirror]:
+    """Solve a simulated pass with wrong poses.
+
+    stated_share: Sigma that is stated of the poses, over that of their errors.
+    lean_rad: Turn of the list of targets about the trough, which all poses have in common [rad].
+    """
     rng = np.random.default_rng(seed)
     mirror = TypicalMirror.drawn(short_trough(), rng, 3e-3, ALONG_RAD)
     scene = short_scene(mirror, photos=80, rows=12)
     believed = believed_with_errors(scene, rng)
-    edges = own_measurement(scene, own_edges(scene, 0.05), believed.views, rng)
-    photos = Photos(tuple(pose for _, pose in believed.views), believed.covariance)
+    leaning = RigidTransform(rotation_from_vector(np.array([0.0, lean_rad, 0.0])), np.zeros(3))
+    views = tuple(View(camera, pose @ leaning) for camera, pose in believed.views)
+    edges = own_measurement(scene, own_edges(scene, 0.05), views, rng)
+    photos = Photos(tuple(pose for _, pose in views), stated_share**2 * believed.covariance)
     expected = Expectation(scene.truth.collector, scene.truth.absorber, scene.truth.y_m)
-    found = solve_reflector(edges, photos, expected, 0.02, Roughness(1e-3, 2e-3), shaped=False)
+    return solve_reflector(edges, photos, expected, 0.02, Roughness(1e-3, 2e-3), shaped=False), mirror
+
+
+def whitened_errors(found: Reflector, mirror: TypicalMirror) -> np.ndarray:
+    """Return the errors at some nodes, whitened together."""
     x, y = np.meshgrid(found.grid.x_m, found.y_m)
     true = mirror.errors(x.ravel(), y.ravel())[0].reshape(x.shape)
     variance = found.errors.random[..., 0, 0] + found.errors.shared[..., 0]
@@ -64,7 +78,29 @@ def test_errors_whitened_together_are_of_unit_size() -> None:
     840 independent values are within 0.87 to 1.13 (99 %); slopes along the trough have a bound of two sigma instead of
     an estimate, which makes the stated sigmas larger by up to a fifth.
     """
-    values = np.concatenate([whitened_errors(seed) for seed in range(10)])
+    flights = [flight(seed) for seed in range(10)]
+    values = np.concatenate([whitened_errors(*one) for one in flights])
     assert values.size > 700
     assert 0.7 < np.mean(values**2) < 1.13
     assert np.mean(np.abs(values) > 3) < 0.005
+    # Every second photo against the others, 160 numbers: the bounds that the nodes have, wider by their number.
+    halves = [halves_of_flight(found) for found, _ in flights]
+    assert 0.5 < np.mean([one.chi_square for one in halves]) < 1.31
+    assert all(within_chance(one.chi_square, one.difference_rad.size) for one in halves)
+
+
+@pytest.mark.slow
+def test_halves_tell_poses_that_are_worse_than_said_and_not_what_all_photos_share() -> None:
+    """Poses three times worse: halves differ by 0.06 mrad. A list that leans by a milliradian: 0.6, in both alike."""
+    worse, sound = halves_of_flight(flight(0, stated_share=1 / 3)[0]), halves_of_flight(flight(0)[0])
+    assert not within_chance(worse.chi_square, worse.difference_rad.size)
+    found, mirror = flight(0, lean_rad=1e-3)
+    x, y = np.meshgrid(found.grid.x_m, found.y_m)
+    error = found.errors.slopes[..., 0] - mirror.errors(x.ravel(), y.ravel())[0].reshape(x.shape)
+    assert np.sqrt(np.mean(error[found.measured] ** 2)) > 0.4e-3
+    assert halves_of_flight(found).chi_square == pytest.approx(sound.chi_square, abs=0.05)
+
+
+def halves_of_flight(found: Reflector) -> Halves:
+    assert found.halves is not None
+    return found.halves
