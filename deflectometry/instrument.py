@@ -130,6 +130,7 @@ INSTRUMENT = Instrument(
             init_option="--overlay",
             init_help="For photos of a bright source that the facets of a heliostat show (theoretical overlay).",
             run="deflectometry.overlay.pipeline.measure:run",
+            plan="deflectometry.overlay.planning.plan:run_folder",
         ),
         Kind(
             name="backward-gazing-plan",
@@ -157,6 +158,7 @@ INSTRUMENT = Instrument(
         "screen-geometry": "deflectometry.screen_geometry:report.ipynb",
         "stars": "deflectometry.report:report_stars.ipynb",
         "overlay": "deflectometry.report:report_overlay.ipynb",
+        "overlay-plan": "deflectometry.report:report_overlay_plan.ipynb",
         "stars-plan": "deflectometry.report:report_stars_plan.ipynb",
         "deflectometry-plan": "deflectometry.report:report_plan.ipynb",
         "backward-gazing-plan": "deflectometry.report:report_gazing_plan.ipynb",

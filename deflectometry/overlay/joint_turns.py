@@ -7,7 +7,7 @@ import numpy as np
 
 from deflectometry.overlay.camera_place import Station
 from deflectometry.overlay.source_image import Source
-from deflectometry.overlay.turn_fit import FacetView, ViewTurn, common_turn, turn_in_view
+from deflectometry.overlay.turn_fit import ViewTurn
 from heliogauge.camera.model import Camera
 from heliogauge.errors import EstimationError
 from heliogauge.geometry.rigid import RigidTransform
@@ -24,7 +24,8 @@ _BISECTIONS = 50
 #: Of a photo that shows edges in one direction only.
 _WORST_CONDITION = 1e3
 
-Views = Callable[[Facet, Sequence[Station]], list[FacetView]]
+#: Returns the turns of a facet as each photo shows it, seen from given stations; from a start where there is one.
+Fits = Callable[[Facet, Sequence[Station], Source, FloatArray | None], Sequence[ViewTurn]]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -59,6 +60,27 @@ class JointTurns:
         """Facets whose turn is known, shape (k,)."""
         return np.asarray(np.isfinite(self.turns_rad).all(axis=1))
 
+    def mean_turn(self) -> tuple[FloatArray, FloatArray]:
+        """Return the mean turn of all facets, how the whole heliostat points, and its covariance (2, 2)."""
+        mean = self._mean
+        return mean @ np.nan_to_num(self.turns_rad).ravel(), mean @ np.nan_to_num(self.covariance) @ mean.T
+
+    def canting(self) -> tuple[FloatArray, FloatArray]:
+        """Return the turns against the mean of all facets (k, 2), and their covariance (2 k, 2 k)."""
+        count = len(self.turns_rad)
+        change = np.eye(2 * count) - np.tile(self._mean, (count, 1))
+        values = change @ np.nan_to_num(self.turns_rad).ravel()
+        covariance = change @ np.nan_to_num(self.covariance) @ change.T
+        missing = ~np.repeat(self.known, 2)
+        values[missing] = np.nan
+        covariance[missing] = covariance[:, missing] = np.nan
+        return values.reshape(-1, 2), covariance
+
+    @property
+    def _mean(self) -> FloatArray:
+        """The matrix (2, 2 k) that takes the mean of the known turns."""
+        return np.asarray(np.kron(self.known / int(self.known.sum()), np.eye(2)))
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Equations:
@@ -89,12 +111,19 @@ class _Equations:
 
 
 def adjust(
-    camera: Camera, facets: Sequence[Facet], stations: Sequence[Station], source: Source, sigma_m: float, views: Views
+    camera: Camera,
+    facets: Sequence[Facet],
+    stations: Sequence[Station],
+    source: Source,
+    sigma_m: float,
+    fits: Fits,
+    wave_rad: float | None = None,
 ) -> JointTurns:
     """Adjust turns, cameras and source to points, survey and light together.
 
     sigma_m: Standard deviation of each coordinate of the source's middle [m].
-    views: Returns the pixels of a facet in all photos, seen from given stations.
+    fits: Fits the light of a facet in each photo.
+    wave_rad: As `JointTurns.wave_rad` where it is expected, for a plan; default: found from the photos' differences.
     EstimationError: No facet shows the source, or points and photos leave something open.
     """
     turns: dict[int, FloatArray] = {}
@@ -103,11 +132,8 @@ def adjust(
     for _ in range(_ROUNDS):
         seen: dict[int, list[ViewTurn]] = {}
         for k, facet in enumerate(facets):
-            used = [one for one in views(facet, moved) if one.shows_source]
-            if not used:
-                continue
-            start = turns[k] if k in turns else common_turn(facet, used, moved_source)
-            seen[k] = [turn_in_view(facet, one, moved_source, start) for one in used]
+            if fitted := fits(facet, moved, moved_source, turns.get(k)):
+                seen[k] = list(fitted)
         equations = _equations(camera, facets, moved, moved_source, shift, sigma_m, seen)
         own = list(seen)
         count = 6 * len(moved) + 3
@@ -118,7 +144,7 @@ def adjust(
                 "on dark. Does the source stand where center_m in [source] says, was it lit, and do the photos show it?"
             )
         equations = _only(equations, count, known)
-        wave = _wave(equations)
+        wave = _wave(equations) if wave_rad is None else wave_rad
         unknown, covariance, leftover, share = equations.solve(wave)
         for place, station in enumerate(moved):
             step = unknown[6 * place : 6 * place + 6]

@@ -7,6 +7,7 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 
 from deflectometry.keys import CameraSection, MirrorSection
+from deflectometry.overlay.planning.keys import OverlayPlanSection
 from heliogauge.measurement.load import MEASUREMENT_FILE, read_measurement, refuse_missing
 from heliogauge.measurement.models import MeasurementModel, Positive, Section, Sigma, Text, Vector3, repeated
 
@@ -62,6 +63,9 @@ class OverlayModel(MeasurementModel):
         description="Photos of all facets, one table each; three from different places are better than one."
     )
     mirror: MirrorSection = Field(description="The heliostat: its facets, each with its design, place and mounts.")
+    plan: OverlayPlanSection = Field(
+        OverlayPlanSection(), description="What a plan expects of photos that are not there yet."
+    )
 
     @model_validator(mode="after")
     def _complete(self) -> Self:
@@ -92,9 +96,13 @@ class OverlayMeasurement:
     @property
     def input_files(self) -> tuple[Path, ...]:
         """All files the measurement consists of, measurement.toml first."""
+        return (*self.files_before, self.points_file, *self.photo_files)
+
+    @property
+    def files_before(self) -> tuple[Path, ...]:
+        """Those that are there before any photo is taken, measurement.toml first."""
         file = getattr(self.model.camera, "file", None)
-        camera = () if file is None else (self.folder / file,)
-        return (self.folder / MEASUREMENT_FILE, *camera, self.points_file, *self.photo_files)
+        return (self.folder / MEASUREMENT_FILE, *(() if file is None else (self.folder / file,)))
 
 
 def load_overlay(folder: Path) -> OverlayMeasurement:
@@ -103,7 +111,17 @@ def load_overlay(folder: Path) -> OverlayMeasurement:
     Returns: The measurement; its files exist.
     InputError: As for `heliogauge.measurement.load.read_measurement`.
     """
+    found = load_overlay_plan(folder)
+    refuse_missing(folder / MEASUREMENT_FILE, found.input_files)
+    return found
+
+
+def load_overlay_plan(folder: Path) -> OverlayMeasurement:
+    """Read and check the folder of an overlay whose photos and points need not be there yet.
+
+    InputError: As for `heliogauge.measurement.load.read_measurement`.
+    """
     file, model = read_measurement(folder, OverlayModel)
     found = OverlayMeasurement(folder, model)
-    refuse_missing(file, found.input_files)
+    refuse_missing(file, found.files_before)
     return found

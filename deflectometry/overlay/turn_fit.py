@@ -129,6 +129,19 @@ class ViewTurn:
         return np.asarray(-self.weights @ (_residual_at(moved, source, places, self.state[2:]) - self.residual))
 
 
+def turns_in_views(
+    facet: Facet, views: Sequence[FacetView], source: Source, start_rad: FloatArray | None
+) -> list[ViewTurn]:
+    """Fit the turn of a facet in each photo that shows part of it bright and part of it dark.
+
+    start_rad (2,): Where to start; None: at the turn that explains all photos together.
+    """
+    used = [one for one in views if one.shows_source]
+    if used and start_rad is None:
+        start_rad = common_turn(facet, used, source)
+    return [turn_in_view(facet, one, source, start_rad) for one in used if start_rad is not None]
+
+
 def common_turn(facet: Facet, views: Sequence[FacetView], source: Source) -> FloatArray:
     """Return the turn of a facet that explains its light in all given photos, shape (2,) [rad]."""
     views = [one.only(one.some()) for one in views]

@@ -84,6 +84,10 @@ class Prospect:
         areas = [float(np.count_nonzero(one.slope_map.aperture)) if one.slope_map else 1.0 for one in self.facets]
         return float(np.average([one.seen_share for one in self.facets], weights=areas))
 
+    def beside(self) -> dict[str, float]:
+        """Return what else an alternative may change."""
+        return {"seen_share": self.seen_share, "sample_spacing_m": self.spacing_m}
+
     def sigmas(self) -> dict[str, float]:
         """Return what the plan is about, by the names of `LIMITED`: sigmas, RMS over mirror or facets; NaN if none."""
         numbers = self.numbers
@@ -139,12 +143,36 @@ def _only(slope_map: SlopeMap, source: str) -> SlopeMap:
     return replace(slope_map, common=kept, sigma_random_x=silent, sigma_random_y=silent)
 
 
-class PlannedSource(Protocol):
-    """One set-up of one source that can be looked at before it is there, and changed."""
+class Promise(Protocol):
+    """What a plan promises, with a slope map (`Prospect`) or without one (`SigmaProspect`)."""
+
+    def sigmas(self) -> Mapping[str, float]:
+        """Return what the plan is about: standard deviations by their names; NaN where not determined."""
+
+    def beside(self) -> Mapping[str, float]:
+        """Return what else an alternative may change, by names with unit."""
+
+
+class Planned(Protocol):
+    """One set-up that can be looked at before it is there, and changed."""
 
     @property
     def name(self) -> str:
         """Name of what will be measured."""
+
+    def prospect(self) -> Promise:
+        """Return what measuring with it will be worth.
+
+        InputError: A set-up that shows nothing.
+        EstimationError: One that determines nothing.
+        """
+
+    def changes(self) -> Iterable["Change"]:
+        """Yield what might be done otherwise."""
+
+
+class PlannedSource(Planned, Protocol):
+    """A set-up whose measurement has a slope map."""
 
     def prospect(self) -> Prospect:
         """Return what measuring with it will be worth.
@@ -158,9 +186,6 @@ class PlannedSource(Protocol):
 
         prospect: As planned.
         """
-
-    def changes(self) -> Iterable["Change"]:
-        """Yield what might be done otherwise."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -178,7 +203,7 @@ class Change:
     key: str
     before: str
     after: str
-    planned: PlannedSource
+    planned: Planned
     betters: tuple[str, ...] = ()
 
     def is_worth_a_look(self, limits: Mapping[str, Mapping[str, float]]) -> bool:
@@ -192,7 +217,7 @@ class Change:
 class Alternative:
     """A change with what it brings.
 
-    sigmas: As `Prospect.sigmas`; empty where it is impossible.
+    sigmas, beside: As `Promise`; empty where it is impossible.
     gains: By how much each sigma becomes smaller: before over after.
     reason: Why it is impossible.
     """
@@ -200,8 +225,7 @@ class Alternative:
     change: Change
     sigmas: Mapping[str, float]
     gains: Mapping[str, float]
-    seen_share: float
-    spacing_m: float
+    beside: Mapping[str, float]
     reason: str = ""
 
     @property

@@ -5,14 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
-from deflectometry.overlay.pipeline.result import (
-    DESIGN_LINE,
-    FACET_LINE,
-    MEASURED_LINE,
-    OVERLAY_FILE,
-    PHOTOS_FILE,
-    TURNS_FILE,
-)
+from deflectometry.overlay.pipeline.lines import DESIGN_LINE, FACET_LINE, MEASURED_LINE, OVERLAY_FILE
+from deflectometry.overlay.pipeline.result import PHOTOS_FILE, TURNS_FILE
 from heliogauge.images.thumbnails import decode_thumbnail
 from heliogauge.reporting import page
 from heliogauge.reporting.html import FirstScreen
@@ -62,11 +56,15 @@ def first_screen(results: OverlayFolder) -> FirstScreen:
     measured, count = int(numbers["facets_measured_count"] or 0), int(numbers["facets_count"] or 0)
     rows.append(("Facets", f"{measured} of {count}", f"from {int(numbers['photos_count'] or 0)} photos"))
     line = f"{summary.kind}; angles of the normal, a beam turns by twice as much; heliogauge {summary.version}"
-    return page.first_screen(summary.name, line, verdict_of(summary), rows, photos(results.folder))
+    words = "Image of the source as designed and as measured; where they agree nothing is to move."
+    return page.first_screen(summary.name, line, verdict_of(summary), rows, photos(results.folder, words))
 
 
-def photos(folder: Path) -> PhotoView:
-    """Return each photo with the outlines of facets and of the source's image, as designed and as measured."""
+def photos(folder: Path, words: str) -> PhotoView:
+    """Return each photo with the outlines of facets and of the source's image, as designed and as measured.
+
+    words: Said below each name.
+    """
     table = read_table_csv(folder / PHOTOS_FILE, ("photo", "width_px", "height_px"))
     lines = read_table_csv(folder / OVERLAY_FILE, ("photo", "kind", "line", "x_px", "y_px"))
     points = np.array([lines["x_px"], lines["y_px"]], dtype=np.float64).T.reshape(-1, 2)
@@ -87,7 +85,7 @@ def photos(folder: Path) -> PhotoView:
     stills = []
     for one in shown:
         sheet = photo_sheet(one)
-        sheet.title(one.name, "Image of the source as designed and as measured; where they agree nothing is to move.")
+        sheet.title(one.name, words)
         stills.append(sheet.html(f"{one.name} with the overlay"))
     return PhotoView("Overlay", tuple(shown), stills)
 

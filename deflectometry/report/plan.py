@@ -1,11 +1,12 @@
 """A plan for the report: what the measurement will be worth, what limits it, what would better it, and where."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 
-from deflectometry.planning.pipeline.plan import ALTERNATIVES_FILE, FACETS_FILE, LIMITS_FILE, MAP_FILE, sigma_key
+from deflectometry.planning.pipeline.alternatives import ALTERNATIVES_FILE
+from deflectometry.planning.pipeline.plan import FACETS_FILE, LIMITS_FILE, MAP_FILE, sigma_key
 from deflectometry.planning.prospect import LIMITED
 from heliogauge.reporting import page
 from heliogauge.reporting.html import FirstScreen, Html, join, table_under_name
@@ -55,18 +56,24 @@ def words(folder: Path) -> Html:
 
 def alternatives(folder: Path) -> Html:
     """Return by how much each alternative betters each sigma, the best first; then those that are not possible."""
-    names = _limited(folder)
-    table = read_table_csv(folder / ALTERNATIVES_FILE, ("change", "seen_share", "reason"))
+    return alternative_tables(folder, {name: LIMITED[name] for name in _limited(folder)}, {"seen_share": "mirror seen"})
+
+
+def alternative_tables(folder: Path, labels: Mapping[str, str], shares: Mapping[str, str]) -> Html:
+    """Return the tables of the alternatives of any plan.
+
+    labels, shares: Words of each sigma and of each share that an alternative may change.
+    """
+    table = read_table_csv(folder / ALTERNATIVES_FILE, ("change", *shares, "reason"))
     rows = range(1, len(table["change"]))
     done = [n for n in rows if not table["reason"][n]]
     columns = [TableColumn("what is done otherwise", [table["change"][n] for n in done])]
-    for name in names:
+    for name, words in labels.items():
         gains = [float(table[f"gain_{name}"][n] or "nan") for n in done]
-        columns.append(
-            TableColumn(LIMITED[name], [f"{one:.2f}" if np.isfinite(one) else "\u2013" for one in gains], gains)
-        )
-    seen = [float(table["seen_share"][n]) for n in done]
-    columns.append(TableColumn("mirror seen", [f"{one:.1%}" for one in seen], seen))
+        columns.append(TableColumn(words, [f"{one:.2f}" if np.isfinite(one) else "\u2013" for one in gains], gains))
+    for name, words in shares.items():
+        seen = [float(table[name][n]) for n in done]
+        columns.append(TableColumn(words, [f"{one:.1%}" for one in seen], seen))
     possible = table_under_name(TableView("What would better it: by how much each sigma is smaller", tuple(columns)))
     impossible = [n for n in rows if n not in done]
     if not impossible:

@@ -8,7 +8,7 @@ import numpy.typing as npt
 
 from heliogauge.errors import InputError
 from heliogauge.short_repr import ShortRepr
-from heliogauge.validate import FloatArray, float_array
+from heliogauge.validate import FloatArray, float_array, positive
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -181,6 +181,31 @@ def vector_from_rotation(rotation: npt.ArrayLike) -> FloatArray:
     if sine == 0.0:
         return np.zeros(3)
     return np.asarray(quaternion[:3] / sine * (2 * np.arctan2(sine, quaternion[3])))
+
+
+def looking_at(center_m: FloatArray, aim_m: FloatArray, up: FloatArray, roll_rad: float = 0.0) -> RigidTransform:
+    """Return the pose of a camera that looks at a point.
+
+    center_m, aim_m (3,): Projection centre, and the point in the middle of the image [m].
+    up (3,): Direction that is up in the image of an upright camera.
+    roll_rad: Turn of the camera about its axis, clockwise seen from behind it [rad].
+    InputError: Centre and aim are the same point.
+
+    >>> looking_at(np.array([0.0, 0.0, 2.0]), np.zeros(3), np.array([0.0, 1.0, 0.0])).apply(np.array([[1.0, 0.5, 0.0]]))
+    array([[ 1. , -0.5,  2. ]])
+    """
+    forward = np.asarray(aim_m, dtype=np.float64) - center_m
+    positive("distance from a camera to the point it looks at", float(np.linalg.norm(forward)), "metres")
+    forward /= np.linalg.norm(forward)
+    right = np.cross(forward, up)
+    if np.linalg.norm(right) < 1e-6 * np.linalg.norm(up):
+        # Straight up or down: any direction is as upright as another.
+        right = np.cross(forward, np.roll(up, 1))
+    right /= np.linalg.norm(right)
+    down = np.cross(forward, right)
+    cosine, sine = np.cos(roll_rad), np.sin(roll_rad)
+    rotation = np.stack([cosine * right + sine * down, -sine * right + cosine * down, forward])
+    return RigidTransform(rotation, -rotation @ center_m)
 
 
 def nearest_rotation(matrix: FloatArray) -> FloatArray:

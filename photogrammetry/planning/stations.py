@@ -7,7 +7,7 @@ import numpy as np
 
 from heliogauge.camera.model import Camera
 from heliogauge.errors import InputError
-from heliogauge.geometry.rigid import RigidTransform
+from heliogauge.geometry.rigid import RigidTransform, looking_at
 from heliogauge.validate import BoolArray, FloatArray, float_array, positive
 
 #: Directions of a ring that are tried where part of it cannot be reached: every degree.
@@ -108,31 +108,6 @@ class Station:
     azimuth_rad: float
     roll_rad: float
     cam_from_world: RigidTransform
-
-
-def looking_at(center_m: FloatArray, aim_m: FloatArray, up: FloatArray, roll_rad: float = 0.0) -> RigidTransform:
-    """Return the pose of a camera that looks at a point.
-
-    center_m, aim_m (3,): Projection centre, and the point in the middle of the image [m].
-    up (3,): Direction that is up in the image of an upright camera.
-    roll_rad: Turn of the camera about its axis, clockwise seen from behind it [rad].
-    InputError: Centre and aim are the same point.
-
-    >>> looking_at(np.array([0.0, 0.0, 2.0]), np.zeros(3), np.array([0.0, 1.0, 0.0])).apply(np.array([[1.0, 0.5, 0.0]]))
-    array([[ 1. , -0.5,  2. ]])
-    """
-    forward = np.asarray(aim_m, dtype=np.float64) - center_m
-    positive("plan: distance from a station to its aim", float(np.linalg.norm(forward)), "metres")
-    forward /= np.linalg.norm(forward)
-    right = np.cross(forward, up)
-    if np.linalg.norm(right) < 1e-6 * np.linalg.norm(up):
-        # Straight up or down: any direction is as upright as another.
-        right = np.cross(forward, np.roll(up, 1))
-    right /= np.linalg.norm(right)
-    down = np.cross(forward, right)
-    cosine, sine = np.cos(roll_rad), np.sin(roll_rad)
-    rotation = np.stack([cosine * right + sine * down, -sine * right + cosine * down, forward])
-    return RigidTransform(rotation, -rotation @ center_m)
 
 
 def filling_distance_m(target_object: PlannedObject, camera: Camera) -> float:

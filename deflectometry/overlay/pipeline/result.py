@@ -8,6 +8,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from deflectometry.overlay.joint_turns import JointTurns
+from deflectometry.overlay.pipeline.lines import OVERLAY_FILE, OverlayLine, line_table
 from deflectometry.pipeline.headline import canting_numbers
 from deflectometry.pipeline.result import write_canting
 from deflectometry.shape.facet_canting import CANTING_SIGN, FacetCanting, moves_of_facet
@@ -19,24 +20,7 @@ from heliogauge.results.thumbnails import write_thumbnails
 from heliogauge.slopes.statistics import Canting
 from heliogauge.validate import FloatArray
 
-TURNS_FILE, OVERLAY_FILE, PHOTOS_FILE = "turns.csv", "overlay.csv", "photos.csv"
-#: Outlines of `OVERLAY_FILE`.
-FACET_LINE, DESIGN_LINE, MEASURED_LINE = "facet", "as designed", "as measured"
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class OverlayLine:
-    """A line over a photo.
-
-    photo, facet: Names.
-    kind: One of `FACET_LINE`, `DESIGN_LINE`, `MEASURED_LINE`.
-    line_px (n, 2): Its vertices [px].
-    """
-
-    photo: str
-    facet: str
-    kind: str
-    line_px: FloatArray
+TURNS_FILE, PHOTOS_FILE = "turns.csv", "photos.csv"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -60,30 +44,9 @@ class OverlayResult(InstrumentResult):
     thumbnails: Mapping[str, bytes]
     size_px: tuple[int, int]
 
-    def mean_turn(self) -> tuple[FloatArray, FloatArray]:
-        """Return the mean turn of all facets, how the whole heliostat points, and its covariance (2, 2)."""
-        mean = self._mean
-        return mean @ np.nan_to_num(self.turns.turns_rad).ravel(), mean @ np.nan_to_num(self.turns.covariance) @ mean.T
-
-    def canting(self) -> tuple[FloatArray, FloatArray]:
-        """Return the turns against the mean of all facets (k, 2), and their covariance (2 k, 2 k)."""
-        count = len(self.facets)
-        change = np.eye(2 * count) - np.tile(self._mean, (count, 1))
-        values = change @ np.nan_to_num(self.turns.turns_rad).ravel()
-        covariance = change @ np.nan_to_num(self.turns.covariance) @ change.T
-        missing = ~np.repeat(self.turns.known, 2)
-        values[missing] = np.nan
-        covariance[missing] = covariance[:, missing] = np.nan
-        return values.reshape(-1, 2), covariance
-
-    @property
-    def _mean(self) -> FloatArray:
-        """The matrix (2, 2 k) that takes the mean of the known turns."""
-        return np.asarray(np.kron(self.turns.known / int(self.turns.known.sum()), np.eye(2)))
-
     def cantings(self) -> tuple[FacetCanting, ...]:
         """Return canting and moves of mounts of each facet."""
-        values, covariance = self.canting()
+        values, covariance = self.turns.canting()
         found = []
         for number, facet in enumerate(self.facets):
             known = bool(self.turns.known[number])
@@ -101,8 +64,8 @@ class OverlayResult(InstrumentResult):
 
     def summarise(self) -> Summary:
         """Collect the numbers with their sigmas."""
-        mean, covariance = self.mean_turn()
-        cant, of_cant = self.canting()
+        mean, covariance = self.turns.mean_turn()
+        cant, of_cant = self.turns.canting()
         known = self.turns.known
         numbers: dict[str, float | int | None] = {}
         for axis, name in enumerate("xy"):
@@ -137,13 +100,7 @@ class OverlayResult(InstrumentResult):
         columns["photos"] = [" ".join(self.photos[n] for n in one) for one in self.turns.seen_in]
         write_table_csv(folder / TURNS_FILE, columns)
         write_canting(folder, self.cantings())
-        points = [
-            (one.photo, one.facet, one.kind, number, *place)
-            for number, one in enumerate(self.lines)
-            for place in one.line_px.tolist()
-        ]
-        keys = ("photo", "facet", "kind", "line", "x_px", "y_px")
-        write_table_csv(folder / OVERLAY_FILE, {key: [row[k] for row in points] for k, key in enumerate(keys)})
+        write_table_csv(folder / OVERLAY_FILE, line_table(self.lines))
         stations = self.turns.stations
         places = np.array([one.cam_from_heliostat.inverse().translation_m for one in stations])
         write_table_csv(
@@ -164,7 +121,7 @@ class OverlayResult(InstrumentResult):
 
     def headline(self) -> str:
         """Return the most important numbers in a few lines for the terminal."""
-        mean, covariance = self.mean_turn()
+        mean, covariance = self.turns.mean_turn()
         sigma = np.sqrt(np.diag(covariance))
         known = self.turns.known
         lines = [
@@ -172,7 +129,7 @@ class OverlayResult(InstrumentResult):
             f"  heliostat as a whole  x {1e3 * mean[0]:+.3f} +- {1e3 * sigma[0]:.3f}   y {1e3 * mean[1]:+.3f} +- "
             f"{1e3 * sigma[1]:.3f} mrad",
         ]
-        cant, of_cant = self.canting()
+        cant, of_cant = self.turns.canting()
         for facet, value, one in zip(self.facets, cant, np.sqrt(np.diag(of_cant)).reshape(-1, 2), strict=True):
             lines.append(
                 f"  facet {facet.name:8s} against the mean  x {1e3 * value[0]:+.3f} +- {1e3 * one[0]:.3f}   y "

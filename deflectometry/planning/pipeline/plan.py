@@ -7,18 +7,16 @@ from typing import ClassVar
 
 import numpy as np
 
-from deflectometry.planning.prospect import LIMITED, Alternative, Change, PlannedSource, Prospect, words_of_limits
-from heliogauge.errors import EstimationError, InputError
+from deflectometry.planning.pipeline.alternatives import WORTH_A_WORD, try_changes, words_of_best, write_alternatives
+from deflectometry.planning.prospect import LIMITED, Alternative, PlannedSource, Prospect, words_of_limits
 from heliogauge.reporting.notation import number_text
 from heliogauge.results.folder import Summary, hash_files, write_slope_map, write_table_csv
 from heliogauge.results.frame import InstrumentResult
 from heliogauge.running.progress import Progress, SilentProgress
 
 #: Files of a plan.
-ALTERNATIVES_FILE, LIMITS_FILE, FACETS_FILE = "alternatives.csv", "limits.csv", "facets.csv"
+LIMITS_FILE, FACETS_FILE = "limits.csv", "facets.csv"
 MAP_FILE = "expected_slope_map.nc"
-#: Changes of less than 5 % are not worth a word.
-_WORTH_A_WORD = 1.05
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -78,46 +76,25 @@ class PlanResult(InstrumentResult):
         return self._summary(numbers, texts, reasons, facets=each)
 
     def _best(self) -> str:
-        useful = [one for one in self.alternatives if one.best_gain > _WORTH_A_WORD]
-        if not useful:
-            return "none of the alternatives that were tried makes a sigma smaller by more than 5 %"
-        said = [f"{one.change.words}: {self._gain_words(one)}" for one in useful[:3]]
-        return "; ".join(said)
+        return words_of_best(self.alternatives, LIMITED, self._costs)
 
-    def _gain_words(self, one: Alternative) -> str:
-        """Say what becomes better, and what it costs."""
-        rows = [(LIMITED[name], gain) for name, gain in one.gains.items() if np.isfinite(gain)]
-        said = [f"{words} {gain:.2f} times better" for words, gain in rows if gain > _WORTH_A_WORD]
-        said += [f"{words} {1 / gain:.2f} times worse" for words, gain in rows if gain < 1 / _WORTH_A_WORD]
-        if one.spacing_m > _WORTH_A_WORD * self.prospect.spacing_m:
-            said.append(f"samples {1e3 * one.spacing_m:.3g} mm apart")
-        if one.seen_share < self.prospect.seen_share / _WORTH_A_WORD:
-            said.append(f"only {one.seen_share:.0%} of the mirror sees the pattern")
-        return ", ".join(said)
+    def _costs(self, one: Alternative) -> list[str]:
+        """Say what an alternative costs beside sigmas."""
+        said, prospect = [], self.prospect
+        if one.beside["sample_spacing_m"] > WORTH_A_WORD * prospect.spacing_m:
+            said.append(f"samples {1e3 * one.beside['sample_spacing_m']:.3g} mm apart")
+        if one.beside["seen_share"] < prospect.seen_share / WORTH_A_WORD:
+            said.append(f"only {one.beside['seen_share']:.0%} of the mirror sees the pattern")
+        return said
 
     def write_files(self, folder: Path) -> None:
         """Write the expected map and the tables into an existing folder."""
         prospect = self.prospect
         write_slope_map(folder / MAP_FILE, {"": prospect.slope_map}, {"name": self.name})
-        names = list(prospect.sigmas())
-        before = {name: [prospect.sigmas()[name]] for name in names}
         for name, columns in prospect.tables.items():
             write_table_csv(folder / name, columns)
-        rows = self.alternatives
-        table: dict[str, list[object]] = {
-            "change": ["as planned", *(one.change.words for one in rows)],
-            "key": ["", *(one.change.key for one in rows)],
-            "before": ["", *(one.change.before for one in rows)],
-            "after": ["", *(one.change.after for one in rows)],
-        }
-        for name in names:
-            table[sigma_key(name)] = [*before[name], *(one.sigmas.get(name, np.nan) for one in rows)]
-        for name in names:
-            table[f"gain_{name}"] = [1.0, *(one.gains.get(name, np.nan) for one in rows)]
-        table["seen_share"] = [prospect.seen_share, *(one.seen_share for one in rows)]
-        table["sample_spacing_m"] = [prospect.spacing_m, *(one.spacing_m for one in rows)]
-        table["reason"] = ["", *(one.reason for one in rows)]
-        write_table_csv(folder / ALTERNATIVES_FILE, table)
+        write_alternatives(folder, prospect, self.alternatives, sigma_key)
+        names = list(prospect.sigmas())
         sources = list(dict.fromkeys(source for shares in self.limits.values() for source in shares))
         shares = {name: [self.limits[name].get(source, 0.0) for source in sources] for name in names}
         write_table_csv(
@@ -186,27 +163,13 @@ def run_plan(
     with progress.stage("what limits"):
         limits = planned.limits(prospect)
     changes = [one for one in planned.changes() if one.is_worth_a_look(limits)]
-    found = []
-    with progress.stage("alternatives", steps=len(changes)) as stage:
-        for change in changes:
-            found.append(_tried(change, prospect))
-            stage.advance()
+    alternatives = try_changes(changes, prospect, progress)
     return PlanResult(
         name=planned.name,
         prospect=prospect,
         limits=limits,
-        alternatives=tuple(sorted(found, key=lambda one: -one.best_gain)),
+        alternatives=alternatives,
         doubts=prospect.doubts,
         durations_s=dict(progress.durations_s),
         input_sha256=hash_files(files, folder),
     )
-
-
-def _tried(change: Change, before: Prospect) -> Alternative:
-    try:
-        after = change.planned.prospect()
-    except (InputError, EstimationError) as error:
-        return Alternative(change, {}, {}, np.nan, np.nan, str(error))
-    sigmas = after.sigmas()
-    gains = {name: one / sigmas[name] if sigmas.get(name, 0.0) > 0 else np.nan for name, one in before.sigmas().items()}
-    return Alternative(change, sigmas, gains, after.seen_share, after.spacing_m)

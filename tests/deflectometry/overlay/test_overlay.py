@@ -14,9 +14,10 @@ import pytest
 from scipy.stats import chi2
 
 from data_synth.reflections import ReflectionScene, write_overlay
-from deflectometry.overlay.keys import load_overlay
+from deflectometry.overlay.keys import load_overlay, load_overlay_plan
 from deflectometry.overlay.pipeline.measure import run
 from deflectometry.overlay.pipeline.result import OverlayResult
+from deflectometry.overlay.planning.plan import PlannedOverlay
 from heliogauge.errors import EstimationError
 from heliogauge.measurement.writer import write_measurement
 
@@ -43,11 +44,15 @@ def test_turns_of_exact_inputs_are_exact(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_sigmas_are_the_scatter(tmp_path: Path) -> None:
+def test_sigmas_are_the_scatter_and_as_planned(tmp_path: Path) -> None:
     total, rms, freedom = 0.0, [], 0
+    every, waves, stated = [], [], []
     for seed in range(10):
         result, errors = measured(tmp_path / str(seed), replace(SMALL, subpixels=3), seed)
         flat = errors.ravel()
+        every.append(flat)
+        waves.append(result.turns.wave_rad)
+        stated.append(np.diag(result.turns.covariance))
         total += float(flat @ np.linalg.solve(result.turns.covariance, flat))
         freedom += flat.size
         rms.append(np.mean(errors**2))
@@ -56,6 +61,19 @@ def test_sigmas_are_the_scatter(tmp_path: Path) -> None:
     low, high = chi2.ppf([0.005, 0.995], freedom) / freedom
     assert low < total / freedom < high
     assert np.sqrt(np.mean(rms)) < 1e-4
+    # A plan that knows how wavy such facets are, and not how these are turned.
+    content = tomllib.loads((tmp_path / "0" / "measurement.toml").read_text())
+    content["plan"] = {
+        "contrast_dn": SMALL.bright_dn - SMALL.dark_dn,
+        "difference_of_photos_mrad": 1e3 * np.sqrt(np.mean(np.square(waves))),
+    }
+    (tmp_path / "plan").mkdir()
+    write_measurement(tmp_path / "plan", content)
+    plan = PlannedOverlay(load_overlay_plan(tmp_path / "plan"))
+    promised = plan.turns(plan.scene()).covariance
+    inverse = np.linalg.inv(promised)
+    assert low < sum(float(one @ inverse @ one) for one in every) / freedom < high
+    assert np.sqrt(np.diag(promised)) == pytest.approx(np.sqrt(np.mean(stated, axis=0)), rel=0.1)
 
 
 @pytest.fixture(scope="module")
@@ -159,5 +177,5 @@ def test_without_a_survey_the_heliostat_as_a_whole_is_less_sure(drawn: Path, tmp
     sigma = np.sqrt(np.diag(result.turns.covariance))
     assert sigma.min() > 2e-4
     assert errors @ np.linalg.solve(result.turns.covariance, errors) < chi2.ppf(0.999, errors.size)
-    _, covariance = result.canting()
+    _, covariance = result.turns.canting()
     assert np.sqrt(np.diag(covariance)).max() < 1e-4

@@ -12,8 +12,9 @@ from data_synth.fringes.presets import ensemble_scene, preset_scene
 from deflectometry.dots.planning.plan import PlannedDots, load_dots_plan
 from deflectometry.dots.planning.predicted_dots import DotPlaces, measured_sample, places_of_dots
 from deflectometry.fringes.planning.plan import PlannedFringes, load_fringes_plan
+from deflectometry.planning.pipeline.alternatives import ALTERNATIVES_FILE
 from deflectometry.planning.pipeline.bench import changed
-from deflectometry.planning.pipeline.plan import ALTERNATIVES_FILE, LIMITS_FILE, MAP_FILE
+from deflectometry.planning.pipeline.plan import LIMITS_FILE, MAP_FILE
 from deflectometry.planning.predicted_sight import facet_sight, trace_pixels
 from deflectometry.planning.prospect import Prospect
 from deflectometry.setup.dot_screen import DotScreen
@@ -171,8 +172,8 @@ def test_bad_plans_are_refused_in_one_sentence(tmp_path: Path, capsys: pytest.Ca
     text = file.read_text()
     file.write_text("\n".join(one for one in text.splitlines() if not one.startswith(("design", "focal_length_m"))))
     assert "design is missing" in plan_command(file.parent, capsys)
-    file.write_text(text.replace('kind = "deflectometry"', 'kind = "overlay"'))
-    assert 'kind = "overlay" has no plan; those that have: "deflectometry", ' in plan_command(file.parent, capsys)
+    file.write_text(text.replace('kind = "deflectometry"', 'kind = "deflectometry-poses"'))
+    assert 'kind = "deflectometry-poses" has no plan; those that have: "deflectometry", ' in plan_command(file.parent, capsys)
     file.write_text(text.replace('kind = "deflectometry"', 'kind = "deflectometri"'))
     assert 'did you mean "deflectometry"?' in plan_command(file.parent, capsys)
 

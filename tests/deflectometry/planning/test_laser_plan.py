@@ -12,7 +12,7 @@ from data_synth.lasers import LaserScene, line_scene, write_laser_scan, write_li
 from deflectometry.laser.keys import LaserModel
 from deflectometry.laser.pipeline.scan_file import read_lines
 from deflectometry.laser.planning.plan import PlannedScan
-from deflectometry.planning.pipeline.plan import ALTERNATIVES_FILE
+from deflectometry.planning.pipeline.alternatives import ALTERNATIVES_FILE
 from heliogauge.errors import EstimationError, InputError
 from heliogauge.measurement.load import read_measurement
 from heliogauge.results.folder import read_table_csv

@@ -9,6 +9,7 @@ from typer.testing import CliRunner
 
 from heliogauge.camera.model import Camera
 from heliogauge.errors import EstimationError, InputError
+from heliogauge.geometry.rigid import looking_at
 from heliogauge.measurement.load import parse_measurement
 from heliogauge.measurement.templates import write_template
 from heliogauge.results.folder import read_cameras_json, read_points_csv, read_summary, read_table_csv
@@ -24,7 +25,6 @@ from photogrammetry.planning.stations import (
     Reach,
     aims_m,
     filling_distance_m,
-    looking_at,
     ring_stations,
     seen_targets,
 )
