@@ -108,6 +108,7 @@ INSTRUMENT = Instrument(
             init_option="--screen",
             init_help="For photos of a screen or wall, to its geometry.",
             run="deflectometry.screen_geometry.pipeline.geometry:run",
+            plan="deflectometry.screen_geometry.planning.plan:run_folder",
         ),
         Kind(
             name="stars",
@@ -158,6 +159,7 @@ INSTRUMENT = Instrument(
         "screen-geometry": "deflectometry.screen_geometry:report.ipynb",
         "stars": "deflectometry.report:report_stars.ipynb",
         "overlay": "deflectometry.report:report_overlay.ipynb",
+        "screen-geometry-plan": "deflectometry.report:report_screen_plan.ipynb",
         "overlay-plan": "deflectometry.report:report_overlay_plan.ipynb",
         "stars-plan": "deflectometry.report:report_stars_plan.ipynb",
         "deflectometry-plan": "deflectometry.report:report_plan.ipynb",

@@ -6,6 +6,7 @@ from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
+from deflectometry.screen_geometry.planning.keys import ScreenPlanSection
 from heliogauge.errors import InputError
 from heliogauge.measurement.files import image_files
 from heliogauge.measurement.load import read_measurement, refuse_missing
@@ -14,7 +15,7 @@ from heliogauge.short_repr import ShortRepr
 from photogrammetry.keys import PhotogrammetryMeasurement, PhotogrammetryModel
 
 #: Keys that are not those of a photo network.
-_OF_THE_SCREEN = {"kind", "measuring_photo", "dots", "display", "shape"}
+_OF_THE_SCREEN = {"kind", "measuring_photo", "dots", "display", "shape", "plan"}
 
 
 class KnownWallDotSection(Section):
@@ -82,6 +83,7 @@ class ScreenGeometryModel(PhotogrammetryModel):
     dots: WallDotsSection | None = Field(None, description="The field of dots, printed or displayed.")
     display: DisplaySection | None = Field(None, description="The display, known by coded targets at its rims.")
     shape: ShapeSection = Field(ShapeSection(), description="How the screen is described.")
+    plan: ScreenPlanSection | None = Field(None, description="What a plan expects of photos that are not there yet.")
 
     @model_validator(mode="after")
     def _dots_or_display(self) -> Self:

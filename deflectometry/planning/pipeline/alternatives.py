@@ -12,6 +12,8 @@ from heliogauge.running.progress import Progress
 
 #: Table of the alternatives.
 ALTERNATIVES_FILE = "alternatives.csv"
+#: So many gains of one alternative are put into words; the table has all.
+_MOST_GAINS = 3
 #: Changes of less than 5 % are not worth a word.
 WORTH_A_WORD = 1.05
 
@@ -50,7 +52,8 @@ def words_of_best(
     said = []
     for one in useful[:3]:
         rows = [(labels[name], gain) for name, gain in one.gains.items() if np.isfinite(gain)]
-        words = [f"{label} {gain:.2f} times better" for label, gain in rows if gain > WORTH_A_WORD]
+        most = sorted((gain for _, gain in rows), reverse=True)[:_MOST_GAINS]
+        words = [f"{label} {gain:.2f} times better" for label, gain in rows if gain > WORTH_A_WORD and gain in most]
         words += [f"{label} {1 / gain:.2f} times worse" for label, gain in rows if gain < 1 / WORTH_A_WORD]
         said.append(f"{one.change.words}: {', '.join([*words, *costs(one)])}")
     return "; ".join(said)

@@ -1,5 +1,6 @@
 """Photos of a screen to its geometry: the stages follow each other in `run`."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
@@ -215,13 +216,24 @@ def run(measurement: ScreenMeasurement, progress: Progress | None = None) -> Res
         The photos do not hang together, or do not say which dot is which.
     """
     progress = progress or SilentProgress()
-    model = measurement.model
     with progress.stage("hash inputs"):
         hashes = hash_files(measurement.input_files, measurement.folder)
     refuse_copies(measurement.photo_files, hashes, measurement.folder)
     seen = see(measurement, progress)
     with showing(seen.targets.pictures):
         network = solve(measurement, seen, progress)
+    return describe(measurement, network, hashes, progress)
+
+
+def describe(
+    measurement: ScreenMeasurement, network: ScreenNetwork, hashes: Mapping[str, str], progress: Progress
+) -> Result:
+    """Describe the screen whose points an adjusted network has.
+
+    hashes: Of the files that were read.
+    EstimationError: Too few points for its form, or points on a line.
+    """
+    model = measurement.model
     own_frame = model.shape.frame == "screen"
     tests: tuple[ShapeTest, ...] = ()
     with progress.stage("shape"):

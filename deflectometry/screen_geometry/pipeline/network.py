@@ -165,15 +165,21 @@ class ScreenNetwork(ShortRepr):
     own_frame: bool
 
 
-def solve(measurement: ScreenMeasurement, seen: Seen, progress: Progress) -> ScreenNetwork:
+def solve(
+    measurement: ScreenMeasurement,
+    seen: Seen,
+    progress: Progress,
+    listed: tuple[list[str], FloatArray, FloatArray] | None = None,
+) -> ScreenNetwork:
     """Adjust the network and take the points of the screen from it.
 
+    listed: Names and fractions of a display's targets; default: from its table.
     InputError: Tables that cannot be used.
     EstimationError: The photos do not hang together, or do not say which dot is which.
     """
     model = measurement.model
     if model.display is not None:
-        names, u, v = _read_display(measurement.folder / model.display.file)
+        names, u, v = listed or read_display(measurement.folder / model.display.file)
         _refuse_other_table(model.display.file, names, seen.targets)
     try:
         alone = photogrammetry_pipeline.run(measurement.network, None, progress, measured=seen.targets)
@@ -474,7 +480,11 @@ def _corners(name: str) -> list[str]:
     return [f"{name}.{k}" for k in range(4)]
 
 
-def _read_display(file: Path) -> tuple[list[str], FloatArray, FloatArray]:
+def read_display(file: Path) -> tuple[list[str], FloatArray, FloatArray]:
+    """Return names and fractions u, v of coded targets.
+
+    InputError: A table that cannot be read, or whose numbers are no fractions.
+    """
     columns = read_table_csv(file, ("target", "u", "v"))
     try:
         u, v = (np.array([float(one) for one in columns[name]]) for name in ("u", "v"))

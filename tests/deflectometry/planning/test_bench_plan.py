@@ -173,7 +173,9 @@ def test_bad_plans_are_refused_in_one_sentence(tmp_path: Path, capsys: pytest.Ca
     file.write_text("\n".join(one for one in text.splitlines() if not one.startswith(("design", "focal_length_m"))))
     assert "design is missing" in plan_command(file.parent, capsys)
     file.write_text(text.replace('kind = "deflectometry"', 'kind = "deflectometry-poses"'))
-    assert 'kind = "deflectometry-poses" has no plan; those that have: "deflectometry", ' in plan_command(file.parent, capsys)
+    assert 'kind = "deflectometry-poses" has no plan; those that have: "deflectometry", ' in plan_command(
+        file.parent, capsys
+    )
     file.write_text(text.replace('kind = "deflectometry"', 'kind = "deflectometri"'))
     assert 'did you mean "deflectometry"?' in plan_command(file.parent, capsys)
 

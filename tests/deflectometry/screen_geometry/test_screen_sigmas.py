@@ -4,7 +4,9 @@ The image points are those of the drawn scene's own projection: corners where fo
 centres of the ellipses that round dots show.
 """
 
+import tomllib
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,10 +16,13 @@ from data_synth.screens import ScreenChoice, screen_scene
 from data_synth.screens.scene import BENCH_PHOTO, DICTIONARY, ScreenScene
 from deflectometry.dots.found_dots import FoundDots
 from deflectometry.screen_geometry import MeasuredScreen, load_screen
+from deflectometry.screen_geometry.keys import ScreenGeometryModel
 from deflectometry.screen_geometry.pipeline.network import Seen, solve
+from deflectometry.screen_geometry.planning.plan import PlannedScreen
 from deflectometry.screen_geometry.screen_shape import describe_display, describe_dots
 from deflectometry.setup.dot_screen import DotScreen
 from heliogauge.geometry.rigid import RigidTransform
+from heliogauge.measurement.load import read_measurement
 from heliogauge.measurement.writer import write_measurement
 from heliogauge.results.tables import write_table_csv
 from heliogauge.running.progress import SilentProgress
@@ -172,10 +177,70 @@ def _errors(measured: MeasuredScreen, drawn: ScreenScene) -> tuple[FloatArray, F
     return u, v, found - place.apply(truth), pose
 
 
+def _joint(measured: MeasuredScreen, u: FloatArray, v: FloatArray, points: FloatArray, pose: FloatArray) -> float:
+    """Return the squares of errors of pose and points, whitened by their joint covariance; of dots their own, too."""
+    modes = np.array(
+        [np.concatenate([one.warp.shifts_m(u, v).ravel(), one.cam_from_screen]) for one in measured.shared]
+    )
+    every = np.concatenate([points.ravel(), pose])
+    if isinstance(measured.screen, DotScreen):
+        # Points of their own errors: C = D + M M^T, the pose is all shared.
+        variance = np.concatenate([measured.screen.sigma_at(u, v).ravel() ** 2, 1e-4 * (modes[:, -6:] ** 2).sum(0)])
+        white, shared = every / np.sqrt(variance), modes / np.sqrt(variance)
+        inner = np.eye(len(shared)) + shared @ shared.T
+        square = float(white @ white - (shared @ white) @ np.linalg.solve(inner, shared @ white))
+        return square / (every.size - 6)
+    scale = np.sqrt((modes**2).sum(axis=0))
+    _, values, vectors = np.linalg.svd(modes / scale, full_matrices=False)
+    keep = values > 1e-5 * values[0]
+    return float(np.mean((vectors[keep] @ (every / scale) / values[keep]) ** 2))
+
+
+def _sigmas(measured: MeasuredScreen, u: FloatArray, v: FloatArray) -> FloatArray:
+    """Return the sigmas of points in x, y, z and of the camera's turn and place, RMS, shape (5,)."""
+    pose = np.diag(measured.covariance_pose)
+    points = np.mean(measured.sigma_points_m(u, v) ** 2, axis=0)
+    return np.sqrt([*points, np.mean(pose[:3]), np.mean(pose[3:])])
+
+
+def _promised(folder: Path, drawn: ScreenScene) -> MeasuredScreen:
+    """Return what a plan says that knows size, sag, targets and places of a scene, not how its cameras are turned."""
+    size, middle = np.array(drawn.size_m), np.zeros(2)
+    plan: dict[str, Any] = {}
+    if len(drawn.dots_m):
+        column, row = _numbers(drawn.dots_m)
+        dots = drawn.dots_m[(column % _EVERY == 0) & (row % _EVERY == 0)]
+        size, middle = np.ptp(dots, axis=0), 0.5 * (dots.min(axis=0) + dots.max(axis=0))
+        plan = {"columns": 10, "rows": 7, "targets": "around.csv"}
+        places = {
+            name: 0.5 + ((np.array([u, 1 - v]) - 0.5) * drawn.size_m - middle) / size
+            for name, (u, v) in drawn.markers.items()
+        }
+        around = np.array(list(places.values())).T
+        write_table_csv(folder / "around.csv", {"target": np.array(list(places)), "u": around[0], "v": 1 - around[1]})
+    centers = np.array([one.cam_from_world.inverse().translation_m for one in drawn.scene.views]) - [*middle, 0.0]
+    plan |= {
+        "width_m": float(size[0]),
+        "height_m": float(size[1]),
+        "sag_mm": 1e3 * float(drawn.shape.bending_per_m[0]) * (0.5 * float(size[0])) ** 2,
+        "places_m": centers[:-1].tolist(),
+        "measuring_place_m": centers[-1].tolist(),
+        "sigma_target_px": 2 * _EDGE_PX,
+        "sigma_dot_px": _DOT_PX,
+    }
+    content = tomllib.loads((folder / "measurement.toml").read_text()) | {"plan": plan}
+    sizes = {one.camera.width_px: one.camera.height_px for one in drawn.scene.views}
+    content["camera"][0] |= {"width_px": max(sizes), "height_px": sizes[max(sizes)]}
+    content["shape"] = {"form": "free"}
+    write_measurement(folder, content)
+    planned = PlannedScreen(folder, read_measurement(folder, ScreenGeometryModel)[1])
+    return planned.measured(planned.surface(), planned.photos()).measured
+
+
 @pytest.mark.parametrize("show", ["rims", "dots"])
-def test_points_and_measuring_camera_scatter_as_stated(show: str, tmp_path: Path) -> None:
+def test_points_and_measuring_camera_scatter_as_stated_and_as_planned(show: str, tmp_path: Path) -> None:
     """Ten sets: pose and what the points share, whitened by their joint covariance; for dots their own errors too."""
-    joint, poses = [], []
+    joint, poses, errors, stated = [], [], [], []
     for seed in range(10):
         drawn = screen_scene(ScreenChoice(show, seed))  # type: ignore[arg-type]
         _folder(tmp_path / str(seed), drawn, dots=show == "dots")
@@ -185,24 +250,15 @@ def test_points_and_measuring_camera_scatter_as_stated(show: str, tmp_path: Path
             measured = describe_dots(network.points, network.number, own_frame=True)
         else:
             measured = describe_display(network.points, "auto", own_frame=True)[0]
-        u, v, points, pose = _errors(measured, drawn)
-        modes = np.array(
-            [np.concatenate([one.warp.shifts_m(u, v).ravel(), one.cam_from_screen]) for one in measured.shared]
-        )
-        poses.append(float(pose @ np.linalg.solve(measured.covariance_pose, pose)) / 6)
-        every = np.concatenate([points.ravel(), pose])
-        if isinstance(measured.screen, DotScreen):
-            # Points of their own errors: C = D + M M^T, the pose is all shared.
-            variance = np.concatenate([measured.screen.sigma_at(u, v).ravel() ** 2, 1e-4 * (modes[:, -6:] ** 2).sum(0)])
-            white, shared = every / np.sqrt(variance), modes / np.sqrt(variance)
-            inner = np.eye(len(shared)) + shared @ shared.T
-            square = float(white @ white - (shared @ white) @ np.linalg.solve(inner, shared @ white))
-            joint.append(square / (every.size - 6))
-        else:
-            scale = np.sqrt((modes**2).sum(axis=0))
-            _, values, vectors = np.linalg.svd(modes / scale, full_matrices=False)
-            keep = values > 1e-5 * values[0]
-            joint.append(float(np.mean((vectors[keep] @ (every / scale) / values[keep]) ** 2)))
+        found = _errors(measured, drawn)
+        poses.append(float(found[-1] @ np.linalg.solve(measured.covariance_pose, found[-1])) / 6)
+        joint.append(_joint(measured, *found))
+        errors.append(found)
+        stated.append(_sigmas(measured, *found[:2]))
     assert 0.8 < np.mean(joint) < 1.25
     # Sixty numbers: outside of this with a chance of 1e-2.
     assert 0.6 < np.mean(poses) < 1.52
+    promised = _promised(tmp_path / "0", screen_scene(ScreenChoice(show, 0)))  # type: ignore[arg-type]
+    assert 0.8 < np.mean([_joint(promised, *one) for one in errors]) < 1.25
+    every_stated = np.sqrt(np.mean(np.square(stated), axis=0))
+    assert _sigmas(promised, *errors[0][:2]) == pytest.approx(every_stated, rel=0.1)
