@@ -34,14 +34,14 @@ from photogrammetry.pipeline import build_cameras
 PHOTOS_FILE = "photos.csv"
 #: What is promised of every screen, of one with a measuring camera, and of the mirror: names with unit, and words.
 _LABELS = {
-    "x_m": "points in x",
-    "y_m": "points in y",
-    "z_m": "points in depth",
+    "x_m": "points x",
+    "y_m": "points y",
+    "z_m": "points z",
     "width_m": "width",
     "height_m": "height",
 }
 _OF_CAMERA = {"camera_rotation_rad": "camera's turn", "camera_place_m": "camera's place"}
-_OF_MIRROR = {"slope_rms_rad": "slopes by the screen"}
+_OF_MIRROR = {"slope_rms_rad": "slopes"}
 #: Taken for a display whose form the measurement will choose: of a plane, depth would be exact.
 _FORM = "bent"
 #: Photos within a smaller angle leave depth weak, and with it what slanted rays say of lengths: as in photogrammetry's
@@ -261,7 +261,7 @@ class PlannedScreen:
     def _words_of_slopes(self, slopes_rad: float) -> str:
         plan = self.plan
         said = (
-            f"in a mirror {plan.mirror_m:g} m away: what errors that all points share do to its slopes, RMS over the "
+            f"those of a mirror {plan.mirror_m:g} m away: what errors that all points share do to them, RMS over the "
             "screen; the measuring camera's pose mostly turns the mirror as a whole"
         )
         if plan.fringe_noise_mrad is None:
