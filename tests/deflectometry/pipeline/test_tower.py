@@ -14,15 +14,20 @@ from data_synth.fringes.tower import UNAM_SIGMA_RAD, tower_knowledge, tower_scen
 from data_synth.optics.mirror import Design, SyntheticFacet
 from data_synth.optics.surface_errors import SurfaceErrors
 from deflectometry.keys import load_deflectometry
+from deflectometry.pipeline.images import image_files, observe
+from deflectometry.pipeline.inputs import build_pattern, build_setup, describe_mirror
 from deflectometry.pipeline.mean_normal import mean_normal
 from deflectometry.pipeline.measure import run
+from deflectometry.pose.find_pose import find_pose
 from deflectometry.pose.surveyed_place import SurveyedPlace, setup_with_place
 from deflectometry.setup.camera_and_screen import FacetShift
 from deflectometry.setup.setup_steps import PLACE_IN_PATTERN
 from heliogauge.adjust.chi_square import chi_square_cdf
 from heliogauge.doubts import Doubt, Severity
+from heliogauge.images.photos import read_frames
 from heliogauge.sunlight.beam import Illumination, direction_to_sun_for, facing_target, trace
 from heliogauge.sunlight.sun_shapes import SOLAR_DISC_RAD, PillboxSun
+from tests.deflectometry.planning.promises import drawn_tower
 from tests.deflectometry.tower_errors import tower_errors
 
 pytestmark = pytest.mark.slow
@@ -182,3 +187,16 @@ def test_images_that_are_turned_or_mirrored_are_named(tmp_path: Path) -> None:
     assert turned.severity is mirrored.severity is Severity.SERIOUS
     # Another focal length is no exchange, and nothing is tried for it.
     assert doubt_of((), 150.0).severity is Severity.DOUBT
+
+
+@pytest.mark.slow
+def test_a_distance_that_presses_the_tilt_flat_ends_in_a_pose(tmp_path: Path) -> None:
+    """Seen from 200 m a tilt acts by its square, which linear steps overshoot: this night takes 244 of them."""
+    drawn = drawn_tower()
+    drawn.write(tmp_path, 5)
+    measurement = load_deflectometry(tmp_path)
+    setup = build_setup(measurement)
+    images = observe(measurement, build_pattern(measurement), read_frames(image_files(measurement)))
+    pose = find_pose(images, setup, describe_mirror(measurement, setup)).pose
+    far_m = [one.translation_m[2] for one in (pose.cam_from_mirror, drawn.scene.bench.cam_from_mirror)]
+    assert far_m[0] == pytest.approx(far_m[1], abs=4.0 * float(np.sqrt(pose.covariance[5, 5])))
