@@ -12,6 +12,7 @@ from deflectometry.sources.display_edge import DisplayEdge
 from deflectometry.sources.noise_model import NoiseModel
 from deflectometry.sources.sample_grid import LatticeGrid
 from deflectometry.sources.screen_map import ScreenMap
+from deflectometry.sources.source import Remedies
 from heliogauge.errors import EstimationError
 from heliogauge.flags import SampleFlag
 from heliogauge.short_repr import ShortRepr
@@ -44,6 +45,15 @@ class DotSource(ShortRepr):
     def mirror_image(self) -> Float32Array:
         """Return an image in which the mirror is bright: the ground of the dots [DN]."""
         return self.image
+
+    @property
+    def remedies(self) -> Remedies:
+        """What to do about slopes that contradict themselves."""
+        return Remedies(
+            "focus the camera on the dots, light them evenly, and measure the place of each ([screen] file)",
+            "that the columns of its table run to the right and the rows upwards as a viewer sees the dots, which dot "
+            "is column 0, row 0",
+        )
 
     @property
     def mixes_edges(self) -> bool:

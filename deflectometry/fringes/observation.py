@@ -14,8 +14,13 @@ from deflectometry.setup.patterns import Axis, FringePattern, FringeSet
 from deflectometry.sources.display_edge import DisplayEdge, flag_display_edge
 from deflectometry.sources.noise_model import NoiseModel
 from deflectometry.sources.screen_map import ScreenMap
+from deflectometry.sources.source import Remedies
 from heliogauge.short_repr import ShortRepr
 from heliogauge.validate import BoolArray, Float32Array
+
+FRINGE_REMEDIES = Remedies(
+    "use more steps for each period, or a response measured with the same exposure", "the axes of [[pattern.set]]"
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,6 +56,11 @@ class Observation(ShortRepr):
     def modulation_image(self) -> Float32Array:
         """Return the fringes' mean amplitude, shape (h, w) [DN, or the response's unit]."""
         return modulation_image(self.frames, self.pattern, response=self.response)
+
+    @property
+    def remedies(self) -> Remedies:
+        """What to do about slopes that contradict themselves."""
+        return FRINGE_REMEDIES
 
     @property
     def mixes_edges(self) -> bool:

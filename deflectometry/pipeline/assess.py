@@ -140,7 +140,7 @@ def measure_source(ready: SourceMeasurement, progress: Progress) -> Result:
         evaluation.doubts,
         check_beyond_table(setup.screen, *evaluation.screen_map.points_seen()),
         doubt_of_canting(cantings),
-        implausible(numbers, numbers_by_facet, evaluation),
+        implausible(numbers, numbers_by_facet, evaluation, ready.source.remedies),
     )
     if contradiction is not None and not any(doubt.code == "slopes_of_no_surface" for doubt in doubts):
         doubts = gather_doubts(doubts, contradiction.doubt)

@@ -182,7 +182,7 @@ def _agrees(one: _Exchange, mirror: MirrorInput, choices: Choices) -> bool:
         evaluation = map_slopes(reflection, one.setup, SilentProgress())
         assembled = assemble_maps(evaluation.located.facets, evaluation.maps, choices.align, Removal.NOTHING)
         curls = {name: curl_numbers(one) for name, one in evaluation.fine_maps.items()}
-        found = implausible(facet_numbers(assembled, assembled), curls, evaluation)
+        found = implausible(facet_numbers(assembled, assembled), curls, evaluation, one.source.remedies)
         return not {doubt.code for doubt in (*found, *evaluation.doubts)}.intersection(_CONTRADICTIONS)
     except (EstimationError, InputError):
         return False

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from deflectometry.pipeline.evaluate import Evaluation
+from deflectometry.sources.source import Remedies
 from heliogauge.doubts import Doubt, Severity
 from heliogauge.slopes.curl_moments import curl_moments
 from heliogauge.slopes.grid import curl_rms
@@ -77,16 +78,17 @@ class CurlRemedies(NamedTuple):
     noisy: str
     wrong: str
 
+    @classmethod
+    def of_source(cls, remedies: Remedies) -> "CurlRemedies":
+        """Return those of slopes whose sigmas contain the curl of single points."""
+        return cls(
+            f"the sigmas of single points were enlarged to make as much from point to point; {remedies.points}",
+            f"check the shape and pose of the screen, {remedies.pattern}, that the images are neither mirrored nor "
+            "strongly compressed, and that nothing moved",
+        )
 
-_FRINGES = CurlRemedies(
-    "the sigmas of single points were enlarged to make as much from point to point; use more steps for each period, or "
-    "a response measured with the same exposure",
-    "check the shape and pose of the screen, the axes of [[pattern.set]], that the images are neither mirrored nor "
-    "strongly compressed, and that nothing moved",
-)
 
-
-def curl_doubt(facets: Mapping[str, Numbers], remedies: CurlRemedies = _FRINGES) -> Iterator[Doubt]:
+def curl_doubt(facets: Mapping[str, Numbers], remedies: CurlRemedies) -> Iterator[Doubt]:
     """Yield what is wrong with slopes that no surface can have: the curl of a surface's slopes is zero.
 
     facets: Numbers of each facet.

@@ -9,13 +9,14 @@ from math import isfinite
 
 import numpy as np
 
-from deflectometry.pipeline.curl_test import curl_doubt
+from deflectometry.pipeline.curl_test import CurlRemedies, curl_doubt
 from deflectometry.pipeline.evaluate import Evaluation, Reflection
 from deflectometry.pipeline.headline import flag_words
 from deflectometry.pipeline.stated_inputs import StatedInput
 from deflectometry.pose.find_pose import LocatedMirror
 from deflectometry.setup.camera_and_screen import Setup
 from deflectometry.shape.smooth_shape import Align
+from deflectometry.sources.source import Remedies
 from heliogauge.doubts import Doubt, Severity
 from heliogauge.errors import EstimationError
 from heliogauge.geometry.rigid import RigidTransform
@@ -55,15 +56,18 @@ def refuse_impossible(setup: Setup, cam_from_mirror: RigidTransform) -> None:
         )
 
 
-def implausible(numbers: Numbers, facets: Mapping[str, Numbers], evaluation: Evaluation) -> Iterator[Doubt]:
+def implausible(
+    numbers: Numbers, facets: Mapping[str, Numbers], evaluation: Evaluation, remedies: Remedies
+) -> Iterator[Doubt]:
     """Yield what makes a result doubtful as a whole.
 
     numbers: Headline numbers of the mirror.
     facets: Headline numbers of each facet; empty for a single one.
+    remedies: Those of the source.
     """
     yield from _rejection_doubt(evaluation)
     yield from _turn_doubt(evaluation)
-    yield from curl_doubt(facets or {"": numbers})
+    yield from curl_doubt(facets or {"": numbers}, CurlRemedies.of_source(remedies))
     error, rest = (1e3 * _number(numbers, f"sd_{left}_rad") for left in ("tilt_removed", "best_quadratic"))
     # In curvatures, which a flat mirror has, too.
     lengths = ", ".join(f"1/f in {axis} {2 * _number(numbers, f'curvature_{axis}_per_m'):.4g} 1/m" for axis in "xy")
@@ -71,7 +75,7 @@ def implausible(numbers: Numbers, facets: Mapping[str, Numbers], evaluation: Eva
         yield Doubt(
             "slopes_too_far_off_design",
             f"the slopes are {error:.1f} mrad RMS off the design (best fit: {lengths}): too far for any solar mirror; "
-            "check the design and its unit, size and pose of the screen, the axes of [[pattern.set]], and that no "
+            f"check the design and its unit, size and pose of the screen, {remedies.pattern}, and that no "
             "program has mirrored or turned the images",
             {"slope_error_mrad": error},
             Severity.SERIOUS,

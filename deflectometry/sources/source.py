@@ -1,11 +1,22 @@
 """What a measurement needs of its source of known points; each source is a room of its own."""
 
 from collections.abc import Iterator
-from typing import Protocol, Self
+from typing import NamedTuple, Protocol, Self
 
 from deflectometry.sources.display_edge import DisplayEdge
 from deflectometry.sources.screen_map import ScreenMap
 from heliogauge.validate import BoolArray, Float32Array
+
+
+class Remedies(NamedTuple):
+    """What the user of a source can do about slopes that contradict themselves.
+
+    points: Against noise of single points.
+    pattern: What to check of the pattern and its images.
+    """
+
+    points: str
+    pattern: str
 
 
 class Source(Protocol):
@@ -18,6 +29,10 @@ class Source(Protocol):
     @property
     def mixes_edges(self) -> bool:
         """Whether a sample near an edge of the mirror shows what is beside it, too."""
+
+    @property
+    def remedies(self) -> Remedies:
+        """What to do about slopes that contradict themselves."""
 
     def mirror_image(self) -> Float32Array:
         """Return an image in which the mirror is bright, shape (h, w) [DN]."""

@@ -6,6 +6,7 @@ from typing import Self
 
 import numpy as np
 
+from deflectometry.fringes.observation import FRINGE_REMEDIES
 from deflectometry.fringes.phase import TURN_RAD
 from deflectometry.fringes.screen_map import measure_screen_map
 from deflectometry.planning.predicted_sight import FacetSight
@@ -13,6 +14,7 @@ from deflectometry.setup.patterns import Axis, FringePattern, design_matrix
 from deflectometry.sources.display_edge import DisplayEdge, flag_display_edge
 from deflectometry.sources.noise_model import NoiseModel
 from deflectometry.sources.screen_map import ScreenMap
+from deflectometry.sources.source import Remedies
 from heliogauge.errors import EstimationError
 from heliogauge.flags import FLAG_TEXTS, SampleFlag, count_flags
 from heliogauge.validate import BoolArray, Float32Array, FloatArray
@@ -44,6 +46,11 @@ class PredictedFringes:
     def size_px(self) -> tuple[int, int]:
         """Width and height of the images [px]."""
         return int(self.image.shape[1]), int(self.image.shape[0])
+
+    @property
+    def remedies(self) -> Remedies:
+        """What to do about slopes that contradict themselves."""
+        return FRINGE_REMEDIES
 
     @property
     def mixes_edges(self) -> bool:

@@ -6,9 +6,12 @@ from typing import cast
 import numpy as np
 import pytest
 
-from deflectometry.pipeline.curl_test import curl_doubt
+from deflectometry.dots.dot_source import DotSource
+from deflectometry.fringes.observation import FRINGE_REMEDIES
+from deflectometry.pipeline.curl_test import CurlRemedies, curl_doubt
 from deflectometry.pipeline.plausibility import size_doubt
 from deflectometry.pipeline.stated_inputs import StatedInput
+from deflectometry.setup.dot_screen import DotScreen
 
 
 @pytest.mark.parametrize(
@@ -23,7 +26,20 @@ from deflectometry.pipeline.stated_inputs import StatedInput
 )
 def test_curl_that_noise_does_not_explain_is_said(curl_per_m: float, expected_per_m: float, code: str | None) -> None:
     numbers = {"curl_rms_per_m": curl_per_m, "curl_expected_rms_per_m": expected_per_m}
-    assert [doubt.code for doubt in curl_doubt({"": numbers})] == ([] if code is None else [code])
+    doubts = list(curl_doubt({"": numbers}, CurlRemedies.of_source(FRINGE_REMEDIES)))
+    assert [doubt.code for doubt in doubts] == ([] if code is None else [code])
+
+
+@pytest.mark.parametrize("curl_per_m", [1.6e-4, 4.0e-4])
+def test_the_user_of_dots_is_told_what_he_can_do(curl_per_m: float) -> None:
+    """Dots have neither steps nor periods nor a response."""
+    row, column = np.mgrid[:9, :9].astype(np.float64)
+    screen = DotScreen(np.stack([column, -row, 0.0 * row], axis=-1), (0, 0))
+    source = DotSource(np.zeros((8, 8), dtype=np.float32), None, screen)
+    numbers = {"curl_rms_per_m": curl_per_m, "curl_expected_rms_per_m": 1e-4}
+    (doubt,) = curl_doubt({"": numbers}, CurlRemedies.of_source(source.remedies))
+    assert "table" in doubt.text or "[screen] file" in doubt.text
+    assert not any(word in doubt.text for word in ("period", "response", "pattern.set"))
 
 
 @pytest.mark.parametrize(
