@@ -197,6 +197,7 @@ class Change:
     before, after: Its value.
     planned: The set-up after it.
     betters: Sources of errors that it makes smaller; empty where it changes everything.
+    states_sigma: Whether it only says how well something is known that is counted as known by the images, or exactly.
     """
 
     words: str
@@ -205,6 +206,7 @@ class Change:
     after: str
     planned: Planned
     betters: tuple[str, ...] = ()
+    states_sigma: bool = False
 
     def is_worth_a_look(self, limits: Mapping[str, Mapping[str, float]]) -> bool:
         """Return whether what it betters has a share of any variance that is worth it."""

@@ -55,7 +55,7 @@ def words(folder: Path) -> Html:
 
 
 def alternatives(folder: Path) -> Html:
-    """Return by how much each alternative betters each sigma, the best first; then those that are not possible."""
+    """Return what each alternative betters, the best first; then missing sigmas; then what is impossible."""
     return alternative_tables(folder, {name: LIMITED[name] for name in _limited(folder)}, {"seen_share": "mirror seen"})
 
 
@@ -64,9 +64,31 @@ def alternative_tables(folder: Path, labels: Mapping[str, str], shares: Mapping[
 
     labels, shares: Words of each sigma and of each share that an alternative may change.
     """
-    table = read_table_csv(folder / ALTERNATIVES_FILE, ("change", *shares, "reason"))
+    table = read_table_csv(folder / ALTERNATIVES_FILE, ("change", *shares, "states_sigma", "reason"))
     rows = range(1, len(table["change"]))
     done = [n for n in rows if not table["reason"][n]]
+    stated = [n for n in done if table["states_sigma"][n]]
+    others = [n for n in done if n not in stated]
+    parts = [_gains("What would better it: by how much each sigma is smaller", table, others, labels, shares)]
+    if stated:
+        title = "Sigmas that nobody states, stated: by how much each sigma is smaller; below 1 it is larger, and true"
+        parts.append(_gains(title, table, stated, labels, shares))
+    if impossible := [n for n in rows if n not in done]:
+        said = (
+            TableColumn("what is done otherwise", [table["change"][n] for n in impossible]),
+            TableColumn("why not", [table["reason"][n] for n in impossible]),
+        )
+        parts.append(table_under_name(TableView("What is not possible", said)))
+    return join(*parts)
+
+
+def _gains(
+    title: str,
+    table: Mapping[str, Sequence[str]],
+    done: Sequence[int],
+    labels: Mapping[str, str],
+    shares: Mapping[str, str],
+) -> Html:
     columns = [TableColumn("what is done otherwise", [table["change"][n] for n in done])]
     for name, words in labels.items():
         gains = [float(table[f"gain_{name}"][n] or "nan") for n in done]
@@ -74,15 +96,7 @@ def alternative_tables(folder: Path, labels: Mapping[str, str], shares: Mapping[
     for name, words in shares.items():
         seen = [float(table[name][n]) for n in done]
         columns.append(TableColumn(words, [f"{one:.1%}" for one in seen], seen))
-    possible = table_under_name(TableView("What would better it: by how much each sigma is smaller", tuple(columns)))
-    impossible = [n for n in rows if n not in done]
-    if not impossible:
-        return possible
-    said = (
-        TableColumn("what is done otherwise", [table["change"][n] for n in impossible]),
-        TableColumn("why not", [table["reason"][n] for n in impossible]),
-    )
-    return join(possible, table_under_name(TableView("What is not possible", said)))
+    return table_under_name(TableView(title, tuple(columns)))
 
 
 def limits(folder: Path) -> Html:

@@ -54,7 +54,9 @@ def words_of_best(
         rows = [(labels[name], gain) for name, gain in one.gains.items() if np.isfinite(gain)]
         most = sorted((gain for _, gain in rows), reverse=True)[:_MOST_GAINS]
         words = [f"{label} {gain:.2f} times better" for label, gain in rows if gain > WORTH_A_WORD and gain in most]
-        words += [f"{label} {1 / gain:.2f} times worse" for label, gain in rows if gain < 1 / WORTH_A_WORD]
+        # What nobody states is counted as better known than it is: a larger sigma is the true one.
+        less = "larger, as is true then" if one.change.states_sigma else "worse"
+        words += [f"{label} {1 / gain:.2f} times {less}" for label, gain in rows if gain < 1 / WORTH_A_WORD]
         said.append(f"{one.change.words}: {', '.join([*words, *costs(one)])}")
     return "; ".join(said)
 
@@ -79,5 +81,6 @@ def write_alternatives(
         table[f"gain_{name}"] = [1.0, *(one.gains.get(name, np.nan) for one in alternatives)]
     for name, value in beside.items():
         table[name] = [value, *(one.beside.get(name, np.nan) for one in alternatives)]
+    table["states_sigma"] = ["", *("yes" if one.change.states_sigma else "" for one in alternatives)]
     table["reason"] = ["", *(one.reason for one in alternatives)]
     write_table_csv(folder / ALTERNATIVES_FILE, table)

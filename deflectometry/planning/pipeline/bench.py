@@ -323,6 +323,7 @@ def _stated(bench: Bench, planned: Planner) -> Iterator[Change]:
                 _text(np.concatenate([np.atleast_1d(one) for one in sigmas.values()]).tolist()),
                 planned(changed(measurement, sigmas)),
                 (UNSTATED,),
+                states_sigma=True,
             )
 
 
