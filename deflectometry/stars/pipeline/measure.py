@@ -368,7 +368,7 @@ def _refuse(night: Night, priors: tuple[FloatArray, FloatArray], leans: Sequence
         f"the stars in {len(leans) - sure} of {len(leans)} facets cannot be named ({points} points of light, "
         f"{points / max(len(leans) * len(night.times), 1):.1f} in a facet and photo): the sky does not determine how "
         "they lean; take more photos over the night or longer exposures, or check time, site, mirror.normal and "
-        "faintest_magnitude"
+        "faintest_magnitude, and that the camera looks where it did when its points were measured"
     )
 
 
@@ -379,7 +379,8 @@ def _doubts(night: Night, leans: Sequence[Lean | None]) -> Iterator[Doubt]:
             "facets_without_stars",
             f"the stars in {len(unknown)} of {len(leans)} facets cannot be named ({', '.join(unknown[:5])}"
             f"{' ...' if len(unknown) > 5 else ''}): too few, or no hypothesis is a thousand times likelier; "
-            "more photos over the night move other stars into them",
+            "more photos over the night move other stars into them. Where the camera or the mirror has turned since "
+            "the points of the camera were measured, leans are wrong by as much in those that were named, too",
             {"facets_count": len(unknown)},
         )
     if night.left_out:

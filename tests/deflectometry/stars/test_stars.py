@@ -91,6 +91,18 @@ def test_sky_without_stars_is_refused(drawn: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+def test_a_camera_that_has_turned_since_its_points_were_measured_is_named(drawn: Path, tmp_path: Path) -> None:
+    """The stars of one facet stand in another one; further aside in none."""
+    folder = shutil.copytree(drawn, tmp_path / "night")
+    photo = cv2.imread(str(folder / "night_1.png"), cv2.IMREAD_UNCHANGED)
+    assert cv2.imwrite(str(folder / "night_1.png"), np.roll(photo, (-150, 300), (0, 1)))
+    assert "the camera or the mirror has turned" in " ".join(one.text for one in run(load_stars(folder)).doubts)
+    assert cv2.imwrite(str(folder / "night_1.png"), np.roll(photo, (500, 1000), (0, 1)))
+    with pytest.raises(EstimationError, match="camera looks where it did"):
+        run(load_stars(folder))
+
+
+@pytest.mark.slow
 def test_points_that_are_no_stars_are_refused_in_seconds(drawn: Path, tmp_path: Path) -> None:
     """Lights of a town, dew: 28 other hours are tried, on no more points than there are stars."""
     folder = shutil.copytree(drawn, tmp_path / "night")
