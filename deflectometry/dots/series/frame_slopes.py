@@ -13,7 +13,9 @@ from deflectometry.dots.mark_evidence import MarkEvidence
 from deflectometry.dots.origin import Sight, place_dots
 from deflectometry.dots.pipeline.measure import PlacedPhoto
 from deflectometry.dots.rim import BLURS
+from deflectometry.dots.series.turn_shares import turn_shares
 from deflectometry.pipeline.mean_normal import normal_angles_of
+from deflectometry.pipeline.result import Result
 from deflectometry.pipeline.source_slopes import (
     MirrorPixels,
     SolvedSource,
@@ -21,18 +23,19 @@ from deflectometry.pipeline.source_slopes import (
     slopes_of_facets,
     solve_source,
 )
+from deflectometry.pose.find_pose import LocatedMirror
 from deflectometry.pose.mirror_outline import outline_distance_px
 from deflectometry.pose.pose_observations import UncertainPose
+from deflectometry.setup.camera_and_screen import Setup
 from deflectometry.setup.dot_marks import DotMarks
 from deflectometry.shape.pixel_slopes import SlopeImage
-from deflectometry.shape.smooth_shape import tilt_of
 from heliogauge.errors import EstimationError
 from heliogauge.geometry.rigid import RigidTransform, rotation_between
 from heliogauge.geometry.surfaces import Facet
 from heliogauge.running.progress import SilentProgress
 from heliogauge.short_repr import ShortRepr
 from heliogauge.slopes.normal_angles import normal_angles
-from heliogauge.validate import BoolArray, FloatArray
+from heliogauge.validate import BoolArray, FloatArray, IntArray
 from photogrammetry.centers import REACH
 from photogrammetry.targets import Polarity
 
@@ -44,25 +47,38 @@ _AROUND_PX = 8
 class FacetMotion(ShortRepr):
     """How one facet stands in a frame.
 
-    normal (3,): Its mean normal in the camera's frame.
-    sigma_noise_rad (2,): Of the normal in x and y, by the noise of the dots [rad].
-    sigma_waves_rad (2,): Change of the normal when each dot shows the place of the next one, by waviness [rad].
-    edges_rad (2,): Changes of the normal without the outermost dots at one edge; root of the sum of their squares over
-        the four edges [rad].
+    facet: Itself.
+    cam_from_facet: Its pose, in the mirror's aligned pose.
+    tilt_rad (2,): Tilt of its mean normal against the design there [rad].
+    rows_columns (n, 2): Place of each dot in the lattice.
+    places_m (2, n): Where the facet shows each dot [m].
+    slopes (2, n): Slopes there minus the design's [rad].
+    dots_share: Variance of the mean normal, as a share of that of a slope at one dot.
     mean_squares_rad2 (2,): Means of the squares of the angles from the design [rad^2].
-    edges_rad2 (2,): The same of these means as of the normal [rad^2].
+    edges_rad2 (2,): Changes of these means without the outermost dots at one edge; root of the sum of their squares
+        over the four edges [rad^2].
     noise_rad (2,): Standard deviation of a slope by the noise of the dots, RMS [rad].
-    count: Dots.
     """
 
-    normal: FloatArray
-    sigma_noise_rad: FloatArray
-    sigma_waves_rad: FloatArray
-    edges_rad: FloatArray
+    facet: Facet
+    cam_from_facet: RigidTransform
+    tilt_rad: FloatArray
+    rows_columns: IntArray
+    places_m: FloatArray
+    slopes: FloatArray
+    dots_share: float
     mean_squares_rad2: FloatArray
     edges_rad2: FloatArray
     noise_rad: FloatArray
-    count: int
+
+    @property
+    def count(self) -> int:
+        """Dots."""
+        return len(self.rows_columns)
+
+    def normal(self, tilt_rad: FloatArray) -> FloatArray:
+        """Return the mean normal in the camera's frame when the facet's tilt against the design is this one, (3,)."""
+        return np.asarray(self.cam_from_facet.rotate(_normal(self.facet, tilt_rad)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -71,6 +87,7 @@ class FrameSlopes(ShortRepr):
 
     pose: The aligned pose, cam_from_mirror.
     step_rad: Turn that moves the pattern by one dot [rad].
+    turn_shares (n, 2, 2): What one sigma of each input adds to a turn, as a multiple of it.
     normal_rad (2,): Angles of the mean normal in the screen's frame [rad].
     facets: The facets that were measured, by name.
     probability: Of the place in the pattern, that of the least sure lattice.
@@ -81,6 +98,7 @@ class FrameSlopes(ShortRepr):
     facets: Mapping[str, FacetMotion]
     probability: float
     step_rad: float
+    turn_shares: FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -88,36 +106,42 @@ class KnownMirror(ShortRepr):
     """What the first frame has told.
 
     photo: Its photo with the places of its dots.
+    setup, located: Camera, field and pose as they were measured by it.
     pixels: Which facet each pixel sees.
     inside_px (h, w): How far each pixel is within the outline of its facet [px].
     slopes: Its smooth shape.
     polarity, marks: Of the pattern.
     step_rad: Turn of the mirror that moves the pattern by one dot [rad].
+    turn_shares (n, 2, 2): What one sigma of each input adds to a turn, as a multiple of it.
     """
 
     photo: PlacedPhoto
+    setup: Setup
+    located: LocatedMirror
     pixels: MirrorPixels
     inside_px: FloatArray
     slopes: SolvedSource
     polarity: Polarity
     marks: DotMarks | None
     step_rad: float
+    turn_shares: FloatArray
 
     @classmethod
-    def of(cls, photo: PlacedPhoto, polarity: Polarity, marks: DotMarks | None) -> "KnownMirror":
-        """Measure the first frame.
+    def of(cls, photo: PlacedPhoto, result: Result, polarity: Polarity, marks: DotMarks | None) -> "KnownMirror":
+        """Measure the first frame as the others will be.
 
+        result: Of the first frame by itself: the outline is found best where its dots are known.
         EstimationError: No facet shows the pattern.
         """
-        ready, located = photo.ready, photo.located
-        setup, source = ready.setup, photo.source
+        setup, located, source = result.setup, result.evaluation.located, photo.source
         pixels = MirrorPixels.of(source, setup, located)
         slopes = solve_source(source, setup, located, pixels, SilentProgress(), align=True)
         reach_px = 4.0 * max(one.dots.spacing_px for one in photo.lattices)
         inside = outline_distance_px(setup.camera, located.outline_pose, located.facets, reach_px)
         apart_m = np.linalg.norm((setup.cam_from_screen.inverse() @ slopes.solution.cam_from_mirror).translation_m)
         step_rad = 0.5 * float(source.screen.spacing_m.min() / apart_m)
-        return cls(photo, pixels, inside, slopes, polarity, marks, step_rad)
+        shares = turn_shares(setup, located.pose, slopes)
+        return cls(photo, setup, located, pixels, inside, slopes, polarity, marks, step_rad, shares)
 
     def measure(self, image_dn: npt.NDArray[Any], expected: RigidTransform, sigma_rad: float) -> FrameSlopes:
         """Measure a frame.
@@ -127,7 +151,7 @@ class KnownMirror(ShortRepr):
         sigma_rad: How far its normal may be off in each direction [rad].
         EstimationError: Too few dots, no lattice, or no facet that shows the pattern.
         """
-        ready, located, several = self.photo.ready, self.photo.located, len(self.photo.located.facets) > 1
+        setup, located, several = self.setup, self.located, len(self.located.facets) > 1
         found = self._find(image_dn, several=several)
         if several:
             lattices = lattices_of_facets(found, self.pixels.facet_index, located.margin_px)
@@ -141,7 +165,7 @@ class KnownMirror(ShortRepr):
             sights.append(
                 Sight(
                     one.dots,
-                    ready.setup,
+                    setup,
                     self.photo.source.screen,
                     pose,
                     facet,
@@ -153,7 +177,7 @@ class KnownMirror(ShortRepr):
             )
         placed = place_dots(sights, (self.photo.placed[0].turn,))
         source = replace(self.photo.source, dots=tuple(one.dots for one in placed), near_dots=None)
-        slopes = solve_source(source, ready.setup, located, self.pixels, SilentProgress(), align=True)
+        slopes = solve_source(source, setup, located, self.pixels, SilentProgress(), align=True)
         return frame_slopes(self, slopes, min(one.probability for one in placed))
 
     def _find(self, image_dn: npt.NDArray[Any], *, several: bool) -> tuple[FoundDots, ...]:
@@ -198,55 +222,49 @@ def _normal(facet: Facet, tilt_rad: FloatArray) -> FloatArray:
 
 def frame_slopes(known: KnownMirror, slopes: SolvedSource, probability: float) -> FrameSlopes:
     """Return what slopes say of mirror and facets."""
-    facets = {one.name: one for one in known.photo.located.facets}
-    found = {}
-    setup, usable, solution = known.photo.ready.setup, slopes.usable, slopes.solution
+    facets = {one.name: one for one in known.located.facets}
+    setup, usable, solution = known.setup, slopes.usable, slopes.solution
     poses = poses_of_facets(usable, solution)
     images = slopes_of_facets(setup, slopes.screen_map, slopes.facet_index, usable, solution)
-    for number, (name, image) in enumerate(images.items()):
-        normal = poses[name].rotate(_normal(facets[name], solution.tilt_rad[number]))
-        found[name] = facet_motion(facets[name], image, np.asarray(normal))
+    found = {
+        name: facet_motion(facets[name], poses[name], image, solution.tilt_rad[number])
+        for number, (name, image) in enumerate(images.items())
+    }
     pose = solution.cam_from_mirror
     screen_from_mirror = setup.cam_from_screen.inverse() @ pose
-    return FrameSlopes(pose, normal_angles_of(screen_from_mirror), found, probability, known.step_rad)
+    return FrameSlopes(
+        pose, normal_angles_of(screen_from_mirror), found, probability, known.step_rad, known.turn_shares
+    )
 
 
-def facet_motion(facet: Facet, image: SlopeImage, normal: FloatArray) -> FacetMotion:
-    """Return how a facet stands, and what moves that when the pattern moves over it.
+def facet_motion(facet: Facet, cam_from_facet: RigidTransform, image: SlopeImage, tilt_rad: FloatArray) -> FacetMotion:
+    """Return how a facet stands, and what moves its RMS when the pattern moves over it.
 
     image: Its slopes at the dots, in the rows and columns of their lattice.
-    normal (3,): Its mean normal in the camera's frame.
+    tilt_rad (2,): Tilt of its mean normal against the design [rad].
     """
     seen = np.isfinite(image.slope_x) & np.isfinite(image.slope_y)
-    x, y = image.x_m[seen], image.y_m[seen]
-    slopes, design = np.stack([image.slope_x[seen], image.slope_y[seen]]), np.stack(facet.design.gradient(x, y))
-    angles = normal_angles(*slopes, *design)
-    place = np.stack([x, y], axis=1) - facet.reference_point_m
-    u, v = place.T / np.abs(place).max()
-    terms = np.column_stack([np.ones_like(u), u, v, u * u, u * v, v * v])
-    rest = np.full((2, *seen.shape), np.nan)
-    rest[:, seen] = angles - (terms @ np.linalg.lstsq(terms, angles.T, rcond=None)[0]).T
+    places = np.stack([image.x_m[seen], image.y_m[seen]])
+    slopes, design = np.stack([image.slope_x[seen], image.slope_y[seen]]), np.stack(facet.design.gradient(*places))
+    squares = normal_angles(*slopes, *design) ** 2
+    from_middle = places.T - facet.reference_point_m
+    linear = np.column_stack([np.ones(len(from_middle)), from_middle / np.abs(from_middle).max()])
     noise = np.array([float(np.sqrt(np.mean(one[seen] ** 2))) for one in (image.sigma_x, image.sigma_y)])
-    steps = np.concatenate([np.diff(rest, axis=axis).reshape(2, -1) for axis in (1, 2)], axis=1)
-    # Of a dot and the next one, without their noise.
-    waves = np.maximum(np.nanmean(steps**2, axis=1) - 2.0 * noise**2, 0.0)
     # The normal is the constant term of slopes that are linear in both places.
-    weight = np.linalg.inv(terms[:, :3].T @ terms[:, :3])[0, 0]
-    squares = angles**2
-    tilts, means = [], []
-    for kept in (np.ones(len(x), dtype=np.bool_), *(~one[seen] for one in _outermost(seen))):
-        tilts.append(tilt_of(facet, np.stack([x, y])[:, kept], (slopes - design)[:, kept]))
-        means.append(squares[:, kept].mean(axis=1))
-    without, without_squares = np.array(tilts[1:]) - tilts[0], np.array(means[1:]) - means[0]
+    share = float(np.linalg.inv(linear.T @ linear)[0, 0])
+    means = [squares.mean(axis=1), *(squares[:, ~one[seen]].mean(axis=1) for one in _outermost(seen))]
+    without = np.array(means[1:]) - means[0]
     return FacetMotion(
-        normal,
-        np.sqrt(weight) * noise,
-        np.sqrt(weight * waves),
-        np.sqrt(np.sum(without**2, axis=0)),
+        facet,
+        cam_from_facet,
+        tilt_rad,
+        np.argwhere(seen),
+        places,
+        slopes - design,
+        share,
         means[0],
-        np.sqrt(np.sum(without_squares**2, axis=0)),
+        np.sqrt(np.sum(without**2, axis=0)),
         noise,
-        len(x),
     )
 
 

@@ -2,6 +2,8 @@
 
 import csv
 from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
 
 import cv2
 import numpy as np
@@ -11,13 +13,18 @@ from data_synth.dots import DotScene, write_dot_series
 from data_synth.fringes.presets import FULL_CAMERA, facet_scene, rectangle, standard_errors
 from data_synth.optics.mirror import Design, SyntheticFacet
 from data_synth.optics.surface_errors import Dimple, EdgeTurnDown, Polynomial, Ripple, SurfaceErrors, Zernike
+from deflectometry.dots.series.first_shape import FirstShape
 from deflectometry.dots.series.frame_slopes import FacetMotion, facet_motion
 from deflectometry.dots.series.keys import load_series
 from deflectometry.dots.series.motion import Motion
 from deflectometry.dots.series.pipeline.measure import run
-from deflectometry.dots.series.pipeline.result import sigma_of_rms, sigma_of_turn
+from deflectometry.dots.series.pipeline.result import sigma_of_rms
+from deflectometry.dots.series.turn_shares import turn_shares
+from deflectometry.pipeline.source_slopes import SolvedSource
+from deflectometry.pose.pose_observations import UncertainPose
+from deflectometry.setup.camera_and_screen import RectangularScreen, Setup
 from deflectometry.shape.pixel_slopes import SlopeImage
-from deflectometry.shape.smooth_shape import tilt_of
+from heliogauge.camera.model import Camera
 from heliogauge.errors import InputError
 from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.geometry.surfaces import Facet, plane
@@ -60,7 +67,8 @@ def drawn_mirror(rng: np.random.Generator, side_m: float) -> SurfaceErrors:
 def test_turns_and_rms_scatter_as_their_sigmas_say_when_dots_cross_the_edges(oblique_rad: float) -> None:
     """Dots on 80 mirrors before a pattern that moves by 0.1 to 3 of its spacing.
 
-    How far an edge is from its next line is not known, nor in which of the frames one is: sigmas are upper bounds.
+    How far an edge is from its next line is not known, nor in which of the frames one is: sigmas of the RMS are upper
+    bounds.
     """
     rng, side_m, noise = np.random.default_rng(4), 1.2, 1.5e-6
     facet = Facet("f", rectangle(side_m, side_m), plane())
@@ -70,7 +78,7 @@ def test_turns_and_rms_scatter_as_their_sigmas_say_when_dots_cross_the_edges(obl
         number = np.arange(-int(side_m / spacing_m) - 3, int(side_m / spacing_m) + 4)
         phase, reach_m = rng.uniform(0, 1, 2), 0.5 * side_m - 0.3 * spacing_m
         moved, angle = rng.choice([0.1, 0.3, 0.6, 1.5, 3.3]), rng.uniform(0, 2 * np.pi)
-        found: list[tuple[FacetMotion, FloatArray]] = []
+        found: list[FacetMotion] = []
         for by in (0.0, moved):
             across, down = np.meshgrid(*(number + phase[:, None] + by * np.array([[np.cos(angle)], [np.sin(angle)]])))
             turned = spacing_m * np.exp(1j * oblique_rad) * (across + 1j * down)
@@ -80,13 +88,12 @@ def test_turns_and_rms_scatter_as_their_sigmas_say_when_dots_cross_the_edges(obl
             slopes = np.where(seen, np.stack(true) + noise * rng.normal(size=(2, *x.shape)), np.nan)
             sigma = np.full(x.shape, noise, dtype=np.float32)
             image = SlopeImage(0, 0, x, y, *slopes, sigma, sigma, np.zeros(x.shape, dtype=np.uint32))
-            tilt = tilt_of(facet, np.stack([x[seen], y[seen]]), slopes[:, seen])
-            found.append((facet_motion(facet, image, np.array([0.0, 0.0, 1.0])), tilt))
-        (before, start), (after, end) = found
-        share = min(float(moved), 1.0)
-        turns.append((end - start) / sigma_of_turn(after, before, share))
+            found.append(facet_motion(facet, RigidTransform.identity(), image, np.zeros(2)))
+        before, after = found
+        turn, sigma = FirstShape.of(before).turn_to(after)
+        turns.append(turn / sigma)
         change = np.sqrt(after.mean_squares_rad2) - np.sqrt(before.mean_squares_rad2)
-        squares.append(change / sigma_of_rms(after, before, share))
+        squares.append(change / sigma_of_rms(after, before, float(moved)))
     assert 0.5 < np.sqrt(np.mean(np.square(turns))) < 1.25
     assert 0.5 < np.sqrt(np.mean(np.square(squares))) < 1.25
 
@@ -94,17 +101,43 @@ def test_turns_and_rms_scatter_as_their_sigmas_say_when_dots_cross_the_edges(obl
 def test_changes_of_the_rms_scatter_by_the_noise_of_both_frames() -> None:
     """A pattern that stays: 800 changes, the RMS over their sigmas is 1 +- 0.025; with one noise alone it were 1.41."""
     rng, count, noise = np.random.default_rng(5), 64, 1e-4
-    true, none = 1e-3 * rng.normal(size=(2, count)), np.zeros(2)
+    true, none, facet = 1e-3 * rng.normal(size=(2, count)), np.zeros(2), Facet("f", rectangle(1.0, 1.0), plane())
+    dots = np.zeros((count, 2), dtype=np.intp)
 
     def seen() -> FacetMotion:
-        squares = np.mean((true + noise * rng.normal(size=true.shape)) ** 2, axis=1)
-        return FacetMotion(np.array([0.0, 0.0, 1.0]), none, none, none, squares, none, np.full(2, noise), count)
+        slopes = true + noise * rng.normal(size=true.shape)
+        squares = np.mean(slopes**2, axis=1)
+        pose = RigidTransform.identity()
+        return FacetMotion(facet, pose, none, dots, slopes, slopes, 1.0 / count, squares, none, np.full(2, noise))
 
     ratios = []
     for before, after in ((seen(), seen()) for _ in range(400)):
         change = np.sqrt(after.mean_squares_rad2) - np.sqrt(before.mean_squares_rad2)
         ratios.append(change / sigma_of_rms(after, before, 0.0))
     assert 0.9 < np.sqrt(np.mean(np.square(ratios))) < 1.1
+
+
+@pytest.mark.parametrize(
+    ("sigma", "share"),
+    [
+        # Further away by 1 %, what is seen moves 1 % more for the same turn; a roll turns its direction.
+        ([0.0, 0.0, 0.0, 0.0, 0.0, 0.05], [[-0.01, 0.0], [0.0, -0.01]]),
+        ([0.0, 0.0, 1e-3, 0.0, 0.0, 0.0], [[0.0, -1e-3], [1e-3, 0.0]]),
+        # The mirror is turned to where it is seen to look: its outline's tilt has no part.
+        ([0.0, 0.01, 0.0, 0.0, 0.0, 0.0], [[0.0, 0.0], [0.0, 0.0]]),
+    ],
+)
+def test_an_error_of_the_set_up_scales_and_rotates_a_turn(sigma: list[float], share: list[list[float]]) -> None:
+    camera = Camera(100, 80, 100.0, 100.0, 50.0, 40.0)
+    setup = Setup(camera, RectangularScreen(2.0, 2.0), RigidTransform.identity())
+    pose = RigidTransform.from_rotation_vector([np.pi, 0.0, 0.0], [0.0, 0.0, 5.0])
+    usable = SimpleNamespace(samples=[SimpleNamespace(facet=Facet("f", rectangle(1.0, 1.0), plane()))])
+    seen, solution = SimpleNamespace(u=np.array([0.5]), v=np.array([0.5])), SimpleNamespace(cam_from_mirror=pose)
+    slopes = cast(SolvedSource, SimpleNamespace(usable=usable, screen_map=seen, solution=solution))
+    found = turn_shares(setup, UncertainPose(pose, np.diag(np.square(sigma))), slopes)
+    (largest,) = (one for one in found if np.abs(one).max() == np.abs(found).max())
+    sign = 1.0 if share[1][0] * largest[1, 0] >= 0.0 else -1.0
+    assert sign * largest == pytest.approx(np.array(share), abs=2e-4)
 
 
 @pytest.fixture(scope="module")

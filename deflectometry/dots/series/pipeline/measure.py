@@ -1,13 +1,16 @@
 """A series of photos of dots to one result for each frame; the stages follow each other in `run`."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
+from deflectometry.dots.found_dots import FEWEST_DOTS
 from deflectometry.dots.ground import POLARITIES
 from deflectometry.dots.pipeline.measure import build_marks, place_photo
-from deflectometry.dots.series.frame_slopes import FrameSlopes, KnownMirror, frame_slopes
+from deflectometry.dots.series.first_shape import FirstShape
+from deflectometry.dots.series.frame_slopes import KnownMirror
 from deflectometry.dots.series.keys import DotSeriesMeasurement
 from deflectometry.dots.series.motion import Motion
 from deflectometry.dots.series.pipeline.result import FrameRow, SeriesResult
@@ -70,38 +73,42 @@ def run(
     photo = place_photo(first, options, progress)
     result = measure_source(photo.ready, progress)
     polarity, marks = POLARITIES[measurement.model.pattern.dots], build_marks(first)
-    known = KnownMirror.of(photo, polarity, marks)
+    known = KnownMirror.of(photo, result, polarity, marks)
     motion = Motion(known.step_rad)
-    start = frame_slopes(known, known.slopes, min(one.probability for one in photo.placed))
-    found: list[FrameSlopes | None] = []
-    flags: list[str] = []
+    start, shapes = None, dict[str, FirstShape]()
+    rows: list[FrameRow] = []
+    names = [facet.name for facet in photo.located.facets]
     with progress.stage("frames", len(files)) as stage:
         for file, time_s in zip(files, times_s.tolist(), strict=True):
-            expected = motion.predicted(time_s) if found else start.pose
-            sigma = motion.sigma_rad if found else known.step_rad
+            expected = known.slopes.solution.cam_from_mirror if start is None else motion.predicted(time_s)
+            sigma = known.step_rad if start is None else motion.sigma_rad
             try:
                 image = read_image(file)
                 check_size(image.shape[::-1], photo.ready.setup.camera, file.name)
-                one = known.measure(image, expected, sigma)
+                frame = known.measure(image, expected, sigma)
+                miss = motion.add(time_s, frame.pose)
+                if start is None:
+                    enough = {name: one for name, one in frame.facets.items() if one.count >= FEWEST_DOTS}
+                    shapes = {name: FirstShape.of(one) for name, one in enough.items()}
+                    start = frame
+                row = FrameRow.missing(file.name, time_s, "", names).measured(frame, start, shapes)
             except (EstimationError, InputError) as error:
                 motion.lose()
-                found.append(None)
-                flags.append(f"not measured: {error}")
+                rows.append(FrameRow.missing(file.name, time_s, f"not measured: {error}", names))
             else:
-                miss = motion.add(time_s, one.pose)
-                is_open = one.probability < _SURE or (marks is None and miss > _OPEN_SHARE * known.step_rad)
-                found.append(one)
-                flags.append("place open" if is_open else "")
+                is_open = frame.probability < _SURE or (marks is None and miss > _OPEN_SHARE * known.step_rad)
+                rows.append(replace(row, flag="place open") if is_open else row)
             stage.advance()
-    rows = _rows(files, times_s, found, flags, known)
+    if not any(row.count for row in rows):
+        raise EstimationError(f"no frame could be measured as a part of the series; the first is {rows[0].flag}")
     doubts = gather_doubts(of_video, result.doubts, _doubts_of_rows(rows, known, is_marked=marks is not None))
     with progress.stage("farthest frame by itself"):
-        doubts = gather_doubts(doubts, _checked(measurement, options, files, rows, found, result))
+        doubts = gather_doubts(doubts, _checked(measurement, options, files, rows, result))
     with progress.stage("hash inputs"):
         hashes = hash_files(measurement.input_files, measurement.folder)
     return SeriesResult(
         first=result,
-        rows=rows,
+        rows=tuple(rows),
         name=measurement.model.name,
         doubts=doubts,
         durations_s=dict(progress.durations_s),
@@ -139,29 +146,6 @@ def _frames(measurement: DotSeriesMeasurement) -> tuple[tuple[Path, ...], FloatA
     if not (np.diff(found) > 0).all():
         raise InputError(f"{table}: time_s must ascend in the order of the photos")
     return files, found, doubts
-
-
-def _rows(
-    files: Sequence[Path],
-    times_s: FloatArray,
-    found: Sequence[FrameSlopes | None],
-    flags: Sequence[str],
-    known: KnownMirror,
-) -> tuple[FrameRow, ...]:
-    """Return the rows of the series; turns are those since the first frame that was measured.
-
-    EstimationError: None was.
-    """
-    measured = [one for one in found if one is not None]
-    if not measured:
-        raise EstimationError(f"no frame could be measured as a part of the series; the first: {flags[0]}")
-    start = measured[0]
-    mirror_from_cam = start.pose.inverse()
-    rows = []
-    for file, time_s, one, flag in zip(files, times_s.tolist(), found, flags, strict=True):
-        row = FrameRow.missing(file.name, time_s, flag, [facet.name for facet in known.photo.located.facets])
-        rows.append(row if one is None else row.measured(one, start, mirror_from_cam))
-    return tuple(rows)
 
 
 def _doubts_of_rows(rows: Sequence[FrameRow], known: KnownMirror, *, is_marked: bool) -> tuple[Doubt, ...]:
@@ -202,12 +186,11 @@ def _checked(
     options: Options,
     files: Sequence[Path],
     rows: Sequence[FrameRow],
-    found: Sequence[FrameSlopes | None],
     first: Result,
 ) -> Doubt | None:
     """Measure the frame that is turned farthest by itself, outline and all, and compare."""
-    measured = [(row, file, one) for row, file, one in zip(rows, files, found, strict=True) if one is not None]
-    _, file, tracked = max(measured, key=lambda each: float(np.linalg.norm(each[0].turn_rad)))
+    measured = [(row, file) for row, file in zip(rows, files, strict=True) if row.count]
+    tracked, file = max(measured, key=lambda each: float(np.linalg.norm(each[0].turn_rad)))
     try:
         alone = measure_source(
             place_photo(measurement.of_frame(file), options, SilentProgress()).ready, SilentProgress()

@@ -7,8 +7,10 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from deflectometry.dots.series.first_shape import FirstShape
 from deflectometry.dots.series.frame_slopes import FacetMotion, FrameSlopes
 from deflectometry.pipeline.result import Result
+from heliogauge.errors import EstimationError
 from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.results.folder import Summary, write_table_csv
 from heliogauge.results.frame import InstrumentResult
@@ -48,8 +50,8 @@ class FrameRow(ShortRepr):
     frame: Its name.
     time_s: When it was taken [s].
     normal_rad (2,): Angles of the mirror's mean normal in the screen's frame, as mean_normal of the first frame [rad].
-    turn_rad, sigma_turn_rad (2,): Slope of the mean normal against the first frame, in the mirror's frame there; the
-        sigma is that of dots and surface, errors of the set-up are the same in both [rad].
+    turn_rad, sigma_turn_rad (2,): Slope of the mean normal against the first frame, in the mirror's frame there, mean
+        of all facets by their dots [rad].
     rms_rad, sigma_rms_rad (2,): RMS of the angles from the design in x and y; the sigma is that of its change against
         the first frame [rad].
     count: Dots.
@@ -77,52 +79,44 @@ class FrameRow(ShortRepr):
         rows = dict.fromkeys(facets, FacetRow.missing())
         return cls(frame, time_s, nothing, nothing, nothing, nothing, nothing, 0, float("nan"), flag, rows)
 
-    def measured(self, one: FrameSlopes, start: FrameSlopes, mirror_from_cam: RigidTransform) -> "FrameRow":
+    def measured(self, one: FrameSlopes, start: FrameSlopes, shapes: Mapping[str, FirstShape]) -> "FrameRow":
         """Return the row with what was measured.
 
         start: The first frame.
-        mirror_from_cam: The mirror's frame there.
+        shapes: Its facets.
+        EstimationError: None of them is seen, or too little of one.
         """
-        facets = dict(self.facets)
-        for name, motion in one.facets.items():
-            if name in start.facets:
-                facets[name] = _facet_row(motion, start.facets[name], mirror_from_cam, one.step_rad)
-        weight = np.array([motion.count for motion in one.facets.values()], dtype=np.float64)
-        share = weight / weight.sum()
-        squares = share @ np.array([motion.mean_squares_rad2 for motion in one.facets.values()])
-        slope = _slope(mirror_from_cam.rotate(one.pose.rotation[:, 2]))
-        moved = _moved(slope, one.step_rad)
-        sigmas = np.array([sigma_of_turn(one.facets[name], start.facets.get(name), moved) for name in one.facets])
-        sigma = np.linalg.norm(share[:, None] * sigmas, axis=0)
-        of_rms = np.array([sigma_of_rms(motion, start.facets.get(name), moved) for name, motion in one.facets.items()])
+        mirror_from_cam = start.pose.inverse()
+        facets = {
+            name: _facet_row(motion, shapes[name], mirror_from_cam, one)
+            for name, motion in one.facets.items()
+            if name in shapes
+        }
+        if not facets:
+            raise EstimationError("no facet of the first frame shows the pattern")
+        seen = facets.values()
+        share = np.array([row.count for row in seen], dtype=np.float64)
+        share /= share.sum()
+        turn = share @ np.array([row.tilt_rad for row in seen])
+        sigma = np.linalg.norm(share[:, None] * [row.sigma_tilt_rad for row in seen], axis=0)
+        squares = share @ np.array([row.rms_rad**2 for row in seen])
         return replace(
             self,
             normal_rad=one.normal_rad,
-            turn_rad=slope,
-            sigma_turn_rad=sigma,
+            turn_rad=turn,
+            sigma_turn_rad=np.hypot(sigma, _by_set_up(turn, one)),
             rms_rad=np.sqrt(squares),
-            sigma_rms_rad=np.linalg.norm(share[:, None] * of_rms, axis=0),
-            count=int(weight.sum()),
+            sigma_rms_rad=np.linalg.norm(share[:, None] * [row.sigma_rms_rad for row in seen], axis=0),
+            count=sum(row.count for row in seen),
             probability=one.probability,
-            facets=facets,
+            facets={
+                **self.facets,
+                **{
+                    name: replace(row, sigma_tilt_rad=np.hypot(row.sigma_tilt_rad, _by_set_up(row.tilt_rad, one)))
+                    for name, row in facets.items()
+                },
+            },
         )
-
-
-def _moved(slope: FloatArray, step_rad: float) -> float:
-    """Return by how many dots the pattern has moved on the mirror, 1 at most: beyond, dots show other places anyhow."""
-    return min(float(np.linalg.norm(slope)) / step_rad, 1.0)
-
-
-def sigma_of_turn(motion: FacetMotion, start: FacetMotion | None, moved: float) -> FloatArray:
-    """Return the standard deviation of a turn against the first frame, (2,) [rad].
-
-    moved: By how many dots the pattern has moved.
-    """
-    before = motion if start is None else start
-    noise = motion.sigma_noise_rad**2 + before.sigma_noise_rad**2
-    # A line of dots is at the edge in one of both frames.
-    edges = 0.5 * _exchanged(moved) * (motion.edges_rad**2 + before.edges_rad**2)
-    return np.asarray(np.sqrt(noise + (moved * motion.sigma_waves_rad) ** 2 + edges))
 
 
 def _exchanged(moved: float) -> float:
@@ -136,11 +130,13 @@ def _exchanged(moved: float) -> float:
     return share * (1.0 - share)
 
 
-def sigma_of_rms(motion: FacetMotion, start: FacetMotion | None, moved: float) -> FloatArray:
-    """Return the standard deviation of a change of the RMS against the first frame, (2,) [rad]; as `sigma_of_turn`."""
-    before = motion if start is None else start
+def sigma_of_rms(motion: FacetMotion, before: FacetMotion, moved: float) -> FloatArray:
+    """Return the standard deviation of a change of the RMS against the first frame, (2,) [rad].
+
+    moved: By how many dots the pattern has moved.
+    """
     noise = motion.noise_rad**2 / motion.count + before.noise_rad**2 / before.count
-    # A mean of squares changes by twice the RMS times its own change.
+    # A line of dots is at the edge in one of both frames; a mean of squares changes by twice the RMS times its change.
     edges = 0.5 * _exchanged(moved) * (motion.edges_rad2**2 + before.edges_rad2**2) / (4.0 * motion.mean_squares_rad2)
     return np.asarray(np.sqrt(noise + edges))
 
@@ -149,11 +145,20 @@ def _slope(normal: FloatArray) -> FloatArray:
     return np.asarray(-normal[:2] / normal[2])
 
 
-def _facet_row(motion: FacetMotion, start: FacetMotion, mirror_from_cam: RigidTransform, step_rad: float) -> FacetRow:
-    tilt = _slope(mirror_from_cam.rotate(motion.normal)) - _slope(mirror_from_cam.rotate(start.normal))
-    moved = _moved(tilt, step_rad)
+def _by_set_up(turn_rad: FloatArray, one: FrameSlopes) -> FloatArray:
+    """Return what errors of the set-up make of a turn, (2,) [rad]."""
+    return np.asarray(np.linalg.norm(one.turn_shares @ turn_rad, axis=0))
+
+
+def _facet_row(motion: FacetMotion, first: FirstShape, mirror_from_cam: RigidTransform, one: FrameSlopes) -> FacetRow:
+    """Return the row of a facet; its sigma is that of dots and surface."""
+    turn, sigma = first.turn_to(motion)
+    before = first.motion.tilt_rad
+    tilt = _slope(mirror_from_cam.rotate(motion.normal(before + turn)))
+    tilt = tilt - _slope(mirror_from_cam.rotate(first.motion.normal(before)))
     rms = np.sqrt(motion.mean_squares_rad2)
-    return FacetRow(tilt, sigma_of_turn(motion, start, moved), rms, sigma_of_rms(motion, start, moved), motion.count)
+    of_rms = sigma_of_rms(motion, first.motion, float(np.linalg.norm(tilt)) / one.step_rad)
+    return FacetRow(tilt, sigma, rms, of_rms, motion.count)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -202,9 +207,9 @@ class SeriesResult(InstrumentResult):
             }
         start = self.first.summarise()
         texts = dict(start.texts) | {
-            "series": "turns are slopes of the mean normal against the first frame; their sigmas, and those of changes "
-            "of SDx and SDy against the first frame, are those of dots and surface; errors of the set-up are shared by "
-            "all frames and stand in the first frame's numbers"
+            "series": "turns are slopes of the mean normal against the first frame, at the same places of the mirror; "
+            "their sigmas are those of dots, surface and set-up, which scales and rotates all turns alike; those of "
+            "changes of SDx and SDy are of dots and surface: errors of the set-up stand in the first frame's numbers"
         }
         return self._summary(dict(start.numbers) | numbers, texts, start.not_determined, start.facets, start.geometry_m)
 
