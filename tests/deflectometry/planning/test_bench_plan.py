@@ -2,7 +2,7 @@
 
 import re
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -12,11 +12,11 @@ from data_synth.fringes.presets import ensemble_scene, preset_scene
 from deflectometry.dots.planning.plan import PlannedDots, load_dots_plan
 from deflectometry.dots.planning.predicted_dots import DotPlaces, measured_sample, places_of_dots
 from deflectometry.fringes.planning.plan import PlannedFringes, load_fringes_plan
-from deflectometry.planning.pipeline.alternatives import ALTERNATIVES_FILE
+from deflectometry.planning.pipeline.alternatives import ALTERNATIVES_FILE, words_of_best
 from deflectometry.planning.pipeline.bench import changed
 from deflectometry.planning.pipeline.plan import LIMITS_FILE, MAP_FILE
 from deflectometry.planning.predicted_sight import facet_sight, trace_pixels
-from deflectometry.planning.prospect import Prospect
+from deflectometry.planning.prospect import LIMITED, Alternative, Change, PlannedSource, Prospect
 from deflectometry.setup.dot_screen import DotScreen
 from heliogauge.doubts import Severity
 from heliogauge.errors import EstimationError
@@ -135,8 +135,20 @@ def test_stating_a_sigma_that_nobody_has_stated_is_an_alternative(tmp_path: Path
         plan = PlannedFringes(load_fringes_plan(planned(tmp_path / "p", camera=camera)))
         tried = {one.key: one for one in plan.changes() if one.is_worth_a_look({"slope_x": {"unstated setup": 0.9}})}
         assert ("camera.sigma_focal_px, camera.sigma_center_px" in tried) is is_tried
+        assert any(one.states_sigma for one in tried.values()) is is_tried
     (known,) = [one for one in plan.changes() if one.key == "screen.sigma_rotation_mrad"]
     assert known.after == "0.15, 0.15, 0.15"
+
+
+@pytest.mark.parametrize(
+    ("states_sigma", "words"), [(True, "2.00 times larger, as is"), (False, "2.00 times worse")]
+)
+def test_a_sigma_that_grows_because_it_is_stated_is_not_worse(*, states_sigma: bool, words: str) -> None:
+    change = Change("stated", "key", "", "1", cast(PlannedSource, None), states_sigma=states_sigma)
+    found = Alternative(change, {}, {"slope_x": 1.5, "mean_normal": 0.5}, {})
+    said = words_of_best([found], LIMITED, lambda _: ())
+    assert "slopes in x 1.50 times better" in said
+    assert words in said
 
 
 def test_dots_of_too_few_pixels_are_refused_with_what_to_do(tmp_path: Path) -> None:
