@@ -140,9 +140,7 @@ def test_stating_a_sigma_that_nobody_has_stated_is_an_alternative(tmp_path: Path
     assert known.after == "0.15, 0.15, 0.15"
 
 
-@pytest.mark.parametrize(
-    ("states_sigma", "words"), [(True, "2.00 times larger, as is"), (False, "2.00 times worse")]
-)
+@pytest.mark.parametrize(("states_sigma", "words"), [(True, "2.00 times larger, as is"), (False, "2.00 times worse")])
 def test_a_sigma_that_grows_because_it_is_stated_is_not_worse(*, states_sigma: bool, words: str) -> None:
     change = Change("stated", "key", "", "1", cast(PlannedSource, None), states_sigma=states_sigma)
     found = Alternative(change, {}, {"slope_x": 1.5, "mean_normal": 0.5}, {})
