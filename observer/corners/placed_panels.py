@@ -12,6 +12,7 @@ its slopes say, and by what each edge is off besides. How much that is in height
 """
 
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -163,7 +164,7 @@ class _Steady(NamedTuple):
     """What stays the same whatever shape the panels have.
 
     sights: With sigmas as they scatter.
-    rank (m,): Number of the photo of each row among those that show any.
+    rank (m,): Number of the photo of each row among those that show any, ascending.
     used (m,): Rows that agree with the others.
     steps (6 k,): Which steps of poses move the rows.
     root (6 k, 6 k): Lower root of their covariance.
@@ -202,17 +203,20 @@ class _Steady(NamedTuple):
         shape_m (e,): How much higher the ends are by the shape of the panels [m].
         """
         sights, m, count = self.sights, np.flatnonzero(self.used), len(shape_m)
-        weight = 1 / sights.sigma_px[m]
-        own = np.asarray(6 * self.rank[m, None] + np.arange(6), dtype=np.intp)
-        by_step, by_end = np.zeros((m.size, len(self.root))), np.zeros((m.size, 2 * count))
-        np.put_along_axis(by_step, own, weight[:, None] * sights.by_pose[m], axis=1)
-        by_step = by_step @ self.root
-        np.put_along_axis(
-            by_end, sights.end[m, None] + np.array([0, count]), weight[:, None] * sights.by_place[m], axis=1
-        )
+        weight, rank, size = 1 / sights.sigma_px[m], self.rank[m], len(self.root)
+        by_pose, by_place = weight[:, None] * sights.by_pose[m], weight[:, None] * sights.by_place[m]
         offset = weight * (sights.offset_px - sights.by_place[:, 1] * shape_m[sights.end])[m]
-        alone = np.linalg.inv(by_step.T @ by_step + np.eye(len(self.root)))
-        both, of_steps = by_step.T @ by_end, by_step.T @ offset
+        by_end = np.zeros((m.size, 2 * count))
+        np.put_along_axis(by_end, sights.end[m, None] + np.array([0, count]), by_place, axis=1)
+        # A photo's rows move with its own six steps alone: sums over them come before the root that ties all.
+        blocks, both, of_steps = np.zeros((size // 6, 6, 6)), np.zeros((size // 6, 6, 2 * count)), np.zeros(size)
+        for k, (first, last) in enumerate(pairwise(np.searchsorted(rank, np.arange(size // 6 + 1)))):
+            own = by_pose[first:last]
+            blocks[k], both[k] = own.T @ own, own.T @ by_end[first:last]
+            of_steps[6 * k : 6 * k + 6] = own.T @ offset[first:last]
+        normal = self.root.T @ (blocks @ self.root.reshape(-1, 6, size)).reshape(size, size)
+        both, of_steps = self.root.T @ both.reshape(size, -1), self.root.T @ of_steps
+        alone = np.linalg.inv(normal + np.eye(size))
         carried = alone @ both
         normal, right = by_end.T @ by_end - both.T @ carried, by_end.T @ offset - carried.T @ of_steps
         # The mean of the variance, by how probable each is: the most probable one may by chance be far too small.

@@ -14,7 +14,7 @@ from heliogauge.running.progress import Progress
 from heliogauge.running.threads import side_by_side
 from heliogauge.validate import FloatArray, IntArray
 from observer.corners.lattice import PanelLattice
-from observer.corners.panel_lines import FoundLine, find_lines, photo_noise
+from observer.corners.panel_lines import Pieces, line_pieces, lines_in, photo_noise
 from observer.corners.placed_panels import (
     EdgeEnds,
     PlacedByEdges,
@@ -86,14 +86,14 @@ def place_panels(
     reader = replace(inputs.finder, encodings=seen.encodings)
     with progress.stage("edges of panels", chosen.size) as stage:
 
-        def one(number: int) -> tuple[tuple[FoundLine | None, ...], IntArray]:
+        def one(number: int) -> tuple[Pieces, float]:
             image = np.asarray(reader.read(cameras.files[number]), dtype=np.float32)
-            view, noise = cameras.views[number], photo_noise(image)
-            found = find_lines(image, view, lattice, _REACH_PX, noise, lattice.along_trough)
+            pieces = line_pieces(image, cameras.views[number], lattice, lattice.along_trough, _REACH_PX)
             stage.advance()
-            return found
+            return pieces, photo_noise(image)
 
-        looked = side_by_side(one, chosen.tolist(), jobs)
+        pieces, noise = zip(*side_by_side(one, chosen.tolist(), jobs), strict=True)
+        looked = lines_in(pieces, lattice.along_trough, noise)
     lines = [found for found, _ in looked]
     shown = sum(int(np.count_nonzero(pieces)) for _, pieces in looked)
     if shown == 0:

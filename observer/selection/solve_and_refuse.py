@@ -1,5 +1,6 @@
 """From edges in all photos to the mirror's slope errors: which edges are the tube's, and what they say together."""
 
+from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
@@ -15,11 +16,23 @@ from observer.selection.edge_scatter import scatter_along
 from observer.selection.shadows import confirmed_edges, pulled_curves
 from observer.selection.two_sided import agreed_by_both, cells_of
 from observer.slopes.along_variance import PossibleRoughness, averaged, find_along
-from observer.slopes.common_unknowns import CommonUnknowns, common_unknowns, glass_widening_rad
+from observer.slopes.common_unknowns import (
+    BesidePoses,
+    CommonUnknowns,
+    beside_poses,
+    common_unknowns,
+    glass_widening_rad,
+)
 from observer.slopes.edge_gaps import EdgeGaps, edge_gaps
 from observer.slopes.edge_likeness import EdgeLikeness, edge_likeness
 from observer.slopes.halves import PRIOR_RAD, Halves, halves_of, halves_patterns
-from observer.slopes.joint_solution import SlopeErrors, find_roughness, solve_jointly
+from observer.slopes.joint_solution import (
+    RoughnessEvidence,
+    SlopeErrors,
+    find_roughness,
+    solve_common,
+    solve_jointly,
+)
 from observer.slopes.mirror_surface import at_points, beside_chord, heights, on_surface
 from observer.slopes.pose_modes import Photos, pose_derivatives, pose_scatter, reduce_to_modes
 from observer.slopes.row_likeness import row_likeness
@@ -136,7 +149,7 @@ class Reflector:
 
     @property
     def alike(self) -> FloatArray:
-        """Correlation of the rows' slope errors, shape (r, r)."""
+        """Correlation of the slope errors of each row and the next, shape (r - 1,)."""
         return row_likeness(self.errors.slopes[..., 0], self.measured, self.grid, self.y_m)
 
 
@@ -205,15 +218,16 @@ def solve_reflector(
         if allowance == 0.0:
             # With the bends as found: where a panel bends by 0.02 / m beside the design, a camera that is 3 mm beside
             # its place moves an edge by 0.1 mrad more.
-            nominal = _Nominal(edges, photos, expected, outward_rad, _bends(edges, present, grid))
+            nominal = nominal.bent(_bends(edges, present, grid))
         lines, covariance = _in_round(_lines(nominal, expected, present, grid), nominal, noise, allowance)
         keep = (fate == EdgeFate.USED) & np.isfinite(lines.misfit_rad)
         used = lines.chosen(keep)
-        roughness = find_roughness(used, grid, roughness, covariance, any_order=allowance == 0.0)
+        evidence = RoughnessEvidence(used, grid, covariance)
+        roughness = find_roughness(evidence, roughness, any_order=allowance == 0.0)
         errors = solve_jointly(used, grid, roughness, covariance, with_shares=None)
         residuals, predicted = _residuals(lines, grid, errors)
         if allowance == 0.0 and _confirmed(predicted[keep], used.sigma_rad).mean() < _CHECKED_SHARE:
-            roughness = find_roughness(used, grid, roughness, covariance, any_order=True, maybe_alike=True)
+            roughness = find_roughness(evidence, roughness, any_order=True, maybe_alike=True)
             errors = solve_jointly(used, grid, roughness, covariance, with_shares=None)
             residuals, predicted = _residuals(lines, grid, errors)
         factor = 1.0
@@ -262,13 +276,13 @@ def solve_reflector(
         found = halves_patterns(lines, expected.y_m[rows][lines.row], expected.collector)
         return found, np.full(found.shape[1], PRIOR_RAD)
 
-    alone = replace(roughness, alike=None)
+    alone, common = replace(roughness, alike=None), errors.common
     if roughness.alike is not None:
         # Row by row, as they are looked at there: what cameras from all rows leave of each row looks like such slopes.
-        errors = solve_jointly(used, grid, alone, unknowns.covariance, with_shares=None)
+        common = solve_common(used, grid, alone, unknowns.covariance)
     models = tuple(
         one._replace(roughness=replace(one.roughness, alike=roughness.alike))
-        for one in find_along(_apart(used, errors), grid, alone)
+        for one in find_along(_apart(used, common), grid, alone)
     )
     # From far away nothing but the mirror's own shape says where the tube is, and that is one for a panel's rows.
     most_rows = len(expected.collector.panel_edges_y_m) - 1 if far.any() else None
@@ -370,20 +384,20 @@ def _refuse_shadows(
     """Refuse edges that shadows may have made."""
     fate = fate.copy()
     some = (fate == EdgeFate.USED) & np.isfinite(lines.misfit_rad)
-    borne, _ = confirmed_edges(_apart(lines.chosen(some), errors), edges.side[some], grid, roughness)
+    borne, _ = confirmed_edges(_apart(lines.chosen(some), errors.common), edges.side[some], grid, roughness)
     keep = some.copy()
     keep[some] = borne
     if not borne.any():
         fate[some] = EdgeFate.ONE_SIDED
         return _WithoutShadows(fate, errors, roughness, np.zeros((grid.n_rows, grid.x_m.size), dtype=bool))
     # Edges of shadows made the mirror look rough; with its own roughness more of its edges confirm each other.
-    roughness = find_roughness(lines.chosen(keep), grid, roughness, covariance)
+    roughness = find_roughness(RoughnessEvidence(lines.chosen(keep), grid, covariance), roughness)
     errors = solve_jointly(lines.chosen(keep), grid, roughness, covariance, with_shares=None)
     pulled = _is_pulled(lines, keep, edges, errors, grid)
     fate[pulled] = EdgeFate.BESIDE
     some &= ~pulled
     errors = solve_jointly(lines.chosen(keep & some), grid, roughness, covariance, with_shares=None)
-    borne, agreed = confirmed_edges(_apart(lines.chosen(some), errors), edges.side[some], grid, roughness)
+    borne, agreed = confirmed_edges(_apart(lines.chosen(some), errors.common), edges.side[some], grid, roughness)
     fate[np.nonzero(some)[0][~borne]] = EdgeFate.ONE_SIDED
     return _WithoutShadows(fate, errors, roughness, agreed)
 
@@ -401,14 +415,14 @@ def _is_pulled(
     return pulled
 
 
-def _apart(lines: TouchingLines, errors: SlopeErrors) -> TouchingLines:
+def _apart(lines: TouchingLines, common: FloatArray) -> TouchingLines:
     """Return lines from whose misfits the common unknowns, as found, are taken off."""
-    return lines.alone(lines.misfit_rad + _moved(lines, errors), lines.sigma_rad)
+    return lines.alone(lines.misfit_rad + _moved(lines, common), lines.sigma_rad)
 
 
-def _moved(lines: TouchingLines, errors: SlopeErrors) -> FloatArray:
+def _moved(lines: TouchingLines, common: FloatArray) -> FloatArray:
     """Return by how much the common unknowns, as found, move the lines."""
-    return np.asarray(np.einsum("mc,mc->m", lines.d_common, errors.common[lines.common_index]))
+    return np.asarray(np.einsum("mc,mc->m", lines.d_common, common[lines.common_index]))
 
 
 def _in_round(
@@ -440,24 +454,34 @@ class _Surface:
 class _Nominal:
     """Edges with what the design's surface suffices for: the noise of their angle and what they have in common."""
 
-    def __init__(
-        self,
-        edges: ReflectionEdges,
-        photos: Photos,
-        expected: Expectation,
-        outward_rad: float,
-        bend_per_m: FloatArray | float = 0.0,
-    ) -> None:
-        focal = expected.collector.focal_length_m
+    def __init__(self, edges: ReflectionEdges, photos: Photos, expected: Expectation, outward_rad: float) -> None:
         self.edges, self._photos, self._expected, self._outward_rad = edges, photos, expected, outward_rad
         self.sights = Sights(edges.points_m, photos.eyes_of(edges.points_m, edges.photo), edges.side)
         self._found = design_misfit(
             edges.points_m, self.sights.eyes_m, edges.side, expected.collector, expected.absorber
         )
-        self.across_rad_per_m = change_across(self.sights, self._found, focal, bend_per_m)
         self.glass_rad = glass_widening_rad(self._found, self.sights, expected)
-        self.sigma_rad = np.hypot(self.across_rad_per_m * edges.sigma_x_m, _MODEL_RAD)
-        self._by_pose = pose_derivatives(self.sights, self._found, photos.poses, edges.photo, focal, bend_per_m)
+        self._bend(0.0)
+
+    def bent(self, bend_per_m: FloatArray) -> "_Nominal":
+        """Return the same edges on a mirror that bends beside the design, by so much at each edge (m,) [1/m].
+
+        Only what poses and edges do to angles hangs on that.
+        """
+        other = copy(self)
+        # What was found without the bend.
+        for name in ("known_rad", "unknowns", "scatter_square"):
+            other.__dict__.pop(name, None)
+        other._bend(bend_per_m)
+        return other
+
+    def _bend(self, bend_per_m: FloatArray | float) -> None:
+        focal = self._expected.collector.focal_length_m
+        self.across_rad_per_m = change_across(self.sights, self._found, focal, bend_per_m)
+        self.sigma_rad = np.hypot(self.across_rad_per_m * self.edges.sigma_x_m, _MODEL_RAD)
+        self._by_pose = pose_derivatives(
+            self.sights, self._found, self._photos.poses, self.edges.photo, focal, bend_per_m
+        )
 
     @cached_property
     def known_rad(self) -> FloatArray:
@@ -492,13 +516,15 @@ class _Nominal:
         Where the mirror bends beside the design other movements of a camera matter: its modes are those of the bends.
         """
         modes = reduce_to_modes(self._by_pose, self.edges.photo, self._photos.covariance)
-        return common_unknowns(
+        return common_unknowns(self._beside_poses, self.edges.photo, modes, self._photos.with_tube)
+
+    @cached_property
+    def _beside_poses(self) -> BesidePoses:
+        return beside_poses(
             self.edges,
             self.sights,
             self._found,
-            modes,
             self._expected,
-            self._photos.with_tube,
             outward_rad=self._outward_rad,
             panels=self._photos.panels,
         )
@@ -578,7 +604,7 @@ def _residuals(lines: TouchingLines, grid: RowGrid, errors: SlopeErrors) -> tupl
     nearest = before + (share > 0.5)
     slopes = at_points(errors.slopes, lines.row, lines.x_m, grid)
     residuals = lines.misfit_rad + lines.d_slope_x * slopes[:, 0] + lines.d_slope_y * slopes[:, 1]
-    residuals += _moved(lines, errors)
+    residuals += _moved(lines, errors.common)
     x_x, x_y, y_y = (errors.random[..., i, j][lines.row, nearest] for i, j in ((0, 0), (0, 1), (1, 1)))
     by_x, by_y = lines.d_slope_x, lines.d_slope_y
     return residuals, by_x * (by_x * x_x + 2 * by_y * x_y) + by_y**2 * y_y

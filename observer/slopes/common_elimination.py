@@ -154,15 +154,21 @@ class Reduction:
         return carried
 
     def _some_rows(self) -> list[tuple[int, int]]:
-        """Return rows, from the first to before the last, that the processor's caches and the allocator keep."""
-        n_rows, width = self._rows.grid.n_rows, max(len(self._covariance), 2 * self._rows.grid.x_m.size)
-        most = max(1, _ENTRIES_AT_ONCE // (int(np.diff(self._first).max(initial=1)) * width))
+        """Return rows, from the first to before the last, that the processor's caches and the allocator keep.
+
+        As many at least as make a table of the size of the normal matrix, to which each table is added.
+        """
+        count = len(self._covariance)
+        n_rows, width = self._rows.grid.n_rows, max(count, 2 * self._rows.grid.x_m.size)
+        most = max(1, max(_ENTRIES_AT_ONCE, count**2) // (int(np.diff(self._first).max(initial=1)) * width))
         return [(first, min(first + most, n_rows)) for first in range(0, n_rows, most)]
 
     def _projected(self, system: RowSystem) -> FloatArray:
         """Return the normal matrix of the common unknowns by the lines, the slopes following along, shape (c, c)."""
         count = len(self._covariance)
         normal = np.zeros((count, count))
+        few, many = self._halves
+        split = few.shape[1]
         for first, last in self._some_rows():
             solved = self._solved(system, first, last)
             some = slice(self._first[first], self._first[last])
@@ -175,8 +181,23 @@ class Reduction:
                 own.flat[:: lines + 1] += 1.0
                 projected[done : done + lines] = (by_common @ own).T
                 done += lines
-            normal += self._derivatives[some].T @ projected
+            normal[:split] += few[some].T @ projected
+            normal[split:, split:] += many[some].T @ projected[:, split:]
+        normal[split:, :split] = normal[:split, split:].T
         return normal
+
+    @cached_property
+    def _halves(self) -> "tuple[csr_array, csr_array]":
+        """Derivatives with respect to the first common unknowns, and to the others: as few products as can be.
+
+        Those of photos come first and move few lines each; a block of the symmetric normal matrix needs the
+        derivatives of one half only.
+        """
+        count = len(self._covariance)
+        entries = np.concatenate([[0], np.cumsum(np.bincount(self._lines.common_index.ravel(), minlength=count))])
+        products = entries * count + (entries[-1] - entries) * (count - np.arange(count + 1))
+        split = int(np.argmin(products))
+        return self._derivatives[:, :split], self._derivatives[:, split:]
 
     @cached_property
     def _of_all_rows(self) -> "tuple[csr_array, FloatArray]":

@@ -168,49 +168,74 @@ class CommonUnknowns:
         return replace(path, x_m=path.x_m + step[:n], z_m=path.z_m + step[n:], covariance_m2=0.5 * (block + block.T))
 
 
-def common_unknowns(
+@dataclass(frozen=True, slots=True, eq=False)
+class BesidePoses:
+    """What moves lines besides the poses of their photos, arrays of m lines.
+
+    expected: Collector and the tube's place.
+    n_stations: Stations of the tube whose place is unknown; 0 where it has no variance, and is held.
+    outward (m,): Change of the misfits where edges lie outward by one radian at the camera.
+    unit_rad: Usual noise of an edge [rad].
+    place: Coordinates of the tube's stations that move each line, and by how much.
+    tube: The tube's own unknowns.
+    lifted: Heights of panels.
+    panels: How high the panels are by their own edges; None: as well as they are mounted.
+    """
+
+    expected: Expectation
+    n_stations: int
+    outward: FloatArray
+    unit_rad: float
+    place: tuple[IntArray, FloatArray]
+    tube: "_Tube"
+    lifted: "_Lifted"
+    panels: PanelPlaces | None
+
+
+def beside_poses(
     edges: ReflectionEdges,
     sights: Sights,
     found: Misfit,
-    modes: CameraModes,
     expected: Expectation,
-    with_poses: FloatArray | None = None,
     *,
     outward_rad: float = 0.0,
     panels: PanelPlaces | None = None,
-) -> CommonUnknowns:
-    """Collect what touching lines of sight have in common.
+) -> BesidePoses:
+    """Collect what moves touching lines of sight besides the poses of their photos.
 
     found: Misfits and derivatives of these, with the design's slopes.
-    modes: The unknowns that stand for the poses.
-    expected: Collector and the tube's place; it is held where it has no variance.
-    with_poses (2 k, 6 n): Covariance of the tube's place with the steps of the poses: wrong targets displace both.
     outward_rad: How far all edges may lie outward together beside what blur does, 1 sigma, as where it is open how the
         photos are encoded [rad].
-    panels: How high the panels are by their own edges; None: as well as they are mounted.
-    Returns: Index, derivatives and prior covariance.
     """
-    path, collector, m = expected.absorber, expected.collector, edges.photo.size
-    n_modes = len(modes.covariance)
-    n_photos = n_modes // modes.index.shape[1]
+    path, m = expected.absorber, edges.photo.size
     n_stations = path.n if np.diagonal(path.covariance_m2).any() else 0
-    n_photo = n_modes + n_photos
-    outward, unit = _outward(edges, sights, found, collector.focal_length_m)
+    outward, unit = _outward(edges, sights, found, expected.collector.focal_length_m)
     place = _place(found, sights, expected) if n_stations else (np.zeros((m, 0), dtype=np.intp), np.zeros((m, 0)))
     tube = _tube(found, sights, expected, outward, float(np.hypot(_OUTWARD * unit, outward_rad)))
     lifted = _lift_panels(sights, found, expected, None if panels is None else panels.lean_sigma)
+    return BesidePoses(expected, n_stations, outward, unit, place, tube, lifted, panels)
+
+
+def common_unknowns(
+    beside: BesidePoses, photo: IntArray, modes: CameraModes, with_poses: FloatArray | None = None
+) -> CommonUnknowns:
+    """Collect what touching lines of sight have in common.
+
+    photo (m,): Photo of each line.
+    modes: The unknowns that stand for the poses.
+    with_poses (2 k, 6 n): Covariance of the tube's place with the steps of the poses: wrong targets displace both.
+    Returns: Index, derivatives and prior covariance.
+    """
+    path, collector, n_stations = beside.expected.absorber, beside.expected.collector, beside.n_stations
+    place, tube, lifted, panels = beside.place, beside.tube, beside.lifted, beside.panels
+    n_modes = len(modes.covariance)
+    n_photo = n_modes + n_modes // modes.index.shape[1]
     first_tube = n_photo + 2 * n_stations
     first_panel = first_tube + tube.units.size
     index = np.column_stack(
-        [
-            modes.index,
-            n_modes + edges.photo,
-            n_photo + place[0],
-            first_tube + tube.unknown,
-            first_panel + lifted.unknown,
-        ]
+        [modes.index, n_modes + photo, n_photo + place[0], first_tube + tube.unknown, first_panel + lifted.unknown]
     )
-    of_photo = _OUTWARD_OF_PHOTO * unit * outward
+    of_photo = _OUTWARD_OF_PHOTO * beside.unit_rad * beside.outward
     derivative = np.column_stack([modes.derivative, of_photo, place[1], tube.derivative, lifted.derivative])
     covariance = np.eye(first_panel + lifted.n_unknowns)
     mean = None
@@ -232,7 +257,7 @@ def common_unknowns(
         covariance[:first_panel, first_panel:] = covariance[first_panel:, :first_panel].T
     return CommonUnknowns(
         index,
-        np.nan_to_num(derivative),
+        np.nan_to_num(derivative, copy=False),
         covariance,
         n_photo,
         n_stations,

@@ -62,13 +62,16 @@ def edge_likeness(normalised: FloatArray, curve: IntArray, row: IntArray, y_m: F
     variance = float(np.mean(value**2)) if value.size else 0.0
     if row.size < _FEWEST_PAIRS or y_m.size < 3 or not 0.0 < variance < np.inf:
         return APART
-    # One line for each curve; where a curve has two edges in a row one of them stands for both.
-    table = np.full((int(curve.max()) + 1, y_m.size), np.nan)
-    table[curve, row] = value
+    # One line for each curve; where a curve has two edges in a row one of them stands for both. Single edges are no
+    # pairs.
+    going_on = np.bincount(curve)[curve] > 1
+    number = np.unique(curve[going_on], return_inverse=True)[1]
+    table = np.full((int(number.max(initial=-1)) + 1, y_m.size), np.nan)
+    table[number, row[going_on]] = value[going_on]
     known = np.isfinite(table)
     filled = np.where(known, table, 0.0)
     lags = np.arange(1, max(2, int(_READ_SHARE * y_m.size)) + 1)
-    pairs, shared = np.rint(_products(known.astype(np.float64))[lags]), _products(filled)[lags]
+    pairs, shared = np.rint(_products(known.astype(np.float64), lags)), _products(filled, lags)
     enough = pairs >= _FEWEST_PAIRS
     if not enough.any():
         return APART
@@ -83,9 +86,13 @@ def edge_likeness(normalised: FloatArray, curve: IntArray, row: IntArray, y_m: F
     return EdgeLikeness(float(share[best]), float(lengths[best]))
 
 
-def _products(table: FloatArray) -> FloatArray:
-    """Return the sum of all products of values of one line at each distance, shape (r, n) to (n,), from spectra."""
-    size = 2 * table.shape[1]
+def _products(table: FloatArray, lags: IntArray) -> FloatArray:
+    """Return the sum of all products of values of one line at some distances, from spectra.
+
+    Shapes: table (k, r), lags (n,), result (n,).
+    """
+    # Distances beyond the largest may fold back; a power of two takes a third of the time.
+    size = 1 << int(table.shape[1] + lags.max() - 1).bit_length()
     spectra = np.fft.rfft(table, size, axis=1)
     power = sum(np.einsum("rn,rn->n", part, part) for part in (spectra.real, spectra.imag))
-    return np.fft.irfft(power, size)[: table.shape[1]]
+    return np.fft.irfft(power, size)[lags]

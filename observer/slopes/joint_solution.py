@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cache
 
 import numpy as np
 import numpy.typing as npt
@@ -90,35 +89,41 @@ class SlopeErrors:
     beside: Beside | None = None
 
 
+class RoughnessEvidence:
+    """How probable lines are under some roughness, slopes and common unknowns integrated out: a logarithm.
+
+    lines: Observations, misfits with zero slope error and zero common unknowns.
+    covariance (c, c): Prior covariance of the common unknowns.
+
+    Of a sample of rows and photos, gathered once; what was asked before is known.
+    """
+
+    def __init__(self, lines: TouchingLines, grid: RowGrid, covariance: FloatArray) -> None:
+        some, self.grid = _sampled(lines, grid, sample_rows(lines, grid, _ROWS_FOR_ROUGHNESS))
+        some, own_covariance = _fewer_common(some, covariance)
+        self._reduction = Reduction(some, self.grid, own_covariance)
+        self._known: dict[Roughness, float] = {}
+
+    def __call__(self, trial: Roughness) -> float:
+        """Return the evidence of a roughness, but for a constant."""
+        if trial not in self._known:
+            self._known[trial] = self._reduction.under(trial).evidence
+        return self._known[trial]
+
+
 def find_roughness(
-    lines: TouchingLines,
-    grid: RowGrid,
-    prior: Roughness,
-    covariance: FloatArray,
-    *,
-    any_order: bool = False,
-    maybe_alike: bool = False,
+    evidence: RoughnessEvidence, prior: Roughness, *, any_order: bool = False, maybe_alike: bool = False
 ) -> Roughness:
     """Choose the roughness across the trough under which the lines are most probable.
 
-    lines: Observations, misfits with zero slope error and zero common unknowns.
+    evidence: Of the lines.
     prior: The slope along the trough, which is kept.
-    covariance (c, c): Prior covariance of the common unknowns.
     any_order: Whether the order of the random walk is chosen as well; otherwise it is the prior's.
     maybe_alike: Whether it is looked for how rows are alike, too.
 
-    Marginal likelihood with slopes and common unknowns integrated out, on a sample of rows and photos. The roughness
-    is one of some values evenly spread over its logarithm: the largest evidence among them is enclosed from the
-    prior's own, which is near after the first round, and found by bisection.
+    The roughness is one of some values evenly spread over its logarithm: the largest evidence among them is enclosed
+    from the prior's own, which is near after the first round, and found by bisection.
     """
-    some, fewer = _sampled(lines, grid, sample_rows(lines, grid, _ROWS_FOR_ROUGHNESS))
-    some, own_covariance = _fewer_common(some, covariance)
-    reduction = Reduction(some, fewer, own_covariance)
-
-    @cache
-    def evidence(trial: Roughness) -> float:
-        return reduction.under(trial).evidence
-
     alone = _most_probable(replace(prior, alike=None), evidence)
     if not any_order:
         return alone if prior.alike is None else replace(alone, alike=_most_probable(prior, evidence).alike)
@@ -129,19 +134,18 @@ def find_roughness(
         return max(both, key=evidence)
     # Each question is answered by what is most probable for it: a row by itself bends as its own edges say best, what
     # all rows have in common is found from all of them together.
-    fields = [_with_likeness(both[0], fewer, evidence)]
+    fields = [_with_likeness(both[0], evidence)]
     # Rows are alike over the same length whatever the order.
-    fields.append(_with_likeness(both[1], fewer, evidence, fields[0].alike))
+    fields.append(_with_likeness(both[1], evidence, fields[0].alike))
     return replace(max(both, key=evidence), alike=max(fields, key=evidence).alike)
 
 
-def _with_likeness(
-    prior: Roughness, grid: RowGrid, evidence: Callable[[Roughness], float], near: Likeness | None = None
-) -> Roughness:
+def _with_likeness(prior: Roughness, evidence: RoughnessEvidence, near: Likeness | None = None) -> Roughness:
     """Return the most probable likeness of rows; none where independent rows are more probable.
 
     near: What rows are alike by with another order: where it is looked for.
     """
+    grid = evidence.grid
     if grid.y_m is None or grid.n_rows < 2:
         return prior
     extent = float(np.ptp(grid.y_m))
@@ -168,7 +172,7 @@ def _with_likeness(
     return alike if evidence(alike) > evidence(prior) else prior
 
 
-def _most_probable(prior: Roughness, evidence_of: Callable[[Roughness], float]) -> Roughness:
+def _most_probable(prior: Roughness, evidence_of: RoughnessEvidence) -> Roughness:
     """Return the roughness of the prior's order that has the largest evidence: of all rows where they are alike."""
     low, high = _EXPONENTS[prior.order if prior.alike is None else prior.alike.order]
     width = (high - low) / _INTERVALS
@@ -278,6 +282,12 @@ def solve_jointly(
     to_tube = None if beside is None else TubeShare(shared[..., 2], shown[2])
     values = slopes, random, shared[..., :2], common, posterior, rows, shown[0], shown[1], to_tube
     return SlopeErrors(*values, None if patterns is None else reduced.beside)
+
+
+def solve_common(lines: TouchingLines, grid: RowGrid, prior: Roughness, covariance: FloatArray) -> FloatArray:
+    """Return the common unknowns alone as `solve_jointly` finds them, shape (c,)."""
+    own, fewer = _sampled(lines, grid, common_rows(lines, grid, len(covariance)))
+    return Reduction(own, fewer, covariance).under(prior).common
 
 
 def _of_nodes(blocks: FloatArray, n_nodes: int) -> FloatArray:

@@ -5,7 +5,7 @@ import numpy as np
 from heliogauge.camera.model import Camera
 from heliogauge.geometry.rigid import RigidTransform
 from observer.corners.lattice import PanelLattice
-from observer.corners.panel_lines import find_lines, photo_noise
+from observer.corners.panel_lines import find_lines, line_pieces, lines_in, photo_noise
 from observer.photo_edges.views import View
 from observer.trough.collector import Collector
 
@@ -48,6 +48,24 @@ def test_all_lines_at_once_are_where_they_were_drawn_and_where_each_alone_is() -
         assert shown[0] == pieces[k]
         assert np.allclose([alone.offset_px, alone.slope_px, alone.hits], [found.offset_px, found.slope_px, found.hits])
         assert np.allclose(alone.covariance_px2, found.covariance_px2)
+    # Photos together: one that shows nothing, and one of more noise, between others leave these as they are.
+    noisy = image + 8 * rng.standard_normal(image.shape).astype(np.float32)
+    photos = (np.full_like(image, 150.0), 0.1), (image, noise), (noisy, 8.2), (image, noise)
+    parts = [line_pieces(one, view, lattice, wanted, 6.0) for one, _ in photos]
+    empty, first, between, last = lines_in(parts, wanted, [one for _, one in photos])
+    assert not any(empty[0])
+    for (some, shown), (one, one_shown) in (
+        (first, (together, pieces)),
+        (last, (together, pieces)),
+        (between, find_lines(noisy, view, lattice, 6.0, 8.2, wanted)),
+    ):
+        np.testing.assert_array_equal(shown, one_shown)
+        assert any(some)
+        for found, alone in zip(some, one, strict=True):
+            assert (found is None) == (alone is None)
+            if found is not None and alone is not None:
+                assert (found.offset_px, found.hits) == (alone.offset_px, alone.hits)
+                np.testing.assert_array_equal(found.covariance_px2, alone.covariance_px2)
 
 
 def test_without_lines_nothing_is_found() -> None:

@@ -8,7 +8,7 @@ import pytest
 
 from observer.slopes.common_elimination import Reduction
 from observer.slopes.edge_likeness import EdgeLikeness
-from observer.slopes.joint_solution import find_roughness, sample_rows, solve_jointly
+from observer.slopes.joint_solution import RoughnessEvidence, find_roughness, sample_rows, solve_jointly
 from observer.slopes.row_spline import Roughness, RowGrid, TouchingLines, assemble, prior_bands
 
 
@@ -192,8 +192,9 @@ def test_waves_are_told_from_kinks(kinks: bool) -> None:
     grid, lines = wavy_lines(np.random.default_rng(3), kinks=kinks)
     for start in (2, 3):
         prior = Roughness(1e-2, along_rad=1e-6, order=start)
-        assert find_roughness(lines, grid, prior, np.zeros((0, 0)), any_order=True).order == (2 if kinks else 3)
-        assert find_roughness(lines, grid, prior, np.zeros((0, 0))).order == start
+        evidence = RoughnessEvidence(lines, grid, np.zeros((0, 0)))
+        assert find_roughness(evidence, prior, any_order=True).order == (2 if kinks else 3)
+        assert find_roughness(evidence, prior).order == start
 
 
 def test_rows_without_lines_are_no_sample_where_most_have_none() -> None:
@@ -260,7 +261,7 @@ def measured(seed: int) -> tuple[float, float, float]:
         np.full((row.size, 1), 1 / 14.0),
     ).chosen(inner)
     covariance = sigma_eye**2 * np.eye(n_photos)
-    prior = find_roughness(lines, grid, Roughness(1.0, along_rad=1e-6), covariance)
+    prior = find_roughness(RoughnessEvidence(lines, grid, covariance), Roughness(1.0, along_rad=1e-6))
     assert abs(np.log10(prior.across / truth_prior.across)) < 1.0
     found = solve_jointly(lines, grid, truth_prior, covariance)
     errors = found.common - eyes

@@ -12,7 +12,7 @@ from observer.planning.simulated_edges import EdgeNoise, measured_edges, true_ed
 from observer.planning.simulated_flight import Evaluation, simulate
 from observer.product.slope_map import angle_maps
 from observer.selection.solve_and_refuse import Reflector, solve_reflector
-from observer.slopes.common_unknowns import CommonUnknowns, common_unknowns, glass_widening_rad
+from observer.slopes.common_unknowns import CommonUnknowns, beside_poses, common_unknowns, glass_widening_rad
 from observer.slopes.pose_modes import CameraModes, Photos
 from observer.slopes.row_spline import Roughness
 from observer.trough.absorber_path import AbsorberPath
@@ -57,7 +57,7 @@ def unknowns_of(edges: ReflectionEdges, sights: Sights, where: Expectation) -> t
         np.zeros((3, 2, 6)),
     )
     found = design_misfit(sights.points_m, sights.eyes_m, sights.side, where.collector, where.absorber)
-    return common_unknowns(edges, sights, found, modes, where), found
+    return common_unknowns(beside_poses(edges, sights, found, where), edges.photo, modes), found
 
 
 def effect(unknowns: CommonUnknowns, common: np.ndarray) -> np.ndarray:
