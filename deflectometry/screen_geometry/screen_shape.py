@@ -17,6 +17,8 @@ DEGREES = {"plane": (1,), "bent": (2,), "free": (3, 4)}
 _SHARED_DEGREE = 4
 #: Chance of a sound plane to be taken for bent: below it the points contradict the simpler form.
 _CONTRADICTED = 1e-3
+#: Share of a point's variance that is its own at least: it weighs nothing, and a point without any can be weighed.
+_LEAST_OWN = 1e-6
 #: Nodes per side over which the display's own frame is laid.
 _FRAME_NODES = 9
 
@@ -165,7 +167,10 @@ def _fit(points: ScreenPoints, form: str, degree: int) -> _Fit | None:
     if len(terms) < count or np.linalg.matrix_rank(terms, tol=1e-6 * np.sqrt(len(terms))) < count:
         return None
     design = np.asarray(np.kron(terms, np.eye(3)), dtype=np.float64)
-    roots = np.linalg.inv(np.linalg.cholesky(points.own_m2))
+    # All that a point between whose kind lengths are known errs by is shared with others: nothing is its own.
+    every = np.einsum("nii->", points.own_m2) + np.sum(points.shared_m**2)
+    least = _LEAST_OWN * every / len(terms)
+    roots = np.linalg.inv(np.linalg.cholesky(points.own_m2 + least * np.eye(3)))
     observed = points.points_m.reshape(-1)
 
     def white(columns: FloatArray) -> FloatArray:

@@ -106,10 +106,12 @@ class PlannedOverlay:
         found, names = self.turns(scene), scene.photos
         sigma_m = 1e-3 * self.measurement.model.source.sigma_center_mm
         doubts = doubts_of_turns(scene.facets, scene.source, found, names, sigma_m)
+        promised = _promised(found)
+        alone = "a single facet has no canting against others"
         return SigmaProspect(
-            promised=_promised(found),
+            promised=promised,
             labels=_LABELS,
-            not_determined={},
+            not_determined={name: alone for name, one in promised.items() if np.isnan(one)},
             numbers={"facets_count": len(scene.facets), "photos_count": len(names)},
             shares={"shown_share": float(found.known.mean())},
             share_labels=_SHOWN,
@@ -278,9 +280,11 @@ class PlannedOverlay:
     def _one_more(self) -> OverlayPhotoSection:
         """Return a photo as far from the source as the others, from the direction farthest from theirs."""
         places, photos = self._places(), self.measurement.model.photo
-        middle = build_source(self.measurement.model.source).heliostat_from_source
+        source = build_source(self.measurement.model.source)
+        middle = source.heliostat_from_source
         off = (places - middle.translation_m) @ middle.rotation
-        radius = float(np.hypot(off[:, 0], off[:, 1]).mean())
+        # One camera before the source's middle tells nothing of how far beside it there is room.
+        radius = float(np.hypot(off[:, 0], off[:, 1]).mean()) or float(np.hypot(*source.half_m))
         angle = 2 * np.pi * np.arange(_DIRECTIONS) / _DIRECTIONS
         tried = np.column_stack(
             [radius * np.cos(angle), radius * np.sin(angle), np.full(_DIRECTIONS, off[:, 2].mean())]
@@ -304,7 +308,7 @@ def _promised(found: JointTurns) -> dict[str, float]:
     _, of_mean = found.mean_turn()
     _, of_canting = found.canting()
     each = np.diag(of_canting).reshape(-1, 2)
-    canting = np.sqrt(np.nanmean(each, axis=0))
+    canting = np.sqrt(np.nanmean(each, axis=0)) if found.known.sum() > 1 else np.full(2, np.nan)
     return dict(zip(_LABELS, [*canting.tolist(), *np.sqrt(np.diag(of_mean)).tolist()], strict=True))
 
 

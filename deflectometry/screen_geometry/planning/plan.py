@@ -49,6 +49,8 @@ _FORM = "bent"
 _LEAST_ANGLE_DEG = 50.0
 #: One more photo is tried so far from the front, in so many directions [deg].
 _SIDE_DEG, _DIRECTIONS = 45.0, 8
+#: Less is rounding [m, rad].
+_NOTHING = 1e-15
 #: Nodes over the screen at which its error in the mirror is looked at.
 _NODES = 9
 #: A scale bar that is so much of the longest one is not worth a longer one.
@@ -220,18 +222,27 @@ class PlannedScreen:
         }
         if model.shape.form == "auto":
             values["shape.form"] = _FORM
+        if model.dots is not None:
+            # Which dot is the origin changes no sigma.
+            values["dots"] = {"dots": model.dots.dots}
         measurement = self._measurement([one.name for one in photos], values)
         listed = None
         if model.display is not None:
             u, v = np.array(list(surface.targets.values())).T
             listed = (list(surface.targets), u, v)
+        seen = predicted(surface, photos)
+        if not seen.targets.points.n:
+            raise EstimationError(
+                f"no photo will show a target of {self.plan.target_mm:g} mm: in all it is outside of the image, seen "
+                "by more than 65 deg, or too small to be read; larger targets, or other places"
+            )
         try:
-            network = solve(measurement, predicted(surface, photos), SilentProgress(), listed)
+            network = solve(measurement, seen, SilentProgress(), listed)
             return describe(measurement, network, {}, SilentProgress())
         except EstimationError as error:
             raise EstimationError(
-                f"as planned, measuring would be refused: {error}. Take five to eight photos from all sides, 40 deg "
-                "from the front, each with all targets"
+                "as planned, measuring would be refused (five to eight photos from all sides, 40 deg from the front, "
+                f"each with all targets, would do): {error}"
             ) from error
 
     def _measurement(self, photos: Sequence[str], values: Mapping[str, Any]) -> ScreenMeasurement:
@@ -355,8 +366,11 @@ class PlannedScreen:
         return x, y, z
 
 
-def _number(value: float | int | None) -> float:
-    return float("nan") if value is None else float(value)
+def _number(sigma_m: float | int | None) -> float:
+    """Return a sigma; NaN where there is none, and 0 where rounding alone is left of it, as of the depth of a plane."""
+    if sigma_m is None:
+        return float("nan")
+    return float(sigma_m) if sigma_m > _NOTHING else 0.0
 
 
 def _slopes(found: Result, mirror_m: float) -> float:

@@ -91,6 +91,8 @@ def test_waves_that_nobody_states_are_said(drawn: Path, tmp_path: Path) -> None:
 
     found = prospect(planned(drawn, tmp_path / "p", forget))
     assert "plan_without_facet_waves" in {one.code for one in found.doubts}
+    assert found.not_determined["canting_x_rms_rad"] == "a single facet has no canting against others"
+    assert found.sigmas()["mean_turn_x_rad"] > 0
 
 
 def test_bad_input_is_one_sentence(drawn: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

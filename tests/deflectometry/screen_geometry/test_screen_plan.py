@@ -90,6 +90,13 @@ def test_size_is_as_good_as_the_scale_bar(tmp_path: Path) -> None:
     assert codes(found) == {"screen_camera_exact"}
 
 
+def test_ring_codes_with_a_known_length_between_them(tmp_path: Path) -> None:
+    """What such two err by is all shared with the others: nothing is their own."""
+    bar = {"a": "0", "b": "7", "length_m": 1.2, "sigma_mm": 0.2}
+    rings = prospect(tmp_path / "p", targets={"dictionary": "aicon-12"}, scale_bar=[bar])
+    assert rings.sigmas()["width_m"] == pytest.approx(prospect(tmp_path / "q").sigmas()["width_m"], rel=0.03)
+
+
 def test_photos_from_the_front_are_named(tmp_path: Path) -> None:
     found = prospect(tmp_path / "p", plan={"places_m": FRONTAL})
     (doubt,) = [one for one in found.doubts if one.code == "plan_photos_from_one_side"]
@@ -103,7 +110,7 @@ def test_photos_from_the_front_are_named(tmp_path: Path) -> None:
 def test_photos_that_do_not_hang_together_are_refused(tmp_path: Path) -> None:
     cameras = tomllib.loads(TOML)["camera"]
     del cameras[0]["focal_px"]
-    with pytest.raises(EstimationError, match=r"as planned, measuring would be refused: .*taken from one place"):
+    with pytest.raises(EstimationError, match=r"as planned, measuring would be refused .*taken from one place"):
         prospect(tmp_path / "p", plan={"places_m": FRONTAL}, camera=cameras)
 
 
@@ -136,6 +143,8 @@ def test_what_is_missing_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[s
         prospect(tmp_path / "b", scale_bar=[{"a": "77.0", "b": "7.2", "length_m": 1.2, "sigma_mm": 0.2}])
     with pytest.raises(InputError, match="camera survey: width_px and height_px are needed"):
         prospect(tmp_path / "c", camera=[{"name": "survey"}, *tomllib.loads(TOML)["camera"][1:]])
+    with pytest.raises(EstimationError, match="no photo will show a target of 60 mm"):
+        prospect(tmp_path / "e", plan={"width_m": 6.0, "height_m": 6.0})
     planned(tmp_path / "d", plan={"places_m": [[40.0, 0.0, 0.1], [0.0, 40.0, 0.1]]})
     with pytest.raises(SystemExit) as ended:
         cli.main(["deflectometry", "plan", str(tmp_path / "d"), "-o", str(tmp_path / "out"), "--no-report", "-q"])
