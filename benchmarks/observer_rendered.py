@@ -23,6 +23,7 @@ from _rendered_trough import (
     Renderer,
     Scene,
     View,
+    glass_in_even_light,
     project,
     targets_of,
     views_of,
@@ -153,6 +154,9 @@ def check_geometry(folder: Path, scene: Scene, n_photos: int) -> None:
     title("the renderer's geometry", ("measured", "asked"))
     row("targets beside their projection, mean x, y [px]", ", ".join(f"{one:.3f}" for one in beside.mean(0)), "<= 0.02")
     row("  scatter x, y [px]", ", ".join(f"{one:.3f}" for one in beside.std(0)), "")
+    if scene.has_glass:
+        light = glass_in_even_light(scene)
+        row("light across empty glass where all around is 1", f"{light.min():.3f} to {light.max():.3f}", "1 +- 0.01")
 
 
 class Truth:
