@@ -135,6 +135,11 @@ class CornersSection(Section):
     corner_sigma_mm: Positive = Field(
         1.0, description="How far each corner of a panel is off besides, in any direction, 1 sigma [mm]."
     )
+    alike_sigma_mm: Sigma | None = Field(
+        None,
+        description="How far corners of one x are off in height together, as a shape that all rows of panels share "
+        "makes it; default: corner_sigma_mm, 1 sigma [mm].",
+    )
 
 
 class TiltsSection(Section):

@@ -236,10 +236,12 @@ def _corners_content(scene: TroughScene) -> dict[str, Any]:
     edges_x, edges_y = design.panel_edges_x_m, design.panel_edges_y_m
     inside = [np.r_[edges[:-1] + _INSIDE_M, edges[1:] - _INSIDE_M] for edges in (edges_x, edges_y)]
     height = mirror.deviation(*np.meshgrid(*inside))[0]
+    alike = np.nanmean(height, axis=0)
     return {
         "azimuth_deg": _ROW_AZIMUTH_DEG,
         "mounting_sigma_mm": round(max(1e3 * float(shift.std()), _LEAST_SIGMA_MM), 2),
-        "corner_sigma_mm": round(max(1e3 * float(np.sqrt(np.nanmean(height**2))), _LEAST_SIGMA_MM), 2),
+        "corner_sigma_mm": round(max(1e3 * float(np.sqrt(np.nanmean((height - alike) ** 2))), _LEAST_SIGMA_MM), 2),
+        "alike_sigma_mm": round(1e3 * float(np.sqrt(np.nanmean(alike**2))), 2),
     }
 
 

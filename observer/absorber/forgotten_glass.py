@@ -70,8 +70,8 @@ def glass_doubt(found: Widening | None, collector: Collector) -> Doubt | None:
         "glass_not_stated",
         "collector: there seems to be glass around the absorber, and none is stated: near its own reflection the tube "
         f"looks {1e3 * found.value_m:.1f} +- {1e3 * found.sigma_m:.1f} mm wider than elsewhere, as glass that turns "
-        "lines of sight makes it. State glass_outer_diameter_mm and glass_inner_diameter_mm; until then the absorber "
-        "comes out some millimetres too high, and slopes are wrong with it",
+        "lines of sight makes it. State glass_outer_diameter_mm and glass_inner_diameter_mm; until then absorber and "
+        "slopes may be wrong by more than their sigmas say",
         {"wider_m": found.value_m, "sigma_wider_m": found.sigma_m},
         Severity.SERIOUS,
     )

@@ -45,12 +45,14 @@ class PanelLattice:
     mounting_sigma_m: How far each panel as a whole lies off its place, along the mirror and along the trough, 1 sigma
         [m].
     corner_sigma_m: How far each of its corners is off besides, in any direction: size, turn and tilt, 1 sigma [m].
+    alike_sigma_m: How far corners of one x are off in height together, along the whole trough, 1 sigma [m].
     InputError: Too few lines cross: gaps of no width cannot be seen.
     """
 
     collector: Collector
     mounting_sigma_m: float
     corner_sigma_m: float
+    alike_sigma_m: float = 0.0
 
     def __post_init__(self) -> None:
         if len(self.corners) < _FEWEST:
@@ -144,7 +146,8 @@ class PanelLattice:
 
         A corner is the mean of the corners of the panels that meet there. Each panel lies off its place as a whole,
         along the mirror, along the trough and, by the collector's ``panel_height_sigma_m``, across the surface; each
-        of its corners is off besides.
+        of its corners is off besides. What all rows of panels share of the mirror's shape does not average out over
+        the rows: as errors of each row by itself it made the sigma of a far camera's direction half of what it is.
         """
         columns, rows = (edges.size - 1 for edges in self.edges_m)
         share = np.zeros((len(self.corners), columns * rows))
@@ -161,6 +164,9 @@ class PanelLattice:
         covariance = self.corner_sigma_m**2 * np.einsum("ij,ab->iajb", np.diag(np.diag(together)), np.eye(3))
         for sigma_m, axes in zip(sigmas, (tangent, along, normal), strict=True):
             covariance += sigma_m**2 * np.einsum("ij,ia,jb->iajb", together, axes, axes)
+        of_line = np.array(self.corners)[:, 0]
+        up = np.diag([0.0, 0.0, self.alike_sigma_m**2])
+        covariance += np.einsum("ij,ab->iajb", of_line[:, None] == of_line, up)
         size = 3 * len(self.corners)
         return np.asarray(covariance.reshape(size, size))
 

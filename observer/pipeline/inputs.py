@@ -382,7 +382,9 @@ def build_corners(
     section, positions = measurement.model.corners, measurement.model.positions
     if section is None:
         return None
-    lattice = PanelLattice(collector, 1e-3 * section.mounting_sigma_mm, 1e-3 * section.corner_sigma_mm)
+    alike_mm = section.corner_sigma_mm if section.alike_sigma_mm is None else section.alike_sigma_mm
+    sigmas_mm = section.mounting_sigma_mm, section.corner_sigma_mm, alike_mm
+    lattice = PanelLattice(collector, *(1e-3 * sigma for sigma in sigmas_mm))
     turn_sigma = float(np.radians(section.turn_sigma_deg))
     if tilts is not None:
         own = SearchedCollector(lattice, np.eye(3), np.zeros(3), np.zeros(3), turn_sigma)
