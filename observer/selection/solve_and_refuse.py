@@ -149,7 +149,7 @@ class Reflector:
 
     @property
     def alike(self) -> FloatArray:
-        """Correlation of the slope errors of each row and the next, shape (r - 1,)."""
+        """Correlation of the rows' slope errors, shape (r, r)."""
         return row_likeness(self.errors.slopes[..., 0], self.measured, self.grid, self.y_m)
 
 

@@ -20,14 +20,14 @@ _READ_SHARE = 0.5
 
 
 def row_likeness(slope_rad: FloatArray, good: BoolArray, grid: RowGrid, y_m: FloatArray) -> FloatArray:
-    """Estimate the correlation between the slope errors of neighbouring rows.
+    """Estimate the correlation between the rows' slope errors.
 
     Shapes: y_m (r,).
     slope_rad (r, nx): Slope error across the trough [rad].
     good (r, nx): Nodes that were measured.
     grid: Nodes, and which of them lie on one panel.
-    Returns (r - 1,): ``exp(-distance / length)`` of each row and the next, whose products are the correlations of
-        rows further apart; rows are alike entirely where too little was measured to estimate the length.
+    Returns (r, r): ``exp(-distance / length)``; rows are alike entirely where too little was measured to estimate the
+        length.
 
     Autocovariance along the columns, the mean and the bend of each row's piece of panel taken off: they are measured
     well, and neither is what lies between edges. Noise and other errors that rows have apart lower the correlation at
@@ -35,20 +35,21 @@ def row_likeness(slope_rad: FloatArray, good: BoolArray, grid: RowGrid, y_m: Flo
     """
     n_rows = y_m.size
     if n_rows < 2:
-        return np.ones(n_rows - 1)
+        return np.ones((n_rows, n_rows))
+    distance = np.abs(y_m[:, None] - y_m)
     left = _beside_lines(np.where(good, slope_rad, 0.0), good, grid)
     lags = np.arange(1, max(2, int(_READ_SHARE * n_rows)))
     pairs = np.array([np.count_nonzero(good[k:] & good[:-k]) for k in lags])
     lags, pairs = lags[pairs >= _FEWEST_PAIRS], pairs[pairs >= _FEWEST_PAIRS]
     if lags.size < 2:
-        return np.ones(n_rows - 1)
+        return np.ones((n_rows, n_rows))
     shared = np.array([np.sum(left[k:] * left[:-k]) for k in lags]) / pairs
     lag_m = lags * float(y_m[1] - y_m[0])
     lengths = np.geomspace(lag_m[0], _LONGEST * float(np.ptp(y_m)), _LENGTHS)
     shapes = np.exp(-lag_m / lengths[:, None])
     # The best amplitude of each length, and what it explains.
     explained = np.maximum(shapes @ (pairs * shared), 0.0) ** 2 / (shapes**2 @ pairs)
-    return np.asarray(np.exp(-np.diff(y_m) / lengths[int(np.argmax(explained))]))
+    return np.asarray(np.exp(-distance / lengths[int(np.argmax(explained))]))
 
 
 def _beside_lines(slope_rad: FloatArray, good: BoolArray, grid: RowGrid) -> FloatArray:

@@ -29,8 +29,8 @@ class SlopeSums:
     prior: How slopes may vary.
     covariance_common (c, c): Covariance of the common unknowns, the slopes eliminated.
     free (c,): Those of them that are not held; by default all.
-    alike (r - 1,): Correlation between the slope errors of each row's mirror and the next one's
-        (`observer.slopes.row_likeness`); by default none, which lets what lies between edges average out over rows.
+    alike (r, r): Correlation between the slope errors of the rows' mirror (`observer.slopes.row_likeness`); by
+        default none, which lets what lies between edges average out over rows.
 
     With the normal matrix A of the slopes, their coupling C to the common unknowns and the covariance S of these, the
     covariance of all slopes is ``A^-1 + A^-1 C S C^T A^-1``; a sum needs one solution with A, not its inverse.
@@ -53,7 +53,7 @@ class SlopeSums:
     ) -> None:
         self._lines, self._grid, self._prior = lines, grid, prior
         self._covariance, self._free = covariance_common, free
-        self._alike = alike
+        self._others = None if alike is None else alike - np.eye(grid.n_rows)
 
     def __call__(self, weights: FloatArray) -> FloatArray:
         """Return the covariance of sums.
@@ -100,16 +100,15 @@ class SlopeSums:
                 nodes[..., 0::2] = weights[some, first:last]
                 solved[some, first:last] = BandedFactor(root[first:last]).solve(nodes)
         own = weights.reshape(count, -1) @ solved[..., 0::2].reshape(count, -1).T
-        if self._alike is not None:
+        if self._others is not None:
             flat = solved.reshape(count, -1)
+            pulled = np.empty((min(count, _AT_ONCE), *solved.shape[1:]))
             for start in range(0, count, _AT_ONCE):
-                part = spans[start : start + _AT_ONCE]
-                pulled = np.zeros((solved.shape[1], len(part), solved.shape[2]))
+                part, bands = spans[start : start + _AT_ONCE], self._system.bands
                 for place, (first, last) in enumerate(part):
-                    pulled[first:last, place] = _pulled(solved[start + place, first:last], self._system.bands)
+                    pulled[place] = self._others[:, first:last] @ _pulled(solved[start + place, first:last], bands)
                 # Ten at once: all solutions together are larger than the processor's cache.
-                others = np.swapaxes(_of_others(pulled, self._alike), 0, 1).reshape(len(part), -1)
-                own[:, start : start + len(part)] += flat @ others.T
+                own[:, start : start + len(part)] += flat @ pulled[: len(part)].reshape(len(part), -1).T
         return solved, np.asarray(0.5 * (own + own.T))
 
 
@@ -146,23 +145,6 @@ def _span(has_weight: BoolArray) -> tuple[int, int]:
     """Return the first row that has a weight and the one after the last."""
     rows = np.flatnonzero(has_weight)
     return (int(rows[0]), int(rows[-1]) + 1) if rows.size else (0, 0)
-
-
-def _of_others(values: FloatArray, alike: FloatArray) -> FloatArray:
-    """Return what each row has of the others' values, by how far it is alike to them, shape (r, ...).
-
-    Correlations of rows are products of those between neighbours: what came from before, and what from behind, is
-    handed on from row to row.
-    """
-    found = np.zeros(values.shape)
-    ways = (range(len(values) - 1), 1), (range(len(values) - 1, 0, -1), -1)
-    for rows, way in ways:
-        carried = np.zeros(values.shape[1:])
-        for i in rows:
-            carried += values[i]
-            carried *= alike[i if way > 0 else i - 1]
-            found[i + way] += carried
-    return found
 
 
 def _pulled(slopes: FloatArray, bands: FloatArray) -> FloatArray:

@@ -80,7 +80,7 @@ def test_slopes_that_rows_share_err_together() -> None:
     weights = np.stack([np.ones((3, 20)), rng.normal(0, 1, (3, 20)), np.eye(3)[[1]].T * np.ones(20)])
     flat = np.zeros((3, 3 * size))
     flat[:, 0::2] = weights.reshape(3, -1)
-    sums = SlopeSums(lines, grid, prior, np.zeros((0, 0)), alike=np.diagonal(alike, 1))(weights)
+    sums = SlopeSums(lines, grid, prior, np.zeros((0, 0)), alike=alike)(weights)
     expected = flat @ whole @ flat.T
     np.testing.assert_allclose(sums, expected, rtol=1e-6, atol=1e-7 * np.abs(expected).max())
     apart = SlopeSums(lines, grid, prior, np.zeros((0, 0)))(weights)
