@@ -64,10 +64,9 @@ def rectified_strip(
     # Both coordinates are in one map; OpenCV's types do not know that the second may then be missing.
     sampled = cv2.remap(image, pixels, None, way, borderMode=cv2.BORDER_REPLICATE)  # type: ignore[call-overload]
     values = _averaged(np.asarray(sampled).reshape(y_m.size, rows_each, x_m.size))
-    last = (image.shape[1] - 1, image.shape[0] - 1)
-    if all(lattice[..., k].min() >= 0 and lattice[..., k].max() <= last[k] for k in (0, 1)):
-        # Between lines of the lattice nothing lies beyond them.
+    if _is_inside(lattice, image):
         return Strip(values, x_m, np.ones(values.shape, dtype=bool))
+    last = (image.shape[1] - 1, image.shape[0] - 1)
     inside = ((pixels >= 0) & (pixels <= last)).all(axis=2)
     seen = np.asarray(inside.reshape(y_m.size, rows_each, x_m.size).all(axis=1))
     return Strip(values, x_m, seen)
@@ -102,22 +101,29 @@ def pixel_samples(
     lattice = _lattice(view, surface, x_m, fine_y)
     pixels = _spread(lattice, fine_y.size, x_m.size)
     nearest = np.rint(pixels)
-    off = nearest - pixels
+    off_x, off_y = nearest[..., 0] - pixels[..., 0], nearest[..., 1] - pixels[..., 1]
     # Over half a pixel the map is as steep as over the whole strip within a thousandth of it.
     steps = (x_m.size - 1) * float(x_m[1] - x_m[0]), float(fine_y[-1] - fine_y[0])
-    across = (pixels[:, -1:] - pixels[:, :1]) / steps[0]
-    along = (pixels[-1:] - pixels[:1]) / steps[1]
-    turn = across[..., 0] * along[..., 1] - across[..., 1] * along[..., 0]
-    beside = (off[..., 0] * along[..., 1] - off[..., 1] * along[..., 0]) / turn
-    height, width = image.shape
-    column, row = (nearest[..., k].astype(np.intp) for k in (0, 1))
-    inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
-    values = image[np.clip(row, 0, height - 1), np.clip(column, 0, width - 1)]
+    across = (pixels[:, -1:] - pixels[:, :1]) / np.float32(steps[0])
+    along = (pixels[-1:] - pixels[:1]) / np.float32(steps[1])
+    beside = off_x * along[..., 1] - off_y * along[..., 0]
+    beside /= across[..., 0] * along[..., 1] - across[..., 1] * along[..., 0]
+    beside += x_m.astype(np.float32)
+    # What lies beyond the photo takes the last pixel; its place is not in the photo.
+    values = cv2.remap(image, nearest, None, cv2.INTER_NEAREST, borderMode=cv2.BORDER_REPLICATE)  # type: ignore[call-overload]
+    values = np.asarray(values, dtype=np.float32)
+    if not _is_inside(lattice, image):
+        height, width = image.shape
+        inside = (nearest >= 0).all(axis=2) & (nearest[..., 0] < width) & (nearest[..., 1] < height)
+        values[~inside] = np.nan
     shape = (y_m.size, rows_each, x_m.size)
-    return PixelSamples(
-        np.where(inside, values, np.nan).astype(np.float32).reshape(shape),
-        (x_m + beside).astype(np.float32).reshape(shape),
-    )
+    return PixelSamples(values.reshape(shape), beside.reshape(shape))
+
+
+def _is_inside(lattice: Float32Array, image: AnyImage) -> bool:
+    """Return whether all of a lattice lies in a photo: between its lines nothing lies beyond them."""
+    last = (image.shape[1] - 1, image.shape[0] - 1)
+    return all(bool(lattice[..., k].min() >= 0 and lattice[..., k].max() <= last[k]) for k in (0, 1))
 
 
 def _averaged(lines: npt.NDArray[Any]) -> Float32Array:
@@ -142,8 +148,10 @@ def _lattice(view: View, surface: Quadric, x_m: FloatArray, y_m: FloatArray) -> 
         axes.append(values[0] + step * (_LATTICE * (np.arange(count) - 0.5) - 0.5))
     points = np.empty((axes[1].size, axes[0].size, 3))
     points[..., 0], points[..., 1] = axes[0], axes[1][:, None]
-    points[..., 2] = surface.height(axes[0], axes[1][:, None])
-    pixels = view.project(points)
+    # A surface that is alike along y has one height for each column.
+    points[..., 2] = surface.height(axes[0], axes[1][:, None] if surface.matrix[1].any() else 0.0)
+    # In one row: of many small matrices each product is a call of its own.
+    pixels = view.project(points.reshape(-1, 3)).reshape(*points.shape[:2], 2)
     # What lies behind the camera is outside the photo. Single precision is 1e-4 px.
     return np.where(np.isfinite(pixels), pixels, -1e4).astype(np.float32)
 
