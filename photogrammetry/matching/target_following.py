@@ -6,6 +6,7 @@ Following gives no measurement. It finds to half a pixel or so where targets are
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
@@ -132,18 +133,18 @@ def _resected(
 
 
 def agrees_with_list(found: Detections, known: KnownTargets, camera: Camera, pose: RigidTransform) -> bool:
-    """Return whether all targets that were read are listed, and are where the list has them.
+    """Return whether listed targets that were read are where the list has them, and no others are there.
 
     found: A photo's targets, named by their codes.
     pose: ``cam_from_frame``.
     Returns: Whether following may name targets by their places; with a wrong list only codes may.
     """
     place = {name: k for k, name in enumerate(known.names)}
-    if not set(found.names) <= set(place):
-        return False
-    points = known.points_m[[place[name] for name in found.names]]
-    off = np.linalg.norm(camera.project(pose.apply(points)) - found.pixels_px, axis=1)
-    return bool((off < _LISTED_PX).all())
+    own = np.array([place.get(name, -1) for name in found.names], dtype=np.intp)
+    listed = camera.project(pose.apply(known.points_m))
+    off = np.linalg.norm(listed[own] - found.pixels_px, axis=1)[own >= 0]
+    strange = np.linalg.norm(listed[:, None] - found.pixels_px[own < 0], axis=2)
+    return bool((off < _LISTED_PX).all() and not (strange < _LISTED_PX).any())
 
 
 def start_following(image: Image, found: Detections, shapes_px2: FloatArray, pose: RigidTransform) -> Track:
@@ -173,13 +174,15 @@ def follow(image: Image, track: Track, known: KnownTargets, camera: Camera) -> T
     Shapes: image (height, width).
     track: After the photo before.
     Returns: After this photo; None where it is lost: too few dots are where a common pose has them.
+
+    Targets that are not listed give no pose: they are looked for where the picture of the listed ones has moved them.
     """
     if track.motion is not None and track.steady:
         ahead = track.motion @ track.pose
         pixels = camera.project(ahead.apply(known.points_m))
         pose = _find_pose(image, track, known, camera, ahead, pixels, thorough=True)
         if pose is not None:
-            return _move_track(pose, track, known, camera)
+            return _move_track(image, pose, track, known, camera)
     # A flight that is steady no more is looked for as widely as at first.
     pixels = camera.project(track.pose.apply(known.points_m))
     has_pattern = np.array([name in track.patterns for name in known.names])
@@ -193,7 +196,7 @@ def follow(image: Image, track: Track, known: KnownTargets, camera: Camera) -> T
         moved = _move_in_common(image, pixels[seen_before[chosen]], own, track.radius_px, pixels)
         pose = _find_pose(image, track, known, camera, track.pose, moved, thorough=telling == _TELLING[-1])
         if pose is not None:
-            return _move_track(pose, track, known, camera)
+            return _move_track(image, pose, track, known, camera)
     return None
 
 
@@ -261,18 +264,54 @@ def _fit_near(
     return None
 
 
-def _move_track(pose: RigidTransform, track: Track, known: KnownTargets, camera: Camera) -> Track:
-    """Say where all listed targets are that the photo shows whole; those that come in look like the others."""
-    pixels = camera.project(pose.apply(known.points_m))
+def _move_track(image: Image, pose: RigidTransform, track: Track, known: KnownTargets, camera: Camera) -> Track:
+    """Say where all listed targets are that the photo shows whole; those that come in look like the others.
+
+    Of others those go on that are found again.
+    """
+    pixels, before_px = (camera.project(one.apply(known.points_m)) for one in (pose, track.pose))
     shown = np.flatnonzero(_well_inside(pixels, camera, _WHOLE_RADII * track.radius_px))
     before = {name: k for k, name in enumerate(track.ellipses.names)}
     names = tuple(known.names[k] for k in shown)
-    ellipses = NamedEllipses(names, pixels[shown], track.ellipses.shapes_px2[[before.get(name, 0) for name in names]])
+    others = _find_others(image, track, known, before_px, pixels)
+    ellipses = NamedEllipses(
+        (*names, *others),
+        np.concatenate([pixels[shown], np.reshape(list(others.values()), (-1, 2))]),
+        track.ellipses.shapes_px2[[before.get(name, 0) for name in (*names, *others)]],
+    )
     steady = False
     if track.motion is not None:
         foreseen = camera.project((track.motion @ track.pose).apply(known.points_m))
         steady = bool(np.nanmax(np.abs(foreseen - pixels), initial=0.0) < _STEADY_PX)
     return Track(pose, track.patterns, ellipses, track.radius_px, pose @ track.pose.inverse(), steady)
+
+
+def _find_others(
+    image: Image, track: Track, known: KnownTargets, before_px: FloatArray, after_px: FloatArray
+) -> dict[str, FloatArray]:
+    """Return where followed targets that are not listed are now, as far as they are found [px].
+
+    before_px, after_px (n, 2): Where the listed ones were and are [px].
+    """
+    listed = set(known.names)
+    places = {
+        name: place
+        for name, place in zip(track.ellipses.names, track.ellipses.centers_px, strict=True)
+        if name not in listed
+    }
+    if not places:
+        return {}
+    seen = np.isfinite(before_px + after_px).all(axis=1)
+    before, after, own = (
+        xy[:, 0] + 1j * xy[:, 1] for xy in (before_px[seen], after_px[seen], np.array([*places.values()]))
+    )
+    shift, scale = _movement(before, after)
+    moved = shift + scale * own
+    found = {
+        name: _match(image, place, track.patterns[name][1], track.radius_px, _NEAR_PX)
+        for name, place in zip(places, np.stack([moved.real, moved.imag], axis=1), strict=True)
+    }
+    return {name: place for name, place in found.items() if np.isfinite(place).all()}
 
 
 def _move_in_common(
@@ -281,21 +320,25 @@ def _move_in_common(
     """Move pixels as some targets have moved; NaN where those do not agree.
 
     places (k, 2): Where these targets were [px].
-    The movement is a shift, a turn and a change of scale: in complex numbers ``a + b z``.
     """
     both = zip(places, patterns, strict=True)
     found = np.array([_match(image, place, pattern, radius_px, _WIDE_PX) for place, pattern in both])
     seen = np.isfinite(found[:, 0])
     before, after = (values[:, 0] + 1j * values[:, 1] for values in (places, found))
     while np.count_nonzero(seen) > len(places) / 2:
-        design = np.stack([np.ones(before.size, dtype=complex), before], axis=1)
-        movement = np.linalg.lstsq(design[seen], after[seen], rcond=None)[0]
-        off = np.where(seen, np.abs(design @ movement - after), 0.0)
+        shift, scale = _movement(before[seen], after[seen])
+        off = np.where(seen, np.abs(shift + scale * before - after), 0.0)
         if off.max() < _AGREEING_PX:
-            moved = movement[0] + movement[1] * (pixels[:, 0] + 1j * pixels[:, 1])
+            moved = shift + scale * (pixels[:, 0] + 1j * pixels[:, 1])
             return np.stack([moved.real, moved.imag], axis=1)
         seen[np.argmax(off)] = False
     return np.full_like(pixels, np.nan)
+
+
+def _movement(before: npt.NDArray[Any], after: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """Return a and b of the shift, turn and change of scale ``a + b z`` that takes pixels x + iy to others best."""
+    design = np.stack([np.ones_like(before), before], axis=1)
+    return np.asarray(np.linalg.lstsq(design, after, rcond=None)[0])
 
 
 def _well_inside(pixels: FloatArray, camera: Camera, margin_px: float) -> BoolArray:

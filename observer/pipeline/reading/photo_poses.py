@@ -42,9 +42,10 @@ def place_photo(one: OnePhoto, known: KnownTargets, plain: frozenset[str], camer
     row = {name: number for number, name in enumerate(known.names)}
     round_ones = np.isfinite(one.ellipses_px2).all(axis=(1, 2))
     strange = np.array([name not in row for name in one.detections.names], dtype=np.bool_) & round_ones
-    # Plain dots in what looks like an empty ring all read like one code; several codes belong to something else.
+    # Plain dots in what looks like an empty ring all read like one code; several codes belong to something else, unless
+    # a pose says which of them stand where a plain dot is listed.
     codes = {name for name, one_is in zip(one.detections.names, strange.tolist(), strict=True) if one_is}
-    may_be_plain = bool(plain) and len(codes) <= 1
+    may_be_plain = bool(plain) and (len(codes) <= 1 or pose is not None)
     strange &= may_be_plain
     nameless = one.detections.chosen(strange).joined(one.dots)
     shapes = np.concatenate([one.ellipses_px2[strange], one.dot_ellipses_px2])

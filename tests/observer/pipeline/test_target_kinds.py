@@ -113,20 +113,23 @@ def test_pose_where_few_codes_or_none_are_read(codes):
     assert len(found.photo.detections) >= 11
 
 
-def test_plain_dots_get_names_where_codes_say_the_pose():
+@pytest.mark.parametrize("false_code", [(), ("96",)], ids=["", "something else reads like another code"])
+def test_plain_dots_get_names_where_codes_say_the_pose(false_code):
     pose = from_beside()
     pixels = CAMERA.project(pose.apply(PLACES))
     known = KnownTargets(tuple(str(k) for k in range(12)), PLACES, np.full(12, 1e-3))
     coded = [0, 3, 5, 7, 10]
     # One of the others reads like a code that no list has; another one is a false dot.
-    one = photo_of(pixels[[*coded, 8]], [*map(str, coded), "143"], np.array([*pixels[[1, 2, 4, 6, 9]], [50.0, 60.0]]))
+    read = np.concatenate([pixels[[*coded, 8]], np.full((len(false_code), 2), 90.0)])
+    dots = np.array([*pixels[[1, 2, 4, 6, 9]], [50.0, 60.0]])
+    one = photo_of(read, [*map(str, coded), "143", *false_code], dots)
     plain = frozenset(name for name in known.names if int(name) not in coded)
     found = place_photo(one, known, plain, CAMERA)
     assert not found.by_list
     names = dict(zip(found.photo.detections.names, found.photo.detections.pixels_px, strict=True))
-    assert set(names) == {str(k) for k in range(11)}
-    for name, pixel in names.items():
-        np.testing.assert_array_equal(pixel, pixels[int(name)])
+    assert set(names) == {*(str(k) for k in range(11)), *false_code}
+    for name in set(names) - set(false_code):
+        np.testing.assert_array_equal(names[name], pixels[int(name)])
     assert len(found.photo.dots) == 1
 
 

@@ -104,6 +104,39 @@ def test_a_list_that_exchanges_two_targets_does_not_agree(walk) -> None:
         assert agrees_with_list(found, listed, CAMERA, pose) is agrees
 
 
+def test_a_code_that_is_not_listed_contradicts_the_list_only_where_the_list_has_another(walk) -> None:
+    _, known, images = walk
+    found = measure_targets(images[0], "walk_0", SEARCH).detections
+    pose = provisional_pose(found, known, CAMERA)
+    without = KnownTargets(known.names[1:], known.points_m[1:], known.sigma_m[1:])
+    renamed = KnownTargets(("999", *known.names[1:]), known.points_m, known.sigma_m)
+    assert known.names[0] in found.names
+    assert agrees_with_list(found, without, CAMERA, pose)
+    assert not agrees_with_list(found, renamed, CAMERA, pose)
+
+
+def test_targets_that_are_not_listed_are_followed_by_the_picture(walk) -> None:
+    _, known, images = walk
+    others = set(known.names[::4])
+    listed = [k for k, name in enumerate(known.names) if name not in others]
+    few = KnownTargets(tuple(known.names[k] for k in listed), known.points_m[listed], known.sigma_m[listed])
+    track = follow(images[1], begun(walk, few), few, CAMERA)
+    assert track is not None
+    searched = measure_targets(images[1], "photo", SEARCH).detections
+    places = dict(zip(track.ellipses.names, track.ellipses.centers_px, strict=True))
+    own = [(name, place) for name, place in zip(searched.names, searched.pixels_px, strict=True) if name in others]
+    assert len(own) >= 3
+    for name, place in own:
+        # To half a pixel or so, as listed ones; the picture has moved by more than 30.
+        assert np.linalg.norm(places[name] - place) < 1.0
+    empty = images[1].copy()
+    x, y = own[0][1].round().astype(int)
+    empty[max(y - 60, 0) : y + 60, max(x - 60, 0) : x + 60] = 90
+    gone = follow(empty, begun(walk, few), few, CAMERA)
+    assert gone is not None
+    assert own[0][0] not in gone.ellipses.names
+
+
 def test_another_picture_is_not_followed(walk) -> None:
     _, known, images = walk
     track = begun(walk, known)
