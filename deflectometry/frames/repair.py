@@ -105,6 +105,11 @@ class _State:
             return f"frames {numbers[0]} to {numbers[-1]}"
         return f"frames {', '.join(map(str, numbers))}"
 
+    def in_whole_sets(self, frames: Sequence[int]) -> bool:
+        """Return whether these are all frames of one set or more, which a wrong number of periods has in common."""
+        wholes = [set(range(*one.indices(self.pattern.n_frames))) for one in self.pattern.frame_slices]
+        return set(frames) == set().union(*(one for one in wholes if one <= set(frames)))
+
     def with_doubt(self, doubt: Doubt, **changes: Any) -> "_State":
         """Return the sequence after a repair."""
         return replace(self, repairs=(*self.repairs, doubt), **changes)
@@ -194,7 +199,7 @@ def _mended(state: _State, errors: list[FrameFault]) -> _State | None:
     if steps:
         return _with_steps(state, steps, errors)
     if spoilt:
-        return _left_out(state, spoilt, "do not fit in a part of the pixels", FaultKind.CORRUPT)
+        return _left_out(state, spoilt, "not as the other frames in a part of the pixels")
     return None
 
 
@@ -262,25 +267,32 @@ def _enough(steps_rad: FloatArray) -> bool:
     return len(steps_rad) >= 3 and determines_phase(steps_rad)
 
 
-def _left_out(state: _State, frames: Sequence[int], why: str, kind: FaultKind) -> _State | None:
+def _left_out(state: _State, frames: Sequence[int], why: str) -> _State | None:
     left = _without_frames(state, frames)
     if left is None:
         return None
     doubt = Doubt(
         "frames_left_out",
-        f"{state.listed(sorted(frames))} {why}: left out; the result rests on {len(left.numbers)} of "
-        f"{state.original.n_frames} frames, with the sigma they have. Take the sequence again for all of it "
-        f"({kind.value})",
+        f"{state.listed(sorted(frames))} left out ({why}{_or_periods(state, frames)}); the result rests on "
+        f"{len(left.numbers)} of {state.original.n_frames} frames, with the sigma they have. Take the sequence again "
+        "for all of it",
         {"left_out_count": len(frames), "frames_count": state.original.n_frames},
     )
     return left.with_doubt(doubt)
 
 
+def _or_periods(state: _State, frames: Sequence[int]) -> str:
+    """Add what a whole set that contradicts the others may have as well."""
+    if not state.in_whole_sets(frames):
+        return ""
+    return ", or shown with another number of periods than [[pattern.set]] says"
+
+
 _WHY = {
-    FaultKind.REPEATED: "shows another frame's image again",
-    FaultKind.STALE: "still shows another frame's fringes",
-    FaultKind.SWAPPED: "shows another frame's fringes",
-    FaultKind.CORRUPT: "is damaged or obstructed",
+    FaultKind.REPEATED: "another frame's image again",
+    FaultKind.STALE: "another frame's fringes still",
+    FaultKind.SWAPPED: "another frame's fringes",
+    FaultKind.CORRUPT: "damaged or obstructed",
 }
 
 
@@ -302,14 +314,15 @@ def _reordered(state: _State, shows: Mapping[int, int | None], faults: list[Fram
         doubt = Doubt(
             "frames_reordered",
             f"{state.listed(frames)} show each other's fringes (image {state.numbers[moved[frames[0]]]} belongs to "
-            f"frame {state.numbers[frames[0]]}): put into the order of the pattern; check how the images were named",
+            f"frame {state.numbers[frames[0]]}){_or_periods(state, frames)}: put into the order of the pattern; "
+            "check how the images were named",
             {"moved_count": len(frames), "frames_count": state.original.n_frames},
         )
         # Names stay those of the frames that the content belongs to.
         result = state.with_frames(state.frames[order]).with_doubt(doubt)
     if lost:
         kind = next((one.kind for one in faults if set(one.frames) & set(lost)), FaultKind.CORRUPT)
-        return _left_out(result, lost, _WHY.get(kind, "is damaged"), kind)
+        return _left_out(result, lost, _WHY.get(kind, "damaged"))
     return result
 
 
@@ -471,8 +484,7 @@ def _with_model(state: _State, model: FrameModel) -> _State | None:
     blurred = sorted({frame for one in kinds[OddityKind.CONTRAST] for frame in one.frames})
     if blurred:
         # Where single frames are of another sharpness, what else they seem to have is part of it.
-        why = "has another contrast or sharpness than the rest of its set"
-        return _left_out(state, blurred, why, FaultKind.CORRUPT)
+        return _left_out(state, blurred, "another contrast or sharpness than the rest of the set")
     if kinds[OddityKind.SCALE_OF_SET]:
         return _with_places(state, model, kinds[OddityKind.SCALE_OF_SET])
     from scipy import ndimage

@@ -34,12 +34,18 @@ def observe(measurement: DeflectometryMeasurement, pattern: FringePattern, frame
     """Put together what the images of a measurement show.
 
     Returns: Frames, response, noise and limits.
+    InputError: The dark frame is the brighter one.
     """
     section = measurement.model.images
     fringes, rest = frames.images_dn[: pattern.n_frames], frames.images_dn[pattern.n_frames :].astype(np.float32)
     lit = None
     if section.bright is not None:
         lit = rest[-1] - rest[0] if section.dark is not None else rest[-1]
+        if section.dark is not None and lit.sum() < 0:
+            raise InputError(
+                f"images.dark ({section.dark}) is brighter than images.bright ({section.bright}): exchange the two; "
+                "the bright one shows the display white"
+            )
     saturation = section.saturation_dn or saturation_level(fringes, frames.full_scale_dn)
     return Observation(
         frames=fringes,

@@ -160,3 +160,19 @@ def test_whole_periods_four_times_finer_each_are_unwrapped(tmp_path, noise_dn):
     )
     write_dataset(tmp_path / "m", scene, DatasetOptions(0, Knowledge(), force=True))
     assert mended(tmp_path / "m") == ()
+
+
+def test_a_set_of_other_periods_is_not_only_called_damaged(folder, rewrite):
+    """63.9 shown, 64.9 stated for all: frames 12 to 15 were "damaged" and 28 to 31 "in another order"."""
+    rewrite(folder, ("periods = 63.9", "periods = 64.9"))
+    named = [text for text in said(folder) if "[[pattern.set]]" in text]
+    assert any("12 to 15" in text for text in named)
+    assert any("28 to 31" in text for text in named)
+
+
+def test_dark_and_bright_exchanged_are_named(folder):
+    dark, bright = folder / "dark.png", folder / "bright.png"
+    dark.rename(folder / "other.png")
+    bright.rename(dark)
+    (folder / "other.png").rename(bright)
+    assert "exchange the two" in refused(folder)
