@@ -11,9 +11,9 @@ from heliogauge.slopes.map import SlopeMap, monomials
 from heliogauge.validate import BoolArray, FloatArray
 
 #: Polynomials of this degree are what poses, cameras and screens do to slopes; only what is finer belongs to a place.
-_SMOOTH_DEGREE = 3
+SMOOTH_DEGREE = 3
 #: Blocks of the jackknife along each side.
-_BLOCKS = 4
+BLOCKS = 4
 _ITERATIONS = 12
 _NODES = 40_000
 #: A structure of the same mirror correlates by 1 with itself, that of another mirror by 0.
@@ -161,18 +161,18 @@ class _Pair:
         jacobian = np.stack([by_turn, -self.gradients[:, 0], -self.gradients[:, 1]])
         jacobian = self.without_smooth(jacobian)
         error = self.without_smooth(self.slopes_a - self.slopes_b)
-        lines = [np.quantile(one, np.linspace(0, 1, _BLOCKS + 1)[1:-1]) for one in self.places]
-        number = np.searchsorted(lines[0], x) * _BLOCKS + np.searchsorted(lines[1], y)
+        lines = [np.quantile(one, np.linspace(0, 1, BLOCKS + 1)[1:-1]) for one in self.places]
+        number = np.searchsorted(lines[0], x) * BLOCKS + np.searchsorted(lines[1], y)
         products = np.stack(
             [
                 np.einsum("icn,jcn->ij", jacobian[..., number == one], jacobian[..., number == one])
-                for one in range(_BLOCKS**2)
+                for one in range(BLOCKS**2)
             ]
         )
         moments = np.stack(
             [
                 np.einsum("icn,cn->i", jacobian[..., number == one], error[..., number == one])
-                for one in range(_BLOCKS**2)
+                for one in range(BLOCKS**2)
             ]
         )
         whole = products.sum(axis=0)
@@ -181,7 +181,7 @@ class _Pair:
             raise EstimationError("the slopes have no fine structure that determines shift and turn of the two maps")
         step = np.linalg.solve(whole, moments.sum(axis=0))
         others = np.stack(
-            [np.linalg.solve(whole - products[one], moments.sum(axis=0) - moments[one]) for one in range(_BLOCKS**2)]
+            [np.linalg.solve(whole - products[one], moments.sum(axis=0) - moments[one]) for one in range(BLOCKS**2)]
         )
         return np.asarray(step), others
 
@@ -212,7 +212,7 @@ def _pair(map_a: SlopeMap, map_b: SlopeMap, motion: PlaneMotion) -> _Pair:
         at(map_a.sigma_random_x, map_a.sigma_random_y),
         at(moved.sigma_random_x, moved.sigma_random_y),
         gradients[:, :, rows, columns],
-        monomials(centred[0], centred[1], _SMOOTH_DEGREE),
+        monomials(centred[0], centred[1], SMOOTH_DEGREE),
     )
 
 

@@ -82,7 +82,7 @@ def moved_map(slope_map: SlopeMap, motion: PlaneMotion, x_m: FloatArray, y_m: Fl
         sigma_random_y=sigma_y,
         noise_correlation=_correlation(slope_map, x_m, y_m, np.stack([sigma_x, sigma_y])),
         height_m=placed(found.height_m),
-        common=_moved_modes(slope_map.common, motion, x_m, y_m),
+        common=moved_modes(slope_map.common, motion, x_m, y_m),
         flags=np.where(reached, found.flags, 0).astype(np.uint32).reshape(shape),
         aperture=aperture.reshape(shape),
     )
@@ -114,7 +114,11 @@ def cell_area_m2(x_m: FloatArray, y_m: FloatArray) -> float:
     return float(np.prod([np.ptp(grid) / max(grid.size - 1, 1) or 1.0 for grid in (x_m, y_m)]))
 
 
-def _moved_modes(common: CommonModes, motion: PlaneMotion, x_m: FloatArray, y_m: FloatArray) -> CommonModes:
+def moved_modes(common: CommonModes, motion: PlaneMotion, x_m: FloatArray, y_m: FloatArray) -> CommonModes:
+    """Return the modes of a map in another frame of its plane, about the middle of a grid of that frame.
+
+    Shapes: x_m (nx,), y_m (ny,).
+    """
     if not common.sources or (motion.turn_rad == 0 and not motion.shift_m.any()):
         return common
     center = np.array([0.5 * (x_m[0] + x_m[-1]), 0.5 * (y_m[0] + y_m[-1])])

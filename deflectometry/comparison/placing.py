@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from deflectometry.comparison.in_plane import (
+    BLOCKS,
     SAME_CORRELATION,
     FoundMotion,
     Likeness,
@@ -14,7 +15,7 @@ from deflectometry.comparison.in_plane import (
 )
 from deflectometry.comparison.judgement import SIGNIFICANCE
 from deflectometry.comparison.moved_map import PlaneMotion
-from heliogauge.adjust.chi_square import chi_square_cdf
+from heliogauge.adjust.f_distribution import f_tail
 from heliogauge.doubts import Doubt, Severity
 from heliogauge.errors import EstimationError
 from heliogauge.slopes.map import SlopeMap
@@ -77,8 +78,10 @@ def place_maps(map_a: SlopeMap, map_b: SlopeMap, *, both: bool, as_placed: bool)
     if found is None or as_placed:
         return Placed(start, found, here, is_moved=start.turn_rad != 0), tuple(doubts)
     step = np.array([found.motion.turn_rad - start.turn_rad, *(found.motion.shift_m - start.shift_m)])
-    chi_square = float(step @ np.linalg.solve(found.covariance, step))
-    moves = 1 - chi_square_cdf(chi_square, 3) < SIGNIFICANCE
+    # The covariance is itself known from some blocks only: Hotelling's T square (Annals of Mathematical Statistics 2
+    # (1931) 360).
+    square, freedom = float(step @ np.linalg.solve(found.covariance, step)), BLOCKS**2 - 1
+    moves = f_tail(square * (freedom - 2) / (3 * freedom), 3, freedom - 2) < SIGNIFICANCE
     if not moves and start.turn_rad == 0 and not start.shift_m.any():
         return Placed(start, found, here, is_moved=False), tuple(doubts)
     placed = Placed(found.motion, found, found.likeness, is_moved=True)

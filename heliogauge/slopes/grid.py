@@ -317,7 +317,7 @@ def difference(map_a: SlopeMap, map_b: SlopeMap) -> SlopeMap:
         sigma_random_y=np.hypot(map_a.sigma_random_y, map_b.sigma_random_y),
         noise_correlation=_joint_correlation(map_a, map_b, both),
         height_m=map_a.height_m - map_b.height_m,
-        common=_joint_modes(map_a.common, map_b.common),
+        common=joint_modes(map_a.common, map_b.common),
         flags=map_a.flags | map_b.flags,
         aperture=map_a.aperture & map_b.aperture,
         design=f"zero (difference of two maps; first: {map_a.design}; second: {map_b.design})",
@@ -331,7 +331,8 @@ def _joint_correlation(map_a: SlopeMap, map_b: SlopeMap, both: BoolArray) -> flo
     return (map_a.noise_correlation * a + map_b.noise_correlation * b) / total if total > 0 else 1.0
 
 
-def _joint_modes(first: CommonModes, second: CommonModes) -> CommonModes:
+def joint_modes(first: CommonModes, second: CommonModes) -> CommonModes:
+    """Return the modes of both, those of the first first."""
     if not second.sources:
         return first
     if not first.sources:

@@ -29,7 +29,7 @@ from deflectometry.comparison.linear_terms import (
     linear_terms,
     measured,
 )
-from deflectometry.comparison.map_difference import difference_of, fine_square, motion_square
+from deflectometry.comparison.map_difference import difference_of, fine_square, motion_square, with_place_errors
 from deflectometry.comparison.moved_map import PlaneMotion, cell_area_m2, moved_map
 from deflectometry.comparison.pipeline.result import DIFFERENCE, FIRST, REST, SECOND, Comparison, Side
 from deflectometry.comparison.placing import Placed, place_maps
@@ -81,6 +81,10 @@ def compare_results(first: Path, second: Path, *, shared: Sequence[str] = (), as
     both = has_both(map_a) and has_both(map_b)
     placed, doubts = place_maps(map_a, map_b, both=both, as_placed=as_placed)
     moved = moved_map(map_b, placed.motion, map_a.x_m, map_a.y_m)
+    # Where neither has a sigma, that of the place is no sigma of the difference.
+    found = placed.found if not as_placed and (_has_sigma(map_a) or _has_sigma(map_b)) else None
+    if found is not None:
+        moved = with_place_errors(moved, map_b, placed.motion, found.covariance)
     change = difference_of(map_a, moved, shared)
     known = measured(change, both=both)
     count = 2 if both else 1
@@ -96,7 +100,9 @@ def compare_results(first: Path, second: Path, *, shared: Sequence[str] = (), as
     own = tuple(
         linear_terms(one, np.stack([one.slope_x, one.slope_y])[:count], known, one.common) for one in (map_a, moved)
     )
-    fine = fine_square(map_a, moved, known, count) + motion_square(moved, placed, known, count)
+    fine = fine_square(map_a, moved, known, count)
+    if found is not None:
+        fine = fine + motion_square(moved, found.sigmas, known, count)
     rest = expected_rest(change, known, change.common, fine, count)
     checks = tuple(
         self_check(
@@ -137,6 +143,10 @@ def compare_results(first: Path, second: Path, *, shared: Sequence[str] = (), as
             for number, one in enumerate(sides, start=1)
         },
     )
+
+
+def _has_sigma(slope_map: SlopeMap) -> bool:
+    return bool(slope_map.common.sources or (slope_map.sigma_random_x > 0).any())
 
 
 def _read_sides(first: Path, second: Path) -> tuple[Side, Side]:

@@ -54,6 +54,7 @@ def drawn_map(
     step_m: float = 0.02,
     curvature_per_m: float = 0.0,
     shear_per_m: float = 0.0,
+    trough_per_m: float = 0.0,
 ) -> SlopeMap:
     """Draw a measurement in a frame of its own: ``x_first = R(turn) x_own + shift``."""
     side = np.arange(-0.6, 0.6 + 1e-9, step_m)
@@ -61,6 +62,7 @@ def drawn_map(
     cosine, sine = np.cos(turn_rad), np.sin(turn_rad)
     there = cosine * x - sine * y + shift_m[0], sine * x + cosine * y + shift_m[1]
     seen = wavy_slopes(*there, mirror)
+    seen[0] += trough_per_m * there[0]
     slopes = np.stack([cosine * seen[0] + sine * seen[1], -sine * seen[0] + cosine * seen[1]])
     slopes += rng.normal(0, NOISE_RAD, slopes.shape)
     draws = rng.normal(size=3)
@@ -134,6 +136,23 @@ def test_frames_are_found_within_their_sigma(tmp_path: Path) -> None:
         assert "frames_differ" in {one.code for one in found.doubts}
     # Mean of chi-square over 3: of a jackknife over 16 blocks, whose own spread widens it.
     assert 0.4 < np.mean(squares) / 3 < 2.5
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_the_turn_of_a_map_is_in_the_sigma_of_its_twist(tmp_path: Path, seed: int) -> None:
+    """A trough turned by one sigma has another twist, by its curvature times that: no contradiction."""
+    rng, trough_per_m = np.random.default_rng(seed), 0.3
+    first = written(tmp_path / "first", drawn_map(rng, trough_per_m=trough_per_m))
+    drawn = drawn_map(rng, turn_rad=0.02, shift_m=(0.01, 0.0), trough_per_m=trough_per_m)
+    found = compare_results(first, written(tmp_path / "second", drawn))
+    assert found.placed.found is not None
+    twist = found.terms.names.index("twist")
+    expected = trough_per_m * found.placed.found.sigmas[0]
+    assert found.terms.sigmas[twist] == pytest.approx(expected, rel=0.1)
+    assert found.judgement.agreement is Agreement.WITHIN
+    # Frames that are taken as they are have no such sigma.
+    as_placed = compare_results(tmp_path / "first", tmp_path / "second", as_placed=True)
+    assert as_placed.terms.sigmas[twist] < 0.1 * expected
 
 
 def test_the_one_with_curl_is_blamed_for_the_focus(tmp_path: Path) -> None:
