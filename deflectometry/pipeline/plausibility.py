@@ -10,6 +10,7 @@ from math import isfinite
 import numpy as np
 
 from deflectometry.pipeline.curl_test import CurlRemedies, curl_doubt
+from deflectometry.pipeline.design_check import off_design
 from deflectometry.pipeline.evaluate import Evaluation, Reflection
 from deflectometry.pipeline.headline import flag_words
 from deflectometry.pipeline.stated_inputs import StatedInput
@@ -17,18 +18,13 @@ from deflectometry.pose.find_pose import LocatedMirror
 from deflectometry.setup.camera_and_screen import Setup
 from deflectometry.shape.smooth_shape import Align
 from deflectometry.sources.source import Remedies
-from heliogauge.doubts import Doubt, Severity
+from heliogauge.doubts import Doubt
 from heliogauge.errors import EstimationError
 from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.validate import FloatArray
 
 Numbers = Mapping[str, float | int | None]
 
-#: Root mean square slope error that no mirror for sunlight has: its beam would be 40 mrad wide.
-_GROSS_MRAD = 10.0
-#: Deviation whose cause is the curvature of the whole mirror: the best-fit quadratic takes away more than two thirds.
-_SHAPE_MRAD = 1.0
-_SHAPE_SHARE = 0.3
 #: Pixels inside the outline that good measurements lose: dust, a few at the noise's limits.
 _REJECTED_SHARE = 0.05
 #: How far the normal of a good mirror may be off that of its outline [rad], and how many sigma beyond that are a doubt.
@@ -68,25 +64,10 @@ def implausible(
     yield from _rejection_doubt(evaluation)
     yield from _turn_doubt(evaluation)
     yield from curl_doubt(facets or {"": numbers}, CurlRemedies.of_source(remedies))
-    error, rest = (1e3 * _number(numbers, f"sd_{left}_rad") for left in ("tilt_removed", "best_quadratic"))
-    # In curvatures, which a flat mirror has, too.
-    lengths = ", ".join(f"1/f in {axis} {2 * _number(numbers, f'curvature_{axis}_per_m'):.4g} 1/m" for axis in "xy")
-    if error > _GROSS_MRAD:
-        yield Doubt(
-            "slopes_too_far_off_design",
-            f"the slopes are {error:.1f} mrad RMS off the design (best fit: {lengths}): too far for any solar mirror; "
-            f"check the design and its unit, size and pose of the screen, {remedies.pattern}, and that no "
-            "program has mirrored or turned the images",
-            {"slope_error_mrad": error},
-            Severity.SERIOUS,
-        )
-    elif error > _SHAPE_MRAD and rest < _SHAPE_SHARE * error:
-        yield Doubt(
-            "design_curvature_is_not_the_mirrors",
-            f"the design's curvature is not the mirror's: of {error:.2f} mrad RMS of slope error {rest:.2f} mrad are "
-            f"left with {lengths}; check the design and its focal length or radius [m]",
-            {"slope_error_mrad": error, "best_quadratic_mrad": rest},
-        )
+    yield from off_design(
+        numbers,
+        f"size and pose of the screen, {remedies.pattern}, and that no program has mirrored or turned the images",
+    )
 
 
 def size_doubt(inputs: Sequence[StatedInput], unstated: Collection[str]) -> Doubt | None:
@@ -113,11 +94,6 @@ def size_doubt(inputs: Sequence[StatedInput], unstated: Collection[str]) -> Doub
         f"{1e4 * per_mm[1]:.2g} m",
         {"curvature_x_per_mm_per_m": 0.5 * per_mm[0], "curvature_y_per_mm_per_m": 0.5 * per_mm[1]},
     )
-
-
-def _number(numbers: Numbers, name: str) -> float:
-    value = numbers.get(name)
-    return float("nan") if value is None else float(value)
 
 
 def _rejection_doubt(evaluation: Evaluation) -> Iterator[Doubt]:

@@ -16,6 +16,7 @@ from deflectometry.laser.pipeline.scan_file import read_lines, read_scan
 from deflectometry.laser.scan import LaserScan
 from deflectometry.laser.scan_slopes import LaserSigmas, ScanSlopes, solve_scan
 from deflectometry.pipeline.choices import Options
+from deflectometry.pipeline.design_check import other_design
 from deflectometry.pipeline.headline import Numbers, facet_numbers, headline_text, reasons
 from deflectometry.shape.smooth_shape import Align, alignment_words
 from heliogauge.doubts import Doubt, Severity
@@ -125,7 +126,11 @@ def run(measurement: LaserMeasurement, options: Options | None = None, progress:
         scan=scan,
         found=one.found,
         instrument="" if one.heard is None else one.heard.words(one.sources),
-        doubts=(*_doubts(model, scan, one.found, one.heard), *_doubts_of_lines(lines)),
+        doubts=(
+            *_doubts(model, scan, one.found, one.heard),
+            *_doubts_of_lines(lines),
+            *other_design(one.numbers, one.as_measured, "distance and offset of the mirror, and whether x is across"),
+        ),
         durations_s=dict(progress.durations_s),
         input_sha256=hash_files(measurement.input_files, measurement.folder),
     )

@@ -10,6 +10,7 @@ import numpy as np
 from deflectometry.exchange.measure_slopes import grid_points
 from deflectometry.exchange.slope_points import SlopePoints
 from deflectometry.pipeline.choices import Options
+from deflectometry.pipeline.design_check import other_design
 from deflectometry.pipeline.headline import Numbers, facet_numbers, headline_text, reasons
 from deflectometry.scans.keys import SurfaceScanMeasurement, SurfaceScanModel
 from deflectometry.scans.patch_slopes import (
@@ -35,7 +36,6 @@ from heliogauge.results.tables import write_table_csv
 from heliogauge.running.progress import Progress, SilentProgress
 from heliogauge.slopes.map import SlopeMap
 from heliogauge.slopes.removal import Removal, remove
-from heliogauge.slopes.statistics import fit_quadratic
 from heliogauge.validate import BoolArray, FloatArray
 from photogrammetry.surface import DesignSurface
 
@@ -44,8 +44,6 @@ PATCHES_FILE = "patches.csv"
 _FIRST_SIGMA_M = 1e-4
 #: The chi-square of thousands of points knows the noise to a per cent; a stated sigma off by half is not that of these.
 _SAME_SIGMA = 1.5
-#: A curvature that differs by half of itself is another design, not an error of manufacture.
-_OTHER_DESIGN, _SURE = 0.5, 10.0
 _MOST_NODES = 60_000
 
 
@@ -187,7 +185,7 @@ def evaluate_points(
     with progress.stage("statistics"):
         slope_map = remove(as_measured, options.remove or Removal(model.evaluation.remove))
         numbers = facet_numbers(slope_map, as_measured) | _own_numbers(place, sigma, patches, points)
-    doubts += _doubts(model, place, odd, as_measured, design)
+    doubts += _doubts(model, place, odd, as_measured, numbers)
     return EvaluatedPoints(slope_map, numbers, place, tuple(patches), odd, tuple(doubts))
 
 
@@ -355,7 +353,7 @@ def _own_numbers(place: Registration, sigma_m: float, patches: list[PatchSlopes]
 
 
 def _doubts(
-    model: SurfaceScanModel, place: Registration, odd: BoolArray, as_measured: SlopeMap, design: Quadric
+    model: SurfaceScanModel, place: Registration, odd: BoolArray, as_measured: SlopeMap, numbers: Numbers
 ) -> Iterator[Doubt]:
     if place.held:
         yield Doubt(
@@ -376,22 +374,4 @@ def _doubts(
             {"odd_count": count, "points_count": odd.size},
             Severity.NOTE if count < 0.01 * odd.size else Severity.DOUBT,
         )
-    fit = fit_quadratic(as_measured)
-    measured = (
-        (fit.curvature_x_per_m, fit.sigma_curvature_x_per_m),
-        (fit.curvature_y_per_m, fit.sigma_curvature_y_per_m),
-    )
-    x, y = np.meshgrid(as_measured.x_m, as_measured.y_m)
-    known = as_measured.valid
-    for axis, slopes, places, (value, sigma) in zip(
-        "xy", (as_measured.design_slope_x, as_measured.design_slope_y), (x, y), measured, strict=True
-    ):
-        own = float(np.polyfit(places[known], slopes[known], 1)[0])
-        if abs(value - own) > max(_OTHER_DESIGN * abs(own), _SURE * sigma) and own != 0:
-            yield Doubt(
-                "scan_contradicts_design",
-                f"the points have a focal length of {0.5 / value:.4g} m in {axis}, the design ({design.describe()}) "
-                f"{0.5 / own:.4g} m: is that the design of this mirror, and x across?",
-                {"measured_per_m": value, "design_per_m": own},
-                Severity.SERIOUS,
-            )
+    yield from other_design(numbers, as_measured, "its place, and that x is across")

@@ -11,6 +11,7 @@ from data_synth.lasers import LaserScene, line_scene, write_laser_scan, write_li
 from deflectometry.laser.keys import load_laser
 from deflectometry.laser.line_sweep import Sweep, cross_lines
 from deflectometry.laser.pipeline.measure import LaserResult, run
+from heliogauge.doubts import Severity
 from heliogauge.errors import EstimationError, InputError
 from heliogauge.results.tables import read_columns_csv, read_table_csv, write_table_csv
 from tests.deflectometry.command import refusal
@@ -128,6 +129,22 @@ def test_a_focal_length_that_is_wrong_is_found_with_its_sigma(drawn: Path) -> No
     off = numbers["focal_length_x_m"] - measured_focal(drawn, text)
     assert abs(off) < 1e-3
     assert numbers["sigma_focal_length_x_m"] < 3e-3
+
+
+def test_a_wrong_design_is_a_doubt_as_for_every_instrument(drawn: Path) -> None:
+    """Of 1.80 m for 1.71 slopes are 10 mrad off; 136 mrad are a mirror turned by 90 degrees."""
+    text = (drawn / "measurement.toml").read_text()
+    (drawn / "measurement.toml").write_text(text.replace("focal_length_m = 1.71", "focal_length_m = 1.80"))
+    doubt = {one.code: one for one in measured(drawn).doubts}["slopes_too_far_off_design"]
+    assert doubt.severity is Severity.SERIOUS
+    (drawn / "measurement.toml").write_text(text)
+    table = {one: column(drawn, one) for one in COLUMNS}
+    for kind in ("direction_{}", "spot_{}_m"):
+        table[kind.format("x")], table[kind.format("y")] = -table[kind.format("y")], table[kind.format("x")]
+    change(drawn, **table)
+    doubt = {one.code: one for one in measured(drawn).doubts}["scan_contradicts_design"]
+    assert doubt.severity is Severity.SERIOUS
+    assert "x across" in doubt.text
 
 
 def measured_focal(folder: Path, text: str) -> float:

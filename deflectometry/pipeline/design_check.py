@@ -1,0 +1,70 @@
+"""Whether the design is that of the mirror: slopes that are too far off it, or bent otherwise as a whole."""
+
+from collections.abc import Iterator, Mapping
+
+import numpy as np
+
+from heliogauge.doubts import Doubt, Severity
+from heliogauge.slopes.map import SlopeMap
+
+#: Root mean square slope error that no mirror for sunlight has: its beam would be 40 mrad wide.
+_GROSS_MRAD = 10.0
+#: Deviation whose cause is the curvature of the whole mirror: the best-fit quadratic takes away more than two thirds.
+_SHAPE_MRAD = 1.0
+_SHAPE_SHARE = 0.3
+#: A curvature that differs by half of itself is another design, not an error of manufacture.
+_OTHER_DESIGN, _SURE = 0.5, 10.0
+
+
+def off_design(numbers: Mapping[str, float | int | None], to_check: str) -> Iterator[Doubt]:
+    """Yield what makes the design doubtful.
+
+    numbers: Headline numbers of the mirror.
+    to_check: What else makes slopes so large, for the user to check.
+    """
+    error, rest = (1e3 * _number(numbers, f"sd_{left}_rad") for left in ("tilt_removed", "best_quadratic"))
+    # In curvatures, which a flat mirror has, too.
+    lengths = ", ".join(f"1/f in {axis} {2 * _number(numbers, f'curvature_{axis}_per_m'):.4g} 1/m" for axis in "xy")
+    if error > _GROSS_MRAD:
+        yield Doubt(
+            "slopes_too_far_off_design",
+            f"the slopes are {error:.1f} mrad RMS off the design (best fit: {lengths}): too far for any solar mirror; "
+            f"check the design and its unit, {to_check}",
+            {"slope_error_mrad": error},
+            Severity.SERIOUS,
+        )
+    elif error > _SHAPE_MRAD and rest < _SHAPE_SHARE * error:
+        yield Doubt(
+            "design_curvature_is_not_the_mirrors",
+            f"the design's curvature is not the mirror's: of {error:.2f} mrad RMS of slope error {rest:.2f} mrad are "
+            f"left with {lengths}; check the design and its focal length or radius [m]",
+            {"slope_error_mrad": error, "best_quadratic_mrad": rest},
+        )
+
+
+def other_design(numbers: Mapping[str, float | int | None], as_measured: SlopeMap, to_check: str) -> Iterator[Doubt]:
+    """Yield the axes in which the mirror has another focal length than its design, or else what `off_design` finds.
+
+    For instruments that measure all over the mirror without a start from the design.
+    """
+    x, y = np.meshgrid(as_measured.x_m, as_measured.y_m)
+    known, found = as_measured.valid, 0
+    for axis, slopes, places in (("x", as_measured.design_slope_x, x), ("y", as_measured.design_slope_y, y)):
+        value, sigma = (_number(numbers, f"{kind}curvature_{axis}_per_m") for kind in ("", "sigma_"))
+        own = float(np.polyfit(places[known], slopes[known], 1)[0])
+        if abs(value - own) > max(_OTHER_DESIGN * abs(own), _SURE * sigma) and own != 0:
+            found += 1
+            yield Doubt(
+                "scan_contradicts_design",
+                f"the scan has a focal length of {0.5 / value:.4g} m in {axis}, the design ({as_measured.design}) "
+                f"{0.5 / own:.4g} m: is that the design of this mirror, and x across?",
+                {"measured_per_m": value, "design_per_m": own},
+                Severity.SERIOUS,
+            )
+    if not found:
+        yield from off_design(numbers, to_check)
+
+
+def _number(numbers: Mapping[str, float | int | None], name: str) -> float:
+    value = numbers.get(name)
+    return float("nan") if value is None else float(value)
