@@ -101,6 +101,13 @@ class SunImage:
     sigma_level: float
     radius_px: float
 
+    @property
+    def sigma_radius_rad(self) -> float:
+        """What noise of the image makes of the profile's radius [rad]."""
+        at = np.array(self.profile.radius_rad)
+        noise = float(np.linalg.norm(self.profile.steps_at(at)))
+        return float(np.hypot(noise, 0.5 * self.sigma_level / self.level) / abs(self.profile.derivative(at)))
+
 
 def measure_sun(light: FloatArray, focal_px: float, what: str) -> SunImage:
     """Measure level and profile of the sun in a dark-corrected image.

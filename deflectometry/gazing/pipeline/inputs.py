@@ -29,16 +29,14 @@ class GazingCamera:
 
     oriented: The camera before the mirror.
     light: Of the mirror.
-    level: Of the sun's middle through the same filter [DN/ms].
-    sigma_level: What the noise of that image makes of it, relative.
+    sun: The sun through the same filter; its level in DN/ms.
     has_flat: Whether its pixels' response is known.
     """
 
     name: str
     oriented: OrientedCamera
     light: Light
-    level: float
-    sigma_level: float
+    sun: SunImage
     has_flat: bool
 
 
@@ -107,7 +105,7 @@ def read_camera(
     of_sun = _exposure(measurement, key, section, ("sun", dark), section.sun_exposure_ms, flat)
     sun = measure_sun(light_of(of_sun, f"{key}.sun").unsaturated, place.camera.focal_x_px, f"{key}.sun")
     light = light_of(exposure, f"{key}.frames")
-    return GazingCamera(section.name, place, light, sun.level, sun.sigma_level / sun.level, flat is not None)
+    return GazingCamera(section.name, place, light, sun, flat is not None)
 
 
 def _read(measurement: GazingMeasurement, key: str, named: str | tuple[str, ...]) -> tuple[FloatArray, float]:
@@ -163,7 +161,7 @@ def level_covariance(measurement: GazingMeasurement, cameras: list[GazingCamera]
     section = measurement.model.photometry
     without_flat = 1e-2 * section.sigma_missing_flat_percent
     own = [
-        (1e-2 * section.sigma_level_percent) ** 2 + one.sigma_level**2 + (0.0 if one.has_flat else without_flat**2)
+        (1e-2 * section.sigma_level_percent) ** 2 + (one.sun.sigma_level / one.sun.level) ** 2 + (0.0 if one.has_flat else without_flat**2)
         for one in cameras
     ]
     reflectance = 1e-2 * section.sigma_reflectance_percent / section.reflectance

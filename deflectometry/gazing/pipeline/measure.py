@@ -33,6 +33,7 @@ from deflectometry.gazing.mirror_points import (
     pixel_noise,
 )
 from deflectometry.gazing.node_slopes import Brightness, NodeSlopes, solve_nodes
+from deflectometry.gazing.pipeline.disc_check import disc_doubts
 from deflectometry.gazing.pipeline.inputs import (
     GazingCamera,
     gazing_sigmas,
@@ -44,6 +45,7 @@ from deflectometry.gazing.pipeline.inputs import (
 )
 from deflectometry.gazing.pipeline.pointing import mean_pointing, pointing_by_points, pointing_doubts
 from deflectometry.gazing.pipeline.result import CameraRow, GazingResult, Pointing
+from deflectometry.gazing.sun_profile import SunImage
 from deflectometry.pipeline.choices import Options
 from deflectometry.pipeline.curl_test import CurlRemedies, curl_doubt
 from deflectometry.pipeline.headline import canting_numbers, curl_numbers, facet_numbers, joined_curl, numbers_of_maps
@@ -180,7 +182,7 @@ def run(
             *doubts,
             curl_doubt({name: curl_numbers(one) for name, one in as_measured.items()}, _CURL_REMEDIES),
             doubt_of_canting(cantings) if several else None,
-            *_doubts(measurement, cameras, left_out, factor),
+            *_doubts(measurement, of_sun, cameras, left_out, factor),
             *pointing_doubts(model, pointing, by_points),
         ),
         durations_s=dict(progress.durations_s),
@@ -211,7 +213,7 @@ def _brightness(
         [collect_pixels(one.oriented, one.light, grid) for grid in grids] for one in cameras
     ]
     noises = [pixel_noise(of_one) for of_one in pixels]
-    levels = [reflectance * one.level for one in cameras]
+    levels = [reflectance * one.sun.level for one in cameras]
     found = []
     for number, grid in enumerate(grids):
         of_facet = [one[number] for one in pixels]
@@ -291,6 +293,7 @@ def _contradiction(name: str, gain: float, sigma: float) -> str:
 
 def _doubts(
     measurement: GazingMeasurement,
+    of_sun: SunImage,
     cameras: Sequence[GazingCamera],
     left_out: LeftOutCamera | None,
     factor: float,
@@ -309,6 +312,7 @@ def _doubts(
             {},
             Severity.NOTE,
         )
+    yield from disc_doubts(model.sun, of_sun, cameras)
     for one in cameras:
         share = float(np.mean(one.light.saturated))
         if share > _SATURATED_SHARE:

@@ -24,7 +24,8 @@ from deflectometry.gazing.camera_gains import fit_gains
 from deflectometry.gazing.keys import GazingMeasurement, load_gazing
 from deflectometry.gazing.node_slopes import Brightness, expected, solve_nodes
 from deflectometry.gazing.pipeline import measure as pipeline
-from deflectometry.gazing.pipeline.inputs import mirror_frame, sun_direction
+from deflectometry.gazing.pipeline.disc_check import disc_doubts
+from deflectometry.gazing.pipeline.inputs import mirror_frame, read_camera, read_sun, sun_direction
 from deflectometry.gazing.pipeline.measure import run
 from deflectometry.gazing.pipeline.pointing import pointing_by_points
 from deflectometry.gazing.pipeline.result import GazingResult
@@ -135,6 +136,25 @@ def test_profile_is_the_sun_that_was_drawn() -> None:
         measure_sun(cloudy, 7000.0, "sun")
     with pytest.raises(EstimationError, match="border"):
         measure_sun(image[:, 40:], 7000.0, "sun")
+
+
+@pytest.mark.parametrize("wrong", [0.98, 1.0, 1.02])
+@pytest.mark.parametrize("known", [GazingKnowledge(), no_errors()])
+def test_sun_of_another_size_names_the_focal_length_it_asks_for(
+    tmp_path: Path, wrong: float, known: GazingKnowledge
+) -> None:
+    """The other cameras' images of the sun tell its size: 2 % of focal_px are named, its sigma of 1 permille is not."""
+    write_gazing(tmp_path, replace(SMALL, known=known), 3)
+    file = tmp_path / "measurement.toml"
+    text = file.read_text()
+    stated = float(re.search(r"\nfocal_px = (.*)", text)[1])
+    file.write_text(text.replace(f"\nfocal_px = {stated}", f"\nfocal_px = {wrong * stated}"))
+    measurement = load_gazing(tmp_path)
+    frame = mirror_frame(measurement.model.mirror, sun_direction(measurement.model.sun)).inverse()
+    cameras = [read_camera(measurement, one, frame) for one in measurement.model.camera]
+    doubts = list(disc_doubts(measurement.model.sun, read_sun(measurement), cameras))
+    asked = [one.numbers["focal_asked_px"] for one in doubts]
+    np.testing.assert_allclose(asked, [] if wrong == 1.0 else [7000.0], rtol=3e-3)
 
 
 def noisy_sun(rng: np.random.Generator, *, sharp: bool = False) -> tuple[SunImage, SunImage]:
