@@ -161,7 +161,9 @@ def level_covariance(measurement: GazingMeasurement, cameras: list[GazingCamera]
     section = measurement.model.photometry
     without_flat = 1e-2 * section.sigma_missing_flat_percent
     own = [
-        (1e-2 * section.sigma_level_percent) ** 2 + (one.sun.sigma_level / one.sun.level) ** 2 + (0.0 if one.has_flat else without_flat**2)
+        (1e-2 * section.sigma_level_percent) ** 2
+        + (one.sun.sigma_level / one.sun.level) ** 2
+        + (0.0 if one.has_flat else without_flat**2)
         for one in cameras
     ]
     reflectance = 1e-2 * section.sigma_reflectance_percent / section.reflectance
