@@ -84,6 +84,21 @@ def cross_lines(first: Sweep, second: Sweep, sigma_spot_m: float) -> CrossedLine
     return CrossedLines(scan, unclear)
 
 
+def is_in_order(points_m: FloatArray, sigma_spot_m: float) -> bool:
+    """Return whether the points (n, 2) of a line follow each other on it [m].
+
+    The usual step to the next point is that to the nearest one, as far as noise does not bring others nearer.
+    """
+    from scipy.spatial import cKDTree
+
+    seen = points_m[np.isfinite(points_m).all(axis=1)]
+    if len(seen) < 3:
+        return True
+    step = float(np.median(np.hypot(*np.diff(seen, axis=0).T)))
+    nearest = float(np.median(cKDTree(seen).query(seen, k=2)[0][:, 1]))
+    return bool(step <= max(_GAP * nearest, _LEAST_LENGTH * sigma_spot_m))
+
+
 def _direction_steps(first: FloatArray, second: FloatArray, directions: FloatArray) -> FloatArray:
     """Return how beams follow when one of their sheets turns by 1 rad: they stay in the other, shape (2, 3, n)."""
     one = np.repeat(first, len(second), axis=0)

@@ -16,6 +16,7 @@ class LaserScan:
     direction_steps (2, 3, n): What two independent errors of 1 rad do to each direction.
     spot_steps (2, 3, n): What two independent errors of 1 m do to each spot [m].
     beams_of_one_error: Beams that share one error of direction: those of one line of a sweep.
+    repeated: Rows of the table that say again what another says: they are left out.
 
     The laser's frame: origin where the beams turn, x to the right and y up for somebody who looks from there at the
     mirror, z from the mirror to the laser.
@@ -26,6 +27,7 @@ class LaserScan:
     direction_steps: FloatArray
     spot_steps: FloatArray
     beams_of_one_error: float = 1.0
+    repeated: int = 0
 
     @property
     def seen(self) -> BoolArray:

@@ -1,4 +1,4 @@
-"""Whether the design is that of the mirror: slopes that are too far off it, or bent otherwise as a whole."""
+"""Whether a scan is of its design and of enough of it: slopes too far off, bent otherwise, few, or counted twice."""
 
 from collections.abc import Iterator, Mapping
 
@@ -6,6 +6,7 @@ import numpy as np
 
 from heliogauge.doubts import Doubt, Severity
 from heliogauge.slopes.map import SlopeMap
+from heliogauge.slopes.mounts import LEAST_SHARE
 
 #: Root mean square slope error that no mirror for sunlight has: its beam would be 40 mrad wide.
 _GROSS_MRAD = 10.0
@@ -63,6 +64,29 @@ def other_design(numbers: Mapping[str, float | int | None], as_measured: SlopeMa
             )
     if not found:
         yield from off_design(numbers, to_check)
+
+
+def doubts_of_amount(numbers: Mapping[str, float | int | None], repeated: int, what: str) -> Iterator[Doubt]:
+    """Yield that little was measured, and that rows of the table say what others say.
+
+    numbers: Headline numbers of the mirror. repeated: How many do. what: What a row is.
+    """
+    share = _number(numbers, "measured_share")
+    if share < LEAST_SHARE:
+        yield Doubt(
+            "little_measured",
+            f"{100 * share:.3g} % of what was scanned has slopes: every number is that of a small part",
+            {"measured_share": share},
+            Severity.SERIOUS,
+        )
+    if repeated:
+        yield Doubt(
+            "rows_repeated",
+            f"{repeated} rows of the table say again what another says: each {what} counts once; was a file read "
+            "twice?",
+            {"repeated_count": repeated},
+            Severity.NOTE,
+        )
 
 
 def _number(numbers: Mapping[str, float | int | None], name: str) -> float:

@@ -16,7 +16,7 @@ from deflectometry.laser.pipeline.scan_file import read_lines, read_scan
 from deflectometry.laser.scan import LaserScan
 from deflectometry.laser.scan_slopes import LaserSigmas, ScanSlopes, solve_scan
 from deflectometry.pipeline.choices import Options
-from deflectometry.pipeline.design_check import other_design
+from deflectometry.pipeline.design_check import doubts_of_amount, other_design
 from deflectometry.pipeline.headline import Numbers, facet_numbers, headline_text, reasons
 from deflectometry.shape.smooth_shape import Align, alignment_words
 from heliogauge.doubts import Doubt, Severity
@@ -129,6 +129,7 @@ def run(measurement: LaserMeasurement, options: Options | None = None, progress:
         doubts=(
             *_doubts(model, scan, one.found, one.heard),
             *_doubts_of_lines(lines),
+            *doubts_of_amount(one.numbers, scan.repeated, "beam"),
             *other_design(one.numbers, one.as_measured, "distance and offset of the mirror, and whether x is across"),
         ),
         durations_s=dict(progress.durations_s),

@@ -1,15 +1,16 @@
 """The tables of a laser scan: of beams, or of lines that were swept over the mirror."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
-from deflectometry.laser.line_sweep import CrossedLines, Sweep, cross_lines
+from deflectometry.laser.line_sweep import CrossedLines, Sweep, cross_lines, is_in_order
 from deflectometry.laser.scan import LaserScan, single_beams
 from heliogauge.errors import InputError
 from heliogauge.results.tables import read_columns_csv, read_table_csv
-from heliogauge.validate import FloatArray
+from heliogauge.validate import FloatArray, IntArray
 
 DIRECTIONS = ("direction_x", "direction_y", "direction_z")
 SPOTS = ("spot_x_m", "spot_y_m")
@@ -48,7 +49,11 @@ def read_scan(file: Path) -> LaserScan:
             "mirror; z points from the mirror to the laser"
         )
     _refuse_far(file, spots_m)
+    first = _first_of_each(np.vstack([directions, spots_m]))
+    repeated = directions.shape[1] - first.size
+    directions, spots_m = directions[:, first], spots_m[:, first]
     scan = single_beams(directions, np.where(np.isfinite(spots_m).all(0), spots_m, np.nan))
+    scan = replace(scan, repeated=repeated)
     _refuse_few(file, scan, "beams have a spot")
     return scan
 
@@ -61,7 +66,8 @@ def read_lines(file: Path, sigma_spot_m: float) -> CrossedLines:
         their order on the line; an empty spot is a gap.
     sigma_spot_m: Standard deviation of each point of a line across it [m].
     Returns: The beams in which the sheets cut each other, with the spots where their lines cross.
-    InputError: A column is missing, not two sweeps, a line with several sheets, spots nowhere, or too few crossings.
+    InputError: A column is missing, not two sweeps, a line with several sheets, points of a line out of their order,
+        spots nowhere, or too few crossings.
     EstimationError: Sheets of both sweeps are nearly parallel.
     """
     texts, table = read_columns_csv(file, ("sweep", "line"), (*NORMALS, *SPOTS))
@@ -74,13 +80,40 @@ def read_lines(file: Path, sigma_spot_m: float) -> CrossedLines:
     normals, spots_m = np.stack([table[name] for name in NORMALS]), np.stack([table[name] for name in SPOTS])
     _refuse_far(file, spots_m)
     sweep, line = np.array(texts["sweep"]), np.array(texts["line"])
-    first, second = (
+    number = np.unique(np.char.add(np.char.add(sweep, "/"), line), return_inverse=True)[1]
+    seen = np.flatnonzero(np.isfinite(spots_m).all(axis=0))
+    kept = np.ones(number.size, dtype=bool)
+    kept[seen] = False
+    kept[seen[_first_of_each(np.vstack([number, spots_m])[:, seen])]] = True
+    # Points of a line follow each other, whatever stands between them in the table.
+    order = np.flatnonzero(kept)[np.argsort(number[kept], kind="stable")]
+    sweep, line, normals, spots_m = sweep[order], line[order], normals[:, order], spots_m[:, order]
+    sweeps = [
         _sweep(file, name, line[own], normals[:, own], spots_m[:, own])
         for name, own in ((name, sweep == name) for name in names)
-    )
-    found = cross_lines(first, second, sigma_spot_m)
+    ]
+    for name, one in zip(names, sweeps, strict=True):
+        _refuse_disorder(file, name, one, sigma_spot_m)
+    found = cross_lines(sweeps[0], sweeps[1], sigma_spot_m)
+    found = replace(found, scan=replace(found.scan, repeated=number.size - order.size))
     _refuse_few(file, found.scan, "pairs of lines cross once on the target")
     return found
+
+
+def _first_of_each(columns: FloatArray) -> IntArray:
+    """Return the columns that say something new, in their order; not seen is a value like others."""
+    return np.sort(np.unique(np.nan_to_num(columns, nan=np.inf), axis=1, return_index=True)[1])
+
+
+def _refuse_disorder(file: Path, name: str, sweep: Sweep, sigma_spot_m: float) -> None:
+    """Refuse lines whose next point is mostly not the nearest."""
+    lines = np.unique(sweep.line)
+    wrong = sum(not is_in_order(sweep.points_m[sweep.line == one], sigma_spot_m) for one in lines)
+    if 2 * wrong > lines.size:
+        raise InputError(
+            f"{file}: the points of a line are not in their order in {wrong} of {lines.size} lines of sweep {name}: "
+            "the next one is not beside the last; sort the rows of each line as its points follow each other on it"
+        )
 
 
 def _sweep(file: Path, name: str, line: npt.NDArray[np.str_], normals: FloatArray, spots_m: FloatArray) -> Sweep:

@@ -10,7 +10,7 @@ import numpy as np
 from deflectometry.exchange.measure_slopes import grid_points
 from deflectometry.exchange.slope_points import SlopePoints
 from deflectometry.pipeline.choices import Options
-from deflectometry.pipeline.design_check import other_design
+from deflectometry.pipeline.design_check import doubts_of_amount, other_design
 from deflectometry.pipeline.headline import Numbers, facet_numbers, headline_text, reasons
 from deflectometry.scans.keys import SurfaceScanMeasurement, SurfaceScanModel
 from deflectometry.scans.patch_slopes import (
@@ -185,6 +185,7 @@ def evaluate_points(
     with progress.stage("statistics"):
         slope_map = remove(as_measured, options.remove or Removal(model.evaluation.remove))
         numbers = facet_numbers(slope_map, as_measured) | _own_numbers(place, sigma, patches, points)
+    doubts += doubts_of_amount(numbers, scanned.repeated, "point")
     doubts += _doubts(model, place, odd, as_measured, numbers)
     return EvaluatedPoints(slope_map, numbers, place, tuple(patches), odd, tuple(doubts))
 

@@ -23,10 +23,12 @@ class ScannedPoints:
 
     points_m (n, 3): [m].
     normals (n, 3): Unit normals; None where the file has none.
+    repeated: Points that stand in the file again: they count once.
     """
 
     points_m: FloatArray
     normals: FloatArray | None
+    repeated: int = 0
 
 
 def read_points(file: Path, unit: str) -> ScannedPoints:
@@ -66,7 +68,8 @@ def read_points(file: Path, unit: str) -> ScannedPoints:
             f"{file}: the points reach over {reach:.4g} m: are they {words}? Coordinates are in metres; of PLY and E57 "
             'unit = "mm" in [points] says otherwise'
         )
-    return ScannedPoints(np.unique(points, axis=0) if normals is None else points, normals)
+    _, first = np.unique(points if normals is None else np.hstack([points, normals]), axis=0, return_index=True)
+    return ScannedPoints(points[first], None if normals is None else normals[first], len(points) - first.size)
 
 
 _SIZES = {"m": 1.0, "mm": 1e-3}

@@ -11,6 +11,8 @@ from data_synth.lasers import LaserScene, line_scene, write_laser_scan, write_li
 from deflectometry.laser.keys import load_laser
 from deflectometry.laser.line_sweep import Sweep, cross_lines
 from deflectometry.laser.pipeline.measure import LaserResult, run
+from deflectometry.laser.pipeline.scan_file import read_lines, read_scan
+from deflectometry.pipeline.design_check import doubts_of_amount
 from heliogauge.doubts import Severity
 from heliogauge.errors import EstimationError, InputError
 from heliogauge.results.tables import read_columns_csv, read_table_csv, write_table_csv
@@ -258,6 +260,40 @@ def test_a_line_no_longer_than_its_noise_crosses_nothing(length_m: float) -> Non
     assert found.unclear.tolist() == [length_m < 3e-4]
 
 
+def test_rows_of_lines_may_stand_between_each_other_and_repeat(tmp_path: Path) -> None:
+    write_line_sweep(tmp_path, replace(line_scene(), columns=25, rows=17))
+    lines = read_lines(tmp_path / "lines.csv", 1e-3)
+    table = read_table_csv(tmp_path / "lines.csv", ())
+    seen: dict[tuple[str, str], int] = {}
+    places = []
+    for key in zip(table["sweep"], table["line"], strict=True):
+        seen[key] = seen.get(key, -1) + 1
+        places.append(seen[key])
+    order = np.repeat(np.argsort(places, kind="stable"), 2)
+    write_table_csv(tmp_path / "lines.csv", {name: [values[n] for n in order] for name, values in table.items()})
+    mixed = read_lines(tmp_path / "lines.csv", 1e-3)
+    assert mixed.scan.spots_m == pytest.approx(lines.scan.spots_m, nan_ok=True, abs=1e-12)
+    assert mixed.scan.repeated > 0.4 * order.size
+    assert lines.scan.repeated == 0
+
+
+def test_rows_that_repeat_count_once(drawn: Path) -> None:
+    table = {one: column(drawn, one) for one in COLUMNS}
+    scan = read_scan(drawn / "scan.csv")
+    change(drawn, **{name: np.tile(values, 2) for name, values in table.items()})
+    again = read_scan(drawn / "scan.csv")
+    assert np.array_equal(again.spots_m, scan.spots_m, equal_nan=True)
+    assert (scan.repeated, again.repeated) == (0, scan.seen.size)
+    (doubt,) = doubts_of_amount({"measured_share": 1.0}, again.repeated, "beam")
+    assert doubt.code == "rows_repeated"
+
+
+@pytest.mark.parametrize(("share", "count"), [(0.003, 1), (0.49, 1), (0.51, 0)])
+def test_a_small_part_of_the_mirror_is_a_serious_doubt(share: float, count: int) -> None:
+    doubts = [*doubts_of_amount({"measured_share": share}, 0, "beam")]
+    assert [one.severity for one in doubts] == [Severity.SERIOUS] * count
+
+
 def no_sweep(table: dict[str, list[str]]) -> dict[str, list[str]]:
     return table | {"sweep": ["across"] * len(table["sweep"])}
 
@@ -279,6 +315,11 @@ def one_line(table: dict[str, list[str]]) -> dict[str, list[str]]:
     return table | {"line": ["1"] * len(table["line"])}
 
 
+def unordered(table: dict[str, list[str]]) -> dict[str, list[str]]:
+    order = np.random.default_rng(1).permutation(len(table["line"]))
+    return {name: [values[n] for n in order] for name, values in table.items()}
+
+
 def other_sign(table: dict[str, list[str]]) -> dict[str, list[str]]:
     return table | {"spot_y_m": [str(-float(one)) for one in table["spot_y_m"]]}
 
@@ -290,6 +331,7 @@ def other_sign(table: dict[str, list[str]]) -> dict[str, list[str]]:
         (shuffled_lines, "in the order of the scan"),
         (one_line, "several normals"),
         (other_sign, "spot_y_m has the other sign"),
+        (unordered, "points of a line are not in their order"),
     ],
 )
 def test_lines_that_are_not_those_of_the_sheets_are_refused(
