@@ -135,6 +135,8 @@ def _resected(
 def agrees_with_list(found: Detections, known: KnownTargets, camera: Camera, pose: RigidTransform) -> bool:
     """Return whether listed targets that were read are where the list has them, and no others are there.
 
+    Fewer than a pose needs say nothing of the list.
+
     found: A photo's targets, named by their codes.
     pose: ``cam_from_frame``.
     Returns: Whether following may name targets by their places; with a wrong list only codes may.
@@ -144,7 +146,7 @@ def agrees_with_list(found: Detections, known: KnownTargets, camera: Camera, pos
     listed = camera.project(pose.apply(known.points_m))
     off = np.linalg.norm(listed[own] - found.pixels_px, axis=1)[own >= 0]
     strange = np.linalg.norm(listed[:, None] - found.pixels_px[own < 0], axis=2)
-    return bool((off < _LISTED_PX).all() and not (strange < _LISTED_PX).any())
+    return off.size >= LEAST_TARGETS and bool((off < _LISTED_PX).all() and not (strange < _LISTED_PX).any())
 
 
 def start_following(image: Image, found: Detections, shapes_px2: FloatArray, pose: RigidTransform) -> Track:

@@ -115,6 +115,18 @@ def test_a_code_that_is_not_listed_contradicts_the_list_only_where_the_list_has_
     assert not agrees_with_list(found, renamed, CAMERA, pose)
 
 
+def test_a_list_of_which_too_little_was_read_for_a_pose_does_not_agree(walk) -> None:
+    _, known, images = walk
+    found = measure_targets(images[0], "walk_0", SEARCH).detections
+    pose = provisional_pose(found, known, CAMERA)
+    for count, agrees in ((0, False), (3, False), (4, True)):
+        assert agrees_with_list(found.chosen(np.arange(count)), known, CAMERA, pose) is agrees
+    # Codes that are not listed, away from what is.
+    away = replace(found, pixels_px=found.pixels_px + 1e4).chosen(np.arange(3))
+    elsewhere = replace(away, names=("997", "998", "999"))
+    assert not agrees_with_list(elsewhere, known, CAMERA, pose)
+
+
 def test_targets_that_are_not_listed_are_followed_by_the_picture(walk) -> None:
     _, known, images = walk
     others = set(known.names[::4])
