@@ -246,9 +246,10 @@ def _changes(profiles: FloatArray, blur_m2: float, place: FloatArray) -> tuple[F
     """
     count = profiles.shape[1]
     places = _Places.among(place, count)
-    # The two samples before each place and the two behind it, and how the profile rises between them.
-    four = places.before[..., None] + count * np.arange(len(profiles))[:, None, None] + np.arange(-1, 3)
-    rises = np.diff(profiles.ravel().take(four, mode="clip"), axis=2)
+    # The two samples before each place and the two behind it, at the ends the last one again, and the rises between.
+    four = np.clip(places.before[..., None] + np.arange(-1, 3), 0, count - 1)
+    four += count * np.arange(len(profiles))[:, None, None]
+    rises = np.diff(profiles.ravel().take(four), axis=2)
     first, middle, last = np.moveaxis(rises, 2, 0)
     by_axis = first + middle + places.share * (last - first)
     by_blur = middle - first + places.share * (first - 2 * middle + last)

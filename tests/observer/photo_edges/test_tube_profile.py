@@ -283,3 +283,18 @@ def test_pixels_are_seen_where_they_are() -> None:
     assert np.abs(found_column.x_m.ravel() - met).max() < 0.02 * 9 / 900
     beyond = pixel_samples(columns.astype(np.float32), view, plane, x + 3.0, y)
     assert np.isnan(beyond.values_dn).all()
+
+
+def test_changes_of_a_profile_are_its_own_up_to_its_ends() -> None:
+    """Of profiles beside each other in memory none sees the next; between its ends a change is that of differences."""
+    rng = np.random.default_rng(0)
+    profiles = 10.0 ** np.arange(3)[:, None] * rng.normal(size=(3, 40))
+    place = np.stack([np.linspace(0.0, 38.9, 60)] * 3)
+    together = tube_profile._changes(profiles, 1e-6, place)
+    alone = [tube_profile._changes(one[None], 1e-6, place[:1]) for one in profiles]
+    for k in (0, 1):
+        np.testing.assert_array_equal(together[k], np.concatenate([one[k] for one in alone]))
+    inner = (place[0] > 1) & (place[0] < 38)
+    for own, found in zip(profiles, together[0], strict=True):
+        slope = np.gradient(own, tube_profile._STEP_M)
+        np.testing.assert_allclose(found[inner], -np.interp(place[0][inner], np.arange(40), slope), rtol=1e-9)
