@@ -96,10 +96,15 @@ def refuse_missing(file: Path, paths: Sequence[Path]) -> None:
     file: The measurement.toml.
     InputError: Some do not exist; all of them are named.
     """
-    missing = [str(path.relative_to(file.parent)) for path in dict.fromkeys(paths) if not os.path.isfile(path)]
+    own = file.parent
+    missing = [
+        str(path.relative_to(own) if path.is_relative_to(own) else path)
+        for path in dict.fromkeys(paths)
+        if not os.path.isfile(path)
+    ]
     if missing:
-        raise InputError(f"{file}: there is no file {', '.join(missing)} in {file.parent}")
-    refuse_leading_out(file.parent, paths)
+        raise InputError(f"{file}: there is no file {', '.join(missing)} in {own}")
+    refuse_leading_out(own, paths)
 
 
 def _validated(content: dict[str, Any], model_type: type[_ModelT], file: Path, kind: Kind) -> _ModelT:

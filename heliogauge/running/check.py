@@ -1,5 +1,6 @@
 """Everything that can be found wrong with a measurement folder before it is measured; nothing is written."""
 
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -48,8 +49,9 @@ def _images(folder: Path, measurement: Any, findings: Findings) -> Iterator[Path
     content = (findings.attempt(read_toml, file) or {}) if file.is_file() else {}
     # Missing photos, which are looked for first, do not keep quiet about missing tables.
     told = "\n".join(findings.faults)
-    untold = [name for name in _files(content) if name not in told and not Path(name).is_absolute()]
-    findings.attempt(refuse_missing, file, [folder / name for name in untold])
+    named_files = [(name, folder / name) for name in _files(content)]
+    untold = [path for name, path in named_files if not (_names(told, name) or _names(told, str(path)))]
+    findings.attempt(refuse_missing, file, untold)
     section = content.get("images")
     named = section if isinstance(section, dict) else {}
     for key in _SEVERAL:
@@ -59,6 +61,11 @@ def _images(folder: Path, measurement: Any, findings: Findings) -> Iterator[Path
     for key in _SINGLE:
         if isinstance(value := named.get(key), str) and (folder / value).is_file():
             yield folder / value
+
+
+def _names(text: str, name: str) -> bool:
+    """Return whether a text has a file's whole name in it, not as a part of another one."""
+    return re.search(rf"(?<!\S){re.escape(name)}(?![^\s,:;])", text) is not None
 
 
 def _files(content: Any) -> Iterator[str]:

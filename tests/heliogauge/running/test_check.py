@@ -109,6 +109,16 @@ def test_missing_photos_do_not_hide_missing_tables(tmp_path: Path) -> None:
     assert (told.count("camera.json"), told.count("targets.csv")) == (1, 1)
 
 
+def test_missing_files_are_named_wherever_they_would_be_and_however_short_their_names(tmp_path: Path) -> None:
+    folder = tmp_path / "trough"
+    with pytest.raises(SystemExit):
+        cli.main(["observer", "init", str(folder)])
+    change(folder, r'"camera\.json"', '"/nowhere/camera.json"')
+    change(folder, r'"targets\.csv"', '"t"')
+    _, tables = faults(folder)
+    assert "there is no file /nowhere/camera.json, t in" in tables
+
+
 @pytest.mark.slow
 def test_frames_in_the_wrong_order_are_found(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The dry run looks at what the frames show, as the measurement would."""
