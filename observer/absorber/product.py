@@ -106,7 +106,11 @@ def shape_numbers(
     seen = [span for span in tube_spans(path, solution, collector, orientation_rad) if np.isfinite(span.sag_down_m)]
     if seen:
         worst = max(seen, key=lambda span: abs(span.sag_down_m))
-        numbers |= {"absorber_sag_down_m": worst.sag_down_m, "sigma_absorber_sag_down_m": worst.sigma_sag_down_m}
+        numbers |= {
+            "absorber_sag_down_m": worst.sag_down_m,
+            "sigma_absorber_sag_down_m": worst.sigma_sag_down_m,
+            "absorber_spans_measured_count": len(seen),
+        }
     if solution is not None:
         numbers["absorber_diameter_seen_m"] = solution.diameter_m
     return {name: value for name, value in numbers.items() if value is not None and np.isfinite(value)}

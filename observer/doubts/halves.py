@@ -13,24 +13,32 @@ from observer.slopes.halves import Halves
 _WORTH_SIGMAS = 0.5
 
 
-def within_chance(chi_square: float, count: int, n_modules: int = 1) -> bool:
-    """Return whether chance makes halves so different: in none of many modules that are judged alike.
+def halves_limit(count: int, n_modules: int = 1) -> float:
+    """Return up to which chi-square, for each difference, chance makes halves different: of many modules in none.
 
-    chi_square: Of their differences, for each of them.
     count: Differences.
+    n_modules: Modules that are judged alike.
     """
-    return chi_square <= chi_square_limit(chance(n_modules), count) / count
+    return chi_square_limit(chance(n_modules), count) / count
 
 
-def halves_text(rms_rad: float, expected_rad: float, *, agree: bool) -> str:
+def halves_text(rms_rad: float, expected_rad: float, chi_square: float, limit: float) -> str:
     """Say whether the halves agree.
 
     rms_rad, expected_rad: RMS of what they differ by, and what is expected of it [rad].
+    chi_square, limit: Of their differences, for each of them, and the largest one of chance.
+
+    Where few modes of the covariance are large, the RMS may be as expected and the others contradict each other.
     """
+    agree = chi_square <= limit
     verdict = "agree: means and bends of panels differ by" if agree else "differ by more than chance: panels by"
+    ratio = (
+        f"; by the whole covariance of that, poses or places of edges err {np.sqrt(chi_square):.1f} times as much as "
+        "their sigmas say"
+    )
     return (
         f"two halves of the flight (every second photo) {verdict} {1e3 * rms_rad:.2g} mrad RMS where "
-        f"{1e3 * expected_rad:.2g} is expected"
+        f"{1e3 * expected_rad:.2g} is expected{'' if agree else ratio}"
     )
 
 
@@ -39,11 +47,10 @@ def halves_words(numbers: Mapping[str, float | int | None]) -> Iterator[str]:
 
     numbers: Of its summary.
     """
-    keys = ("halves_difference_rms_rad", "halves_expected_rms_rad", "halves_chi_square_ratio", "halves_numbers_count")
-    rms, expected, chi_square, count = (float(numbers.get(key) or 0.0) for key in keys)
-    if count:
-        agree = within_chance(chi_square, int(count))
-        yield f"{halves_text(rms, expected, agree=agree)}; what all photos share is not tested by that"
+    names = ("difference_rms_rad", "expected_rms_rad", "chi_square_ratio", "chi_square_limit_ratio")
+    rms, expected, chi_square, limit = (float(numbers.get(f"halves_{name}") or 0.0) for name in names)
+    if limit:
+        yield f"{halves_text(rms, expected, chi_square, limit)}; what all photos share is not tested by that"
 
 
 def halves_doubt(found: Halves | None, usual_sigma_rad: float, n_modules: int = 1) -> Doubt | None:
@@ -54,22 +61,24 @@ def halves_doubt(found: Halves | None, usual_sigma_rad: float, n_modules: int = 
     The map is the mean of both halves and errs by half of what they differ. Birge's ratio, the root of chi-square over
     its expectation, is what sigmas of what differs from photo to photo have to be multiplied by.
     """
-    if found is None or within_chance(found.chi_square, found.difference_rad.size, n_modules):
+    if found is None:
         return None
-    unexplained = 0.5 * float(np.sqrt(max(found.rms_rad**2 - found.expected_rad**2, 0.0)))
+    chi_square, limit = found.chi_square, halves_limit(found.difference_rad.size, n_modules)
+    if chi_square <= limit:
+        return None
+    unexplained = 0.5 * found.expected_rad * float(np.sqrt(max(chi_square - 1, 0.0)))
     if unexplained < _WORTH_SIGMAS * usual_sigma_rad:
         return None
     larger = float(np.hypot(usual_sigma_rad, unexplained))
     return Doubt(
         "halves_of_flight_differ",
-        f"{halves_text(found.rms_rad, found.expected_rad, agree=False)}: poses or places of edges err "
-        f"{np.sqrt(found.chi_square):.1f} times as much as their sigmas say. For the sigma of a slope take "
+        f"{halves_text(found.rms_rad, found.expected_rad, chi_square, limit)}. For the sigma of a slope take "
         f"{1e3 * larger:.2g} in place of {1e3 * usual_sigma_rad:.2g} mrad. Did the camera move while it "
         "exposed, zoom or refocus, or the collector turn?",
         {
             "difference_rms_rad": found.rms_rad,
             "expected_rms_rad": found.expected_rad,
-            "chi_square_ratio": found.chi_square,
+            "chi_square_ratio": chi_square,
             "sigma_slope_rad": larger,
         },
     )

@@ -13,7 +13,8 @@ from heliogauge.slopes.removal import Removal
 from heliogauge.slopes.statistics import statistics
 from heliogauge.validate import FloatArray
 from observer.absorber.position import AbsorberSolution
-from observer.doubts.halves import halves_words
+from observer.doubts.by_chance import contradicting_sigmas
+from observer.doubts.halves import halves_limit, halves_words
 from observer.light.panel_gains import PanelGains
 from observer.product.panel_alignment import move_of_outer_mount, panel_tilts
 from observer.product.panel_shapes import panel_shapes
@@ -27,8 +28,6 @@ from observer.trough.collector import Collector
 from observer.trough.visibility import Visibility, seeable_shares
 
 Numbers = dict[str, float | int | None]
-#: What is beyond so many sigma is not of chance: once in 370 times.
-_SURE_TIMES = 3.0
 
 
 def slope_numbers(slope_map: SlopeMap, angles: AngleMaps, visible: Visibility) -> Numbers:
@@ -114,8 +113,11 @@ def edge_numbers(reflector: Reflector) -> Numbers:
     }
 
 
-def halves_numbers(reflector: Reflector) -> Numbers:
-    """Return what every second photo says beside the others; none where they are too far apart to check each other."""
+def halves_numbers(reflector: Reflector, n_modules: int) -> Numbers:
+    """Return what every second photo says beside the others; none where they are too far apart to check each other.
+
+    n_modules: Modules of the flight, each of which is judged.
+    """
     halves = reflector.halves
     if halves is None:
         return {}
@@ -123,7 +125,7 @@ def halves_numbers(reflector: Reflector) -> Numbers:
         "halves_difference_rms_rad": halves.rms_rad,
         "halves_expected_rms_rad": halves.expected_rad,
         "halves_chi_square_ratio": halves.chi_square,
-        "halves_numbers_count": halves.difference_rad.size,
+        "halves_chi_square_limit_ratio": halves_limit(halves.difference_rad.size, n_modules),
     }
 
 
@@ -276,9 +278,13 @@ def _size_of_light(gain_ratio: float, sigma_ratio: float | None) -> str:
 
 
 def _sag_text(numbers: Mapping[str, float | int | None]) -> str:
-    """Say that a mean height hides a tube that surely hangs between its supports; nothing where it does not."""
-    sag, sigma = (float(numbers.get(key) or 0.0) for key in ("absorber_sag_down_m", "sigma_absorber_sag_down_m"))
-    if abs(sag) <= _SURE_TIMES * sigma:
+    """Say that a mean height hides a tube that surely hangs between its supports; nothing where it does not.
+
+    The sag is the largest one of all spans.
+    """
+    names = ("absorber_sag_down_m", "sigma_absorber_sag_down_m", "absorber_spans_measured_count")
+    sag, sigma, n_spans = (float(numbers.get(key) or 0.0) for key in names)
+    if not sigma or not n_spans or abs(sag) <= contradicting_sigmas(int(n_spans)) * sigma:
         return ""
     way = "lower" if sag > 0 else "higher"
     size = number_text(abs(sag), sigma, "m", "absorber_sag_down_m")

@@ -125,6 +125,7 @@ def evaluate(inputs: Inputs, first: FirstLook, options: Options, progress: Progr
         refined.covariances,
         picture,
         cameras.motions,
+        inputs.n_modules,
         name=inputs.name,
         doubts=gather_doubts(cameras.network.doubts, cameras.doubts, seen.encodings.doubts, doubts, intercept.doubts),
         durations_s=dict(progress.durations_s),

@@ -87,6 +87,8 @@ class Result(InstrumentResult):
         One photo with what design and result predict of the reflection.
     motions : RowMotions or None
         How the camera moved while it read its rows; None where all were read at once.
+    n_modules : int
+        Modules of the flight, this one among them.
     name : str
         Name of what was measured.
     doubts : tuple of Doubt
@@ -114,6 +116,7 @@ class Result(InstrumentResult):
     pose_covariances: FloatArray
     overlay: Overlay
     motions: RowMotions | None = None
+    n_modules: int = 1
 
     def summarise(self) -> Summary:
         """Collect the headline numbers of a result with their sigmas, doubts and provenance."""
@@ -126,7 +129,7 @@ class Result(InstrumentResult):
             "orientation_rad": self.orientation_rad,
             **edge_numbers(self.reflector),
             **surface_numbers(self.reflector),
-            **halves_numbers(self.reflector),
+            **halves_numbers(self.reflector, self.n_modules),
             **collected,
             "photos_count": len(bundle.problem.observations.photos),
             **shutter_numbers(self.motions),

@@ -130,6 +130,7 @@ def test_numbers_and_what_is_warned_of() -> None:
     np.testing.assert_allclose(numbers["absorber_sag_down_m"], 6e-3, atol=1e-9)
     np.testing.assert_allclose(numbers["absorber_tilt_x_rad"], 4e-4, atol=1e-9)
     assert numbers["absorber_stations_measured_count"] == VISIBLE.sum()
+    assert numbers["absorber_spans_measured_count"] == 2
     assert list(absorber_doubts(path, solution_of(path), COLLECTOR, is_design=False)) == []
     unlisted = replace(COLLECTOR, support_y_m=np.zeros(0))
     (doubt,) = absorber_doubts(path, solution_of(path), unlisted, is_design=False)

@@ -2,13 +2,15 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from heliogauge.adjust.chi_square import chi_square_limit
 from observer.doubts.by_chance import chance
-from observer.doubts.halves import halves_doubt, halves_words, within_chance
+from observer.doubts.halves import halves_doubt, halves_limit, halves_words
+from observer.pipeline.headline import halves_numbers
 from observer.slopes.common_elimination import Beside
 from observer.slopes.halves import PRIOR_RAD, Halves, halves_of, halves_patterns
 from observer.slopes.joint_solution import solve_jointly
@@ -87,7 +89,7 @@ def test_what_one_half_alone_errs_by_is_found_with_its_sign() -> None:
     found = flight(3, planted)
     beside = found.difference_rad - np.array([2e-4, 0, 0, 0, 0, 0, 0, 1e-4])
     assert beside @ np.linalg.solve(found.covariance, beside) < chi_square_limit(1e-3, 8)
-    assert not within_chance(found.chi_square, 8)
+    assert found.chi_square > halves_limit(8)
     assert found.n_panels == 4
 
 
@@ -127,17 +129,31 @@ def test_a_difference_is_doubted_where_it_is_not_of_chance_and_matters() -> None
     assert found.numbers["sigma_slope_rad"] == pytest.approx(np.hypot(0.53e-3, 0.274e-3), rel=1e-3)
 
 
+def test_halves_that_contradict_each_other_beside_few_uncertain_modes_are_doubted() -> None:
+    """All panels together are uncertain, so that the RMS is as expected; their differences are known and are wrong."""
+    covariance = 1e-10 * np.eye(16) + 1e-7 * np.ones((16, 16))
+    difference = np.tile([1e-4, -1e-4], 8)
+    found = Halves(difference, covariance, 8)
+    assert found.rms_rad < found.expected_rad / 3
+    assert found.chi_square == pytest.approx(100)
+    doubt = halves_doubt(found, 0.5e-3)
+    assert doubt is not None
+    assert "by the whole covariance of that, poses or places of edges err 10.0 times as much" in doubt.text
+    # By Birge's ratio of 10 the sigma of the mean of both halves, 0.447 mrad / 2, is too small.
+    assert doubt.numbers["sigma_slope_rad"] == pytest.approx(np.hypot(0.5e-3, 0.2237e-3 * np.sqrt(99)), rel=2e-3)
+
+
 def test_terminal_and_report_say_what_was_found() -> None:
     found = flight(1)
-    numbers = {
-        "halves_difference_rms_rad": found.rms_rad,
-        "halves_expected_rms_rad": found.expected_rad,
-        "halves_chi_square_ratio": found.chi_square,
-        "halves_numbers_count": found.difference_rad.size,
-    }
+    numbers = halves_numbers(SimpleNamespace(halves=found), n_modules=1)
     (said,) = halves_words(numbers)
     assert f"agree: means and bends of panels differ by {1e3 * found.rms_rad:.2g} mrad RMS" in said
     assert "what all photos share is not tested" in said
     (said,) = halves_words(numbers | {"halves_chi_square_ratio": 4.0})
     assert "differ by more than chance" in said
+    # Of a hundred modules one has such a chi-square once in three flights: no doubt, and no such words.
+    for n_modules, word in ((1, "differ by more than chance"), (100, "agree")):
+        numbers = halves_numbers(SimpleNamespace(halves=found), n_modules)
+        (said,) = halves_words(numbers | {"halves_chi_square_ratio": 1.01 * halves_limit(found.difference_rad.size)})
+        assert word in said
     assert not list(halves_words({}))
