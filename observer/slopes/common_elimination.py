@@ -167,7 +167,7 @@ class Reduction:
         """Return the normal matrix of the common unknowns by the lines, the slopes following along, shape (c, c)."""
         count = len(self._covariance)
         normal = np.zeros((count, count))
-        few, many = self._halves
+        few, many = self._split_derivatives
         split = few.shape[1]
         for first, last in self._some_rows():
             solved = self._solved(system, first, last)
@@ -187,7 +187,7 @@ class Reduction:
         return normal
 
     @cached_property
-    def _halves(self) -> "tuple[csr_array, csr_array]":
+    def _split_derivatives(self) -> "tuple[csr_array, csr_array]":
         """Derivatives with respect to the first common unknowns, and to the others: as few products as can be.
 
         Those of photos come first and move few lines each; a block of the symmetric normal matrix needs the
