@@ -17,6 +17,7 @@ from deflectometry.shape.smooth_shape import (
     solve_shape,
     start_surface,
 )
+from heliogauge.adjust.robust_scale import robust_scale
 from heliogauge.errors import EstimationError
 from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.geometry.surfaces import Facet, Quadric
@@ -29,11 +30,13 @@ _MODE_BEAMS = 400
 _IMPOSSIBLE_SIGMAS = 20.0
 #: Beams around a beam with which it is compared.
 _NEIGHBOURS = 8
+#: Beams around a beam, itself included, and the degree of the polynomial through them, that tell its noise.
+_PATCH, _PATCH_DEGREE = 25, 3
 #: Spots that leave more than this share of what spots dealt at random would leave of a smooth surface are in the wrong
 #: order: half of the beams, exchanged with others, leave 0.7 of it.
 _UNRELATED = 0.5
-#: An exchange explains slopes that it makes so much smaller, RMS.
-_EXPLAINS = 3.0
+#: An exchange explains slopes that it makes so much smaller, RMS, and as small as those of a mirror for sunlight [rad].
+_EXPLAINS, _OF_A_MIRROR_RAD = 3.0, 1e-2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,6 +70,7 @@ class ScanSlopes:
     noise_correlation: Variance of the sum of all slopes over the sum of their variances: more than 1 where beams share
         an error of direction.
     odd (n,): Spots that cannot belong to their neighbours' surface.
+    scatter: Of slopes about cubics through those around them, over what their random sigmas make.
     common: What distance, place, scale and roll do to all slopes together.
     """
 
@@ -77,6 +81,7 @@ class ScanSlopes:
     sigmas: FloatArray
     noise_correlation: float
     odd: BoolArray
+    scatter: float
     common: CommonModes
 
 
@@ -111,7 +116,10 @@ def solve_scan(
     few = np.flatnonzero(good & ~odd)
     few = few[spread_indices(few.size, _MODE_BEAMS)]
     common = _common_modes(scan, few, facet, solution, sigmas, align=align)
-    return ScanSlopes(solution, facet, points, slopes, random, correlation, odd, common)
+    used = good & ~odd & np.isfinite(slopes).all(axis=0)
+    smooth = np.stack(solution.surfaces[0].gradient(points[0], points[1]))
+    scatter = _scatter(points[:, used], (slopes - smooth)[:, used], random[:, used])
+    return ScanSlopes(solution, facet, points, slopes, random, correlation, odd, scatter, common)
 
 
 def _samples(scan: LaserScan, facet: Facet) -> list[FacetSamples]:
@@ -173,6 +181,21 @@ def _odd_ones(points_m: FloatArray, error: FloatArray, sigma: FloatArray) -> Boo
     off = error - np.median(error[:, around], axis=2)
     usual = 1.4826 * np.median(np.abs(off), axis=1, keepdims=True)
     return np.asarray((np.abs(off) > _IMPOSSIBLE_SIGMAS * np.maximum(usual, sigma)).any(axis=0))
+
+
+def _scatter(points_m: FloatArray, error: FloatArray, sigma: FloatArray) -> float:
+    """Return the noise of slopes by what cubics through 25 of them leave of the middle one, over their sigmas."""
+    from scipy.spatial import cKDTree
+
+    near = cKDTree(points_m.T).query(points_m.T, k=_PATCH)[1]
+    away = points_m[:, near] - points_m[:, :, None]
+    u, v = away / np.abs(away).max()
+    terms = monomials(u, v, _PATCH_DEGREE)
+    weights = -np.linalg.pinv(np.moveaxis(terms, 0, -1))[:, 0]
+    weights[:, 0] += 1.0
+    left = np.einsum("nk,cnk->cn", weights, error[:, near])
+    expected = np.sqrt(np.einsum("nk,cnk->cn", weights**2, sigma[:, near] ** 2))
+    return robust_scale((left / expected).ravel())
 
 
 def _common_modes(
@@ -252,24 +275,33 @@ class _OnDesign:
         return float(np.sqrt(np.mean(left**2)))
 
 
+def _on_design(scan: LaserScan, facet: Facet, laser_from_mirror: RigidTransform) -> _OnDesign:
+    mirror_from_laser = laser_from_mirror.inverse()
+    directions = mirror_from_laser.rotation @ scan.directions
+    points = start_surface(facet).intersect(mirror_from_laser.translation_m, directions)
+    return _OnDesign(points, mirror_from_laser, facet.design)
+
+
 def _refuse_exchanges(scan: LaserScan, facet: Facet, laser_from_mirror: RigidTransform, sigmas: LaserSigmas) -> None:
     """Refuse spots that are not those of the beams in the same rows, or whose axes are not those of the beams.
 
     EstimationError: Spots and beams are unrelated, or one exchange makes the slope errors three times smaller.
     """
-    surface, mirror_from_laser = start_surface(facet), laser_from_mirror.inverse()
-    laser = mirror_from_laser.translation_m
-    points = surface.intersect(laser, mirror_from_laser.rotation @ scan.directions)
-    seen = _OnDesign(points, mirror_from_laser, facet.design)
+    seen = _on_design(scan, facet, laser_from_mirror)
+    laser = seen.mirror_from_laser.translation_m
     as_given = seen.spread(scan.spots_m)
     noise = 0.5 * sigmas.spot_m / float(np.linalg.norm(laser)) + sigmas.direction_rad
     if as_given < _IMPOSSIBLE_SIGMAS * noise:
         return
-    least, words = min((seen.spread(spots), words) for words, spots in _exchanged(scan.spots_m))
-    if least < as_given / _EXPLAINS:
+    x, y, z = laser_from_mirror.translation_m
+    nearer = _on_design(scan, facet, RigidTransform(laser_from_mirror.rotation, np.array([x, y, 1e-3 * z])))
+    least, words = min(
+        (nearer.spread(scan.spots_m), "distance_m is in millimetres, 1000 times too large"),
+        *((seen.spread(spots), words) for words, spots in _exchanged(scan.spots_m)),
+    )
+    if least < min(as_given / _EXPLAINS, _OF_A_MIRROR_RAD):
         raise EstimationError(
-            f"slope errors of {1e3 * as_given:.3g} mrad RMS, but of {1e3 * least:.3g} mrad if {words}: put that right "
-            "in the table"
+            f"slope errors of {1e3 * as_given:.3g} mrad RMS, but of {1e3 * least:.3g} mrad if {words}: put that right"
         )
     left, dealt = (seen.unexplained(spots) for spots in (scan.spots_m, _dealt_anew(scan.spots_m)))
     if left > max(_UNRELATED * dealt, _IMPOSSIBLE_SIGMAS * noise):

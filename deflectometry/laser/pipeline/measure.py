@@ -52,6 +52,10 @@ _COMMON = {
 }
 
 
+#: As for scans of the surface: a stated sigma off by half is not that of these spots.
+_SAME_SIGMA = 1.5
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class LaserResult(InstrumentResult):
     """The slope map of a mirror from a laser scan.
@@ -224,6 +228,14 @@ def _doubts(model: LaserModel, scan: LaserScan, found: ScanSlopes, heard: Instru
             "that is mirror it is not measured",
             {"unseen_count": unseen, "beams_count": scan.seen.size},
             Severity.NOTE,
+        )
+    if not 1 / _SAME_SIGMA < found.scatter < _SAME_SIGMA:
+        yield Doubt(
+            "sigma_of_spots_differs",
+            f"slopes scatter beside their neighbours by {found.scatter:.3g} times what sigma_spot_mm = "
+            f"{model.scan.sigma_spot_mm:g} and sigma_direction_mrad = {model.scan.sigma_direction_mrad:g} make: random "
+            "sigmas are wrong by that, unless the mirror itself is rough from beam to beam",
+            {"scatter_ratio": found.scatter},
         )
     odd = int(np.count_nonzero(found.odd))
     if odd:

@@ -149,6 +149,27 @@ def test_a_wrong_design_is_a_doubt_as_for_every_instrument(drawn: Path) -> None:
     assert "x across" in doubt.text
 
 
+@pytest.mark.parametrize("factor", [100.0, 1e-3])
+def test_a_sigma_of_spots_that_is_not_theirs_is_a_doubt(drawn: Path, factor: float) -> None:
+    file = drawn / "measurement.toml"
+    file.write_text(file.read_text().replace("sigma_spot_mm = 0.5", f"sigma_spot_mm = {0.5 * factor:g}"))
+    doubt = {one.code: one for one in measured(drawn).doubts}["sigma_of_spots_differs"]
+    assert (doubt.numbers["scatter_ratio"] < 0.02) == (factor > 1)
+
+
+def test_a_distance_in_millimetres_is_named(drawn: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = drawn / "measurement.toml"
+    file.write_text(file.read_text().replace("distance_m = 3.42", "distance_m = 3420"))
+    assert "distance_m is in millimetres" in refusal(drawn, capsys)
+
+
+def test_another_shape_of_design_is_no_exchange_in_the_table(drawn: Path) -> None:
+    """Spots in millimetres would leave 12 mrad of 102: no mirror has these."""
+    file = drawn / "measurement.toml"
+    file.write_text(file.read_text().replace('"trough"', '"paraboloid"'))
+    assert "scan_contradicts_design" in {one.code for one in measured(drawn).doubts}
+
+
 def measured_focal(folder: Path, text: str) -> float:
     (folder / "measurement.toml").write_text(text)
     return float(measured(folder).numbers["focal_length_x_m"])
