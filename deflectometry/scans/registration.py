@@ -58,14 +58,21 @@ def register(
     Motions that leave the design as it is, and those that it hardly feels, are held
     (`photogrammetry.surface.fit_surface`).
     """
+    place = _placed(points_m, design, viewer_m, sigma_m, x_axis)
+    _refuse_from_behind(place.rms_m, points_m, design, viewer_m, sigma_m, x_axis)
+    return place
+
+
+def _placed(
+    points_m: FloatArray, design: DesignSurface, viewer_m: FloatArray, sigma_m: float, x_axis: FloatArray | None
+) -> Registration:
+    """Fit the design to points as they are seen from one side."""
     few = spread_indices(len(points_m), _POINTS)
-    chosen = points_m[few]
     starts = _starts(points_m, viewer_m, x_axis)
     if (slide := _slide_m(design, starts[0], points_m)) > 0:
         return _levelled(points_m, design.quadric, starts[0], sigma_m, slide, given_axis=x_axis is not None)
-    points = SurfacePoints(tuple(map(str, few.tolist())), chosen, sigma_m**2 * np.eye(3 * few.size))
+    points = SurfacePoints(tuple(map(str, few.tolist())), points_m[few], sigma_m**2 * np.eye(3 * few.size))
     fit, open_words = _best_fit(points, design, starts)
-    _refuse_from_behind(points, design, 2 * points_m.mean(axis=0) - viewer_m, x_axis, fit.rms_deviation_m)
     outliers = np.zeros(len(points_m), dtype=np.bool_)
     outliers[few] = fit.outliers
     return Registration(
@@ -171,20 +178,26 @@ def _best_fit(points: SurfacePoints, design: DesignSurface, starts: list[RigidTr
 
 
 def _refuse_from_behind(
-    points: SurfacePoints, design: DesignSurface, behind_m: FloatArray, x_axis: FloatArray | None, rms_m: float
+    rms_m: float,
+    points_m: FloatArray,
+    design: DesignSurface,
+    viewer_m: FloatArray,
+    sigma_m: float,
+    x_axis: FloatArray | None,
 ) -> None:
-    """Refuse points that fit the design from behind much better than from the front."""
-    if rms_m < 3 * float(points.sigma_m.mean()):
+    """Refuse points that fit the design from behind much better than from the front, by rms_m."""
+    if rms_m < 3 * sigma_m:
         return
     try:
-        other, _ = _best_fit(points, design, _starts(points.points_m, behind_m, x_axis))
+        other = _placed(points_m, design, 2 * points_m.mean(axis=0) - viewer_m, sigma_m, x_axis)
     except EstimationError:
         return
-    if rms_m > _FROM_BEHIND * other.rms_deviation_m:
+    if rms_m > _FROM_BEHIND * other.rms_m:
+        stood = ", ".join(f"{one:.4g}" for one in viewer_m)
         raise EstimationError(
-            f"the points lie {1e3 * rms_m:.3g} mm RMS off the design seen from scanner_m, and "
-            f"{1e3 * other.rms_deviation_m:.3g} mm seen from the other side: the mirror is upside down, or scanner_m "
-            "in [points] is not in front of it"
+            f"the points lie {1e3 * rms_m:.3g} mm RMS off the design seen from scanner_m = [{stood}] (unless stated, "
+            f"the origin of the points), and {1e3 * other.rms_m:.3g} mm seen from the other side: the mirror is "
+            "upside down, or scanner_m in [points] is not in front of it"
         )
 
 

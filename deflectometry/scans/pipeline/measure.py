@@ -25,6 +25,7 @@ from deflectometry.scans.patch_slopes import (
 )
 from deflectometry.scans.pipeline.read_points import ScannedPoints, read_points
 from deflectometry.scans.registration import Registration, common_modes, given_place, register
+from deflectometry.scans.stray_points import stray_points
 from heliogauge.doubts import Doubt, Severity
 from heliogauge.errors import EstimationError, InputError
 from heliogauge.flags import SampleFlag
@@ -45,6 +46,10 @@ _FIRST_SIGMA_M = 1e-4
 #: The chi-square of thousands of points knows the noise to a per cent; a stated sigma off by half is not that of these.
 _SAME_SIGMA = 1.5
 _MOST_NODES = 60_000
+#: Stray points move the mirror's middle: without them it is placed again, and what it is compared with moves.
+_PLACINGS = 4
+#: Medians of neighbours stand while fewer than half are stray; in places there are twice as many as on the whole.
+_LEAST_GOOD = 0.75
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -175,11 +180,12 @@ def evaluate_points(
         step_mm = model.evaluation.grid_step_mm if options.grid_step_mm is None else options.grid_step_mm
         step_m = None if step_mm is None else 1e-3 * step_mm
         if model.points.slopes_from == "normals":
-            as_measured = _from_normals(model, where, points, normals, design, step_m, doubts)
+            normals = None if normals is None else normals[~odd]
+            as_measured = _from_normals(model, where, points[~odd], normals, design, step_m, doubts)
         else:
             as_measured, patches = _from_points(model, points[~odd], design, sigma, step_m)
         scale = 1e-6 * (model.points.sigma_scale_ppm or 0.0)
-        common = common_modes(design, place, points[:, :2], scale)
+        common = common_modes(design, place, points[~odd, :2], scale)
         words = "nothing" if model.evaluation.place == "given" else "place and turn, by the fit to the design"
         as_measured = replace(as_measured, common=common, frame=_FRAME, removed=words)
     with progress.stage("statistics"):
@@ -187,6 +193,9 @@ def evaluate_points(
         numbers = facet_numbers(slope_map, as_measured) | _own_numbers(place, sigma, patches, points)
     doubts += doubts_of_amount(numbers, scanned.repeated, "point")
     doubts += _doubts(model, place, odd, as_measured, numbers)
+    if scanned.without_place:
+        text = f"{scanned.without_place} rows of the points are without a place (empty, or no number): left out"
+        doubts.append(Doubt("points_without_place", text, {"points_count": scanned.without_place}, Severity.NOTE))
     return EvaluatedPoints(slope_map, numbers, place, tuple(patches), odd, tuple(doubts))
 
 
@@ -204,11 +213,24 @@ def _placed(
     family = build_design_family(model.mirror)
     surface = DesignSurface(family.make, 1 / family.lengths_m, family.names, family.facet_from_optic)
     sigma, place = stated or _FIRST_SIGMA_M, given_place(len(scanned.points_m))
-    if model.evaluation.place == "fit":
-        axis = None if model.points.x_axis is None else np.asarray(model.points.x_axis)
-        place = register(scanned.points_m, surface, viewer, sigma, axis)
-    points = place.mirror_from_points.apply(scanned.points_m)
-    found, odd = noise_of_points(_deviations(points, design))
+    good = np.ones(len(scanned.points_m), dtype=np.bool_)
+    for _ in range(_PLACINGS):
+        if model.evaluation.place == "fit":
+            axis = None if model.points.x_axis is None else np.asarray(model.points.x_axis)
+            place = register(scanned.points_m[good], surface, viewer, sigma, axis)
+        points = place.mirror_from_points.apply(scanned.points_m)
+        stray = stray_points(_deviations(points[good], design))
+        good[np.flatnonzero(good)[stray]] = False
+        if not stray.any():
+            break
+    if np.count_nonzero(good) < _LEAST_GOOD * good.size:
+        raise EstimationError(
+            f"{np.count_nonzero(~good)} of {good.size} points are far from the surface of their neighbours: what "
+            "stands before or behind the mirror is in the scan; cut the points to the mirror"
+        )
+    found, noisy = noise_of_points(_deviations(points[good], design))
+    odd = ~good
+    odd[np.flatnonzero(good)[noisy]] = True
     # The covariance of the pose grows with the square of the noise, which is known when the pose is.
     place = replace(place, covariance=place.covariance * (max(stated or 0.0, found) / sigma) ** 2)
     sigma = max(stated or 0.0, found)

@@ -24,11 +24,13 @@ class ScannedPoints:
     points_m (n, 3): [m].
     normals (n, 3): Unit normals; None where the file has none.
     repeated: Points that stand in the file again: they count once.
+    without_place: Rows of the file that have no place, or no normal among normals.
     """
 
     points_m: FloatArray
     normals: FloatArray | None
     repeated: int = 0
+    without_place: int = 0
 
 
 def read_points(file: Path, unit: str) -> ScannedPoints:
@@ -69,7 +71,8 @@ def read_points(file: Path, unit: str) -> ScannedPoints:
             'unit = "mm" in [points] says otherwise'
         )
     _, first = np.unique(points if normals is None else np.hstack([points, normals]), axis=0, return_index=True)
-    return ScannedPoints(points[first], None if normals is None else normals[first], len(points) - first.size)
+    again, without = len(points) - first.size, int(np.count_nonzero(~good))
+    return ScannedPoints(points[first], None if normals is None else normals[first], again, without)
 
 
 _SIZES = {"m": 1.0, "mm": 1e-3}

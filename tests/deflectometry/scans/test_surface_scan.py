@@ -202,3 +202,48 @@ def test_e57_is_read(tmp_path: Path) -> None:
     (folder / "points.e57").write_bytes(b"nothing of the kind")
     with pytest.raises(InputError, match="cannot be read as E57"):
         measured(folder)
+
+
+@pytest.mark.parametrize("count", [9, 90])
+def test_strays_metres_off_change_nothing(tmp_path: Path, count: int) -> None:
+    """1 % and 10 % of the points anywhere around the mirror: the middle moves with them unless they go first."""
+    clean = measured(scanned(tmp_path / "clean", TROUGH, points__x_axis=X_AXIS))
+    folder = scanned(tmp_path / "scan", TROUGH, points__x_axis=X_AXIS)
+    points = np.column_stack(list(table(folder).values()))
+    strays = points.mean(axis=0) + np.random.default_rng(0).normal(0.0, 1.0, (count, 3))
+    write_table_csv(folder / "points.csv", dict(zip(COLUMNS, np.concatenate([points, strays]).T, strict=True)))
+    result = measured(folder)
+    assert result.numbers["sdx_rad"] == pytest.approx(clean.numbers["sdx_rad"], rel=0.05)
+    assert result.numbers["sigma_sdx_rad"] == pytest.approx(clean.numbers["sigma_sdx_rad"], rel=0.2)
+    (odd,) = (one for one in result.doubts if one.code == "points_odd")
+    assert count - 1 <= odd.numbers["odd_count"] <= count + 4
+
+
+def test_more_strays_than_neighbours_can_tell_are_refused(tmp_path: Path) -> None:
+    folder = scanned(tmp_path / "scan", TROUGH, points__x_axis=X_AXIS)
+    points = np.column_stack(list(table(folder).values()))
+    strays = points.mean(axis=0) + np.random.default_rng(0).normal(0.0, 0.5, (450, 3))
+    write_table_csv(folder / "points.csv", dict(zip(COLUMNS, np.concatenate([points, strays]).T, strict=True)))
+    with pytest.raises(EstimationError, match="cut the points to the mirror"):
+        measured(folder)
+
+
+def test_a_shallow_mirror_from_behind_is_refused_by_the_name_of_the_key(tmp_path: Path) -> None:
+    """Points in a frame whose origin is behind the mirror, and nobody said where the scanner stood."""
+    scene = PointScene("paraboloid", (("focal_length_m", 50.0),), 2.0, 1.6, 900)
+    folder = scanned(tmp_path / "scan", scene)
+    measured(folder)
+    columns = table(folder)
+    columns["z_m"] -= 20.0
+    write_table_csv(folder / "points.csv", columns)
+    with pytest.raises(EstimationError, match="scanner_m"):
+        measured(folder)
+
+
+def test_rows_without_a_place_are_counted(tmp_path: Path) -> None:
+    folder = scanned(tmp_path / "scan", TROUGH, points__x_axis=X_AXIS)
+    columns = table(folder)
+    columns["z_m"][[3, 8]] = np.nan
+    write_table_csv(folder / "points.csv", columns)
+    (doubt,) = (one for one in measured(folder).doubts if one.code == "points_without_place")
+    assert doubt.numbers["points_count"] == 2
