@@ -279,9 +279,14 @@ def headline_text(summary: Summary) -> str:
         *_canting_lines(summary),
         *_normal_lines(summary),
         f"  removed          {summary.texts['removed']}",
-        f"  measured share   {100 * float(summary.numbers['measured_share'] or 0):.1f} % of the mirror",
+        f"  measured share   {100 * float(summary.numbers['measured_share'] or 0):.1f} % of {measured_of(summary)}",
     ]
     return "\n".join(lines)
+
+
+def measured_of(summary: Summary) -> str:
+    """Return of what the measured share is: where nobody states the mirror's size, of what was scanned."""
+    return summary.texts.get("measured share of", "the mirror")
 
 
 def _normal_lines(summary: Summary) -> list[str]:

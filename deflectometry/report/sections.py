@@ -4,6 +4,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from deflectometry.pipeline.headline import measured_of
 from deflectometry.report.canting import canting_section
 from deflectometry.report.inputs import stated_table
 from deflectometry.report.light import light
@@ -69,7 +70,7 @@ HEADLINE = (
     ("sd_best_focus_rad", "SD, best focus", "tilt and focus removed"),
     ("focal_length_x_m", "Focal length in x", ""),
     ("focal_length_y_m", "Focal length in y", ""),
-    ("measured_share", "Measured", "share of the mirror's area"),
+    ("measured_share", "Measured", "share of the area of "),
 )
 #: An outline that fits to this is as good as edges of a photo can be found.
 _GOOD_OUTLINE_PX = 0.3
@@ -92,6 +93,8 @@ def first_screen(results: Results, view: MapView) -> Html:
         reason = f"not determined: {summary.not_determined.get(key, '')}"
         sigma = summary.numbers.get(f"sigma_{key}")
         shown = "\u2013" if value is None else number_text(value, sigma, unit, name)
+        if key == "measured_share":
+            note += measured_of(summary)
         said = "convex" if key.startswith("focal_length") and value is not None and value < 0 else note
         rows.append((label, shown, reason if value is None else said))
     return page.first_screen(summary.name, line, verdict, rows, view)

@@ -84,11 +84,16 @@ class LaserResult(InstrumentResult):
     def summarise(self) -> Summary:
         """Collect the headline numbers with their sigmas, doubts and provenance."""
         one, seen = self.slope_map, int(np.count_nonzero(self.flags == 0))
+        turn = self.found.solution.cam_from_mirror.rotation_vector_rad
         texts = {
             "design": one.design,
             "removed": one.removed,
             "frame": one.frame,
             "points": f"{seen} of {self.flags.size} beams, interpolated to {one.x_m.size} x {one.y_m.size} nodes",
+            "measured share of": f"what {seen} of {self.flags.size} beams came back from; the mirror's size is "
+            "not known",
+            "turn of the mirror": f"{1e3 * turn[0]:.2f} and {1e3 * turn[1]:.2f} mrad about x and y out of the laser's "
+            "frame; a mirror that leans and spots that are all off to one side are one to the slopes",
             "sigma": "1 standard deviation; slopes are those of the normal, a beam turns by twice as much",
         }
         if self.instrument:

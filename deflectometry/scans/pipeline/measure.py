@@ -80,6 +80,7 @@ class SurfaceScanResult(InstrumentResult):
             "frame": one.frame,
             "points": f"{self.points} points, {one.x_m.size} x {one.y_m.size} nodes",
             "left free by the shape": held or "nothing",
+            "measured share of": "the area that was scanned; the mirror's size is not known",
             "sigma": "1 standard deviation; slopes are those of the normal, a beam turns by twice as much",
         }
         return self._summary(self.numbers, texts, reasons(self.numbers))

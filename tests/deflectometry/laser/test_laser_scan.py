@@ -375,6 +375,16 @@ def test_sigmas_that_are_missing_are_asked_for(drawn: Path) -> None:
     assert doubt.numbers["inputs_count"] == 2
 
 
+def test_the_share_is_of_what_was_scanned(drawn: Path) -> None:
+    """Half of the beams tell nothing of the other half of the mirror, nor do those without a spot."""
+    rows = (drawn / "scan.csv").read_text().splitlines()
+    (drawn / "scan.csv").write_text("\n".join(rows[: 1 + 17 * 12]) + "\n")
+    result = measured(drawn)
+    seen = np.count_nonzero(result.flags == 0)
+    assert f"% of what {seen} of {result.flags.size} beams came back from" in result.headline()
+    assert "% of the mirror" not in result.headline()
+
+
 def test_a_scan_without_every_other_spot_gives_what_it_can(drawn: Path) -> None:
     """Holes beside every node leave no curl to compute; the summary says so instead of refusing to be written."""
     lines = (drawn / "scan.csv").read_text().splitlines()
