@@ -43,6 +43,7 @@ from deflectometry.gazing.pipeline.inputs import (
     read_sun,
     sun_direction,
 )
+from deflectometry.gazing.pipeline.place_check import place_doubts
 from deflectometry.gazing.pipeline.pointing import mean_pointing, pointing_by_points, pointing_doubts
 from deflectometry.gazing.pipeline.result import CameraRow, GazingResult, Pointing
 from deflectometry.gazing.sun_profile import SunImage
@@ -183,7 +184,8 @@ def run(
             curl_doubt({name: curl_numbers(one) for name, one in as_measured.items()}, _CURL_REMEDIES),
             doubt_of_canting(cantings) if several else None,
             *_doubts(measurement, of_sun, cameras, left_out, factor),
-            *pointing_doubts(model, pointing, by_points),
+            *place_doubts([names[number] for number in chosen], gains, places),
+            *pointing_doubts(model, pointing, by_points, _mean_sight(cameras)),
         ),
         durations_s=dict(progress.durations_s),
         input_sha256=hash_files(measurement.input_files, measurement.folder),
@@ -221,6 +223,12 @@ def _brightness(
         saturated = np.any([one.saturated > 0 for one in of_facet], axis=0)
         found.append((bright, nodes, np.asarray(saturated)))
     return found
+
+
+def _mean_sight(cameras: Sequence[GazingCamera]) -> FloatArray:
+    """Return the direction from the mirror to the middle of the cameras, shape (3,)."""
+    middle = np.mean([one.oriented.eye_m for one in cameras], axis=0)
+    return np.asarray(middle / np.linalg.norm(middle))
 
 
 def _scaled(facet: SolvedFacet, factor: float) -> SolvedFacet:

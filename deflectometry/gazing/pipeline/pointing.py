@@ -19,6 +19,9 @@ from heliogauge.validate import FloatArray
 _WRONG_POINTING = 5.0
 #: The sun on the equator of the sky; elsewhere it is slower.
 _SUN_RAD_PER_S = 2 * np.pi / 86400
+#: Slopes that a wrong sun makes wrong by more cannot be stated: the share holds to first order, and the square of a
+#: tenth is 1 % of slopes, beyond what a measurement may err by (default of largest_sigma_mrad).
+_USELESS_SLOPES = 0.1
 #: A lean less sure than this is none: beyond a radian every mirror would be seen from behind.
 _LARGEST_SIGMA_RAD = 1.0
 
@@ -102,8 +105,13 @@ def pointing_by_points(measurement: GazingMeasurement, field_from_stated: RigidT
     return by_points
 
 
-def pointing_doubts(model: GazingModel, by_light: Pointing, by_points: PointedByPoints | None) -> Iterator[Doubt]:
+def pointing_doubts(
+    model: GazingModel, by_light: Pointing, by_points: PointedByPoints | None, sight: FloatArray
+) -> Iterator[Doubt]:
     """Yield what contradicts the stated sun, and what a stated normal.
+
+    sight (3,): From the mirror to the cameras, in its frame.
+    EstimationError: A sun so far from where the mirror's points put it that slopes beside their mean are useless.
 
     The light says how the mirror leans if the sun is where it is said to be; the mirror's points say it without the
     sun. Where the two differ, the sun stood elsewhere, by twice the difference.
@@ -113,13 +121,21 @@ def pointing_doubts(model: GazingModel, by_light: Pointing, by_points: PointedBy
         covariance = by_points.covariance + np.diag(by_light.sigma_rad**2)
         sigmas = float(np.sqrt(off @ np.linalg.solve(covariance, off)))
         if sigmas > _WRONG_POINTING:
-            lean = float(np.hypot(*off))
+            light, points = (_unit(np.append(-one, 1.0)) for one in (by_light.angle_rad, by_points.lean_rad))
+            lean = float(2 * np.arcsin(0.5 * np.linalg.norm(light - points)))
+            said = (
+                f"the mirror's points in the images say that its normal is {np.degrees(lean):.2g} deg ({sigmas:.0f} "
+                f"sigma) from where sun.azimuth_deg (from north, clockwise) and elevation_deg put it: {_clock(lean)}"
+            )
+            steep = np.linalg.pinv(_d_sight_d_slope(by_light.angle_rad, sight))
+            wrong = float(np.linalg.norm(steep @ _d_sight_d_slope(by_points.lean_rad, sight) - np.eye(2), 2))
+            if wrong > _USELESS_SLOPES:
+                raise EstimationError(f"{said}; slopes beside their mean would be wrong by {100 * wrong:.0f} %")
             yield Doubt(
                 "sun_contradicts_points",
-                f"the mirror's points in the images say that its normal is {np.degrees(lean):.2g} deg ({sigmas:.0f} "
-                f"sigma) from where sun.azimuth_deg and elevation_deg put it: {_clock(lean)}; slopes are "
-                "a little wrong by that, too",
-                {"lean_rad": lean, "lean_in_sigmas_ratio": sigmas},
+                f"{said}; slopes beside their mean are wrong by up to {100 * wrong:.2g} %",
+                {"lean_rad": lean, "lean_in_sigmas_ratio": sigmas, "slopes_wrong_share": wrong},
+                Severity.SERIOUS,
             )
             return
     sigmas = float(np.hypot(*(by_light.angle_rad / by_light.sigma_rad)))
@@ -140,8 +156,27 @@ def pointing_doubts(model: GazingModel, by_light: Pointing, by_points: PointedBy
 def _clock(lean_rad: float) -> str:
     """Say by how much a clock must be wrong to turn the normal so: the sun goes twice as far."""
     minutes = 2 * lean_rad / _SUN_RAD_PER_S / 60
+    time = f"{minutes:.2g} minutes" if minutes < 90 else f"{minutes / 60:.2g} hours"
     zone = ", such as the wrong time zone" if minutes > 20 else ""
-    return f"a clock that is {minutes:.2g} minutes wrong or more moves the sun so far{zone}"
+    return f"a clock that is {time} wrong or more moves the sun so far{zone}"
+
+
+def _d_sight_d_slope(slopes: FloatArray, sight: FloatArray) -> FloatArray:
+    """Return by how much a sight turns that still ends in the same point of the sun, for each slope, shape (3, 2).
+
+    Cameras beside each other measure slopes by such turns; what they make of the same light with the normal at other
+    slopes is another slope.
+    """
+    steep = np.append(-slopes, 1.0)
+    normal = _unit(steep)
+    across = np.eye(3) - np.outer(normal, normal)
+    d_normal = -across[:, :2] / np.linalg.norm(steep)
+    d_reflected = 2 * (np.outer(normal, sight @ d_normal) + (normal @ sight) * d_normal)
+    return np.asarray((2 * np.outer(normal, normal) - np.eye(3)) @ d_reflected)
+
+
+def _unit(vector: FloatArray) -> FloatArray:
+    return np.asarray(vector / np.linalg.norm(vector))
 
 
 def _refusal(model: GazingModel, by_points: PointedByPoints) -> str:

@@ -20,20 +20,22 @@ from data_synth.sky.gazing_scene import (
 )
 from data_synth.sky.heliostat import DrawnHeliostat
 from deflectometry.gazing import facet_maps
-from deflectometry.gazing.camera_gains import fit_gains
+from deflectometry.gazing.camera_gains import Gains, fit_gains
 from deflectometry.gazing.keys import GazingMeasurement, load_gazing
 from deflectometry.gazing.node_slopes import Brightness, expected, solve_nodes
 from deflectometry.gazing.pipeline import measure as pipeline
 from deflectometry.gazing.pipeline.disc_check import disc_doubts
 from deflectometry.gazing.pipeline.inputs import mirror_frame, read_camera, read_sun, sun_direction
 from deflectometry.gazing.pipeline.measure import run
-from deflectometry.gazing.pipeline.pointing import pointing_by_points
-from deflectometry.gazing.pipeline.result import GazingResult
+from deflectometry.gazing.pipeline.place_check import place_doubts
+from deflectometry.gazing.pipeline.pointing import PointedByPoints, pointing_by_points, pointing_doubts
+from deflectometry.gazing.pipeline.result import GazingResult, Pointing
 from deflectometry.gazing.planning.spacing import judge_spacing
 from deflectometry.gazing.sun_profile import SunImage, SunProfile, measure_sun
 from deflectometry.pipeline.choices import Options
 from deflectometry.setup.setup_steps import principal_steps
 from deflectometry.shape.smooth_shape import Align
+from heliogauge.doubts import Doubt, Severity
 from heliogauge.errors import EstimationError, InputError
 from heliogauge.slopes.map import CommonModes
 from tests.deflectometry.command import refusal
@@ -155,6 +157,52 @@ def test_sun_of_another_size_names_the_focal_length_it_asks_for(
     doubts = list(disc_doubts(measurement.model.sun, read_sun(measurement), cameras))
     asked = [one.numbers["focal_asked_px"] for one in doubts]
     np.testing.assert_allclose(asked, [] if wrong == 1.0 else [7000.0], rtol=3e-3)
+
+
+def sun_that_leans(folder: Path, lean: float) -> list[Doubt]:
+    """Return what is said where the light leans a mirror and its points, seen from straight in front, do not."""
+    write_gazing(folder, SMALL, 3)
+    light = Pointing(np.array([lean, 0.0]), np.full(2, 1e-4), np.zeros((0, 2)))
+    points = PointedByPoints(np.zeros(2), 1e-6 * np.eye(2))
+    return list(pointing_doubts(load_gazing(folder).model, light, points, np.array([0.0, 0.0, 1.0])))
+
+
+def test_wrong_sun_says_how_wrong_slopes_are(tmp_path: Path) -> None:
+    """A slope of l in front turns the normal by 1 / (1 + l^2) of a step of slope: steps are found l^2 too large."""
+    (doubt,) = sun_that_leans(tmp_path, 0.2)
+    assert doubt.severity is Severity.SERIOUS
+    assert doubt.numbers["slopes_wrong_share"] == pytest.approx(0.2**2, rel=1e-6)
+    assert doubt.numbers["lean_rad"] == pytest.approx(np.arctan(0.2))
+
+
+def test_sun_that_makes_slopes_useless_is_refused_with_hours(tmp_path: Path) -> None:
+    with pytest.raises(EstimationError, match=r"2\.9 hours wrong .* wrong by 16 %"):
+        sun_that_leans(tmp_path, 0.4)
+
+
+def adjusted_places(places: np.ndarray, true_shift_m: np.ndarray) -> Gains:
+    """Return places (c, 2) as adjusted by light that knows six sums of them to half a millimetre, without noise."""
+    count = len(places)
+    sums = np.random.default_rng(4).standard_normal((6, 2 * count))
+    known = sums.T @ sums / 5e-4**2
+    covariance = np.linalg.inv(known + np.kron(np.eye(2), np.linalg.inv(places)))
+    shift = (covariance @ known @ true_shift_m.T.ravel()).reshape(2, count).T
+    whole = np.eye(3 * count)
+    whole[count:, count:] = covariance
+    return Gains(np.zeros(count), shift, whole, np.ones(count), PROFILE, np.zeros((3 * count, 0)))
+
+
+def test_camera_that_stands_elsewhere_is_named() -> None:
+    places = np.diag(np.full(4, 2e-3**2)) + 5e-3**2
+    names = [f"camera {number}" for number in range(1, 5)]
+    off = np.zeros((4, 2))
+    off[2] = [-0.03, 0.01]
+    (doubt,) = place_doubts(names, adjusted_places(places, off), places)
+    assert "camera 3 stands -30 mm in x and 10 mm in y" in doubt.text
+    assert doubt.numbers["place_off_m"] == pytest.approx(np.hypot(0.03, 0.01), rel=1e-3)
+    # All by 8 mm, which the mirror's place may be off, and each by its own 2 mm: nothing.
+    own = 2e-3 * np.array([[1, -1], [-1, 1], [1, 1], [-1, -1]])
+    assert not list(place_doubts(names, adjusted_places(places, own + [0.008, 0.0]), places))
 
 
 def noisy_sun(rng: np.random.Generator, *, sharp: bool = False) -> tuple[SunImage, SunImage]:
