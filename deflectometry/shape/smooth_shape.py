@@ -348,6 +348,20 @@ def tilt_of(facet: Facet, places_m: FloatArray, slope_error: FloatArray) -> Floa
     return _fit_potential(surface, places_m, slope_error, 2, RoundLimits().reweighting, None)[:2] / surface.scale_m
 
 
+def sigma_of_tilt(facet: Facet, places_m: FloatArray, sigma_slope: FloatArray) -> FloatArray:
+    """Return the standard deviation of `tilt_of` by independent errors of the slopes, (2,).
+
+    places_m, sigma_slope (2, n): Places on the facet [m], standard deviations of both slopes there.
+    EstimationError: Places on one line, which do not tell a tilt from a bend.
+    """
+    surface = start_surface(facet)
+    u, v = (places_m - surface.center_m[:, None]) / surface.scale_m
+    matrix = gradient_terms(u, v, 2).swapaxes(0, 1).reshape(-1, 2 * u.size)
+    if np.linalg.matrix_rank(matrix) < len(matrix):
+        raise EstimationError(f"slopes: {u.size} places on one line of the facet do not tell its tilt from its bend")
+    return np.asarray(np.linalg.norm(np.linalg.pinv(matrix.T)[:2] * sigma_slope.ravel(), axis=1))
+
+
 def _fit_potential(
     surface: FittedSurface,
     points_m: FloatArray,

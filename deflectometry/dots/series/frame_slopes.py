@@ -53,7 +53,6 @@ class FacetMotion(ShortRepr):
     rows_columns (n, 2): Place of each dot in the lattice.
     places_m (2, n): Where the facet shows each dot [m].
     slopes (2, n): Slopes there minus the design's [rad].
-    dots_share: Variance of the mean normal, as a share of that of a slope at one dot.
     mean_squares_rad2 (2,): Means of the squares of the angles from the design [rad^2].
     edges_rad2 (2,): Changes of these means without the outermost dots at one edge; root of the sum of their squares
         over the four edges [rad^2].
@@ -66,7 +65,6 @@ class FacetMotion(ShortRepr):
     rows_columns: IntArray
     places_m: FloatArray
     slopes: FloatArray
-    dots_share: float
     mean_squares_rad2: FloatArray
     edges_rad2: FloatArray
     noise_rad: FloatArray
@@ -247,11 +245,7 @@ def facet_motion(facet: Facet, cam_from_facet: RigidTransform, image: SlopeImage
     places = np.stack([image.x_m[seen], image.y_m[seen]])
     slopes, design = np.stack([image.slope_x[seen], image.slope_y[seen]]), np.stack(facet.design.gradient(*places))
     squares = normal_angles(*slopes, *design) ** 2
-    from_middle = places.T - facet.reference_point_m
-    linear = np.column_stack([np.ones(len(from_middle)), from_middle / np.abs(from_middle).max()])
     noise = np.array([float(np.sqrt(np.mean(one[seen] ** 2))) for one in (image.sigma_x, image.sigma_y)])
-    # The normal is the constant term of slopes that are linear in both places.
-    share = float(np.linalg.inv(linear.T @ linear)[0, 0])
     means = [squares.mean(axis=1), *(squares[:, ~one[seen]].mean(axis=1) for one in _outermost(seen))]
     without = np.array(means[1:]) - means[0]
     return FacetMotion(
@@ -261,7 +255,6 @@ def facet_motion(facet: Facet, cam_from_facet: RigidTransform, image: SlopeImage
         np.argwhere(seen),
         places,
         slopes - design,
-        share,
         means[0],
         np.sqrt(np.sum(without**2, axis=0)),
         noise,

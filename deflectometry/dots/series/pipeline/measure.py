@@ -6,11 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
-from deflectometry.dots.found_dots import FEWEST_DOTS
 from deflectometry.dots.ground import POLARITIES
 from deflectometry.dots.pipeline.measure import build_marks, place_photo
 from deflectometry.dots.series.first_shape import FirstShape
-from deflectometry.dots.series.frame_slopes import KnownMirror
+from deflectometry.dots.series.frame_slopes import FrameSlopes, KnownMirror
 from deflectometry.dots.series.keys import DotSeriesMeasurement
 from deflectometry.dots.series.motion import Motion
 from deflectometry.dots.series.pipeline.result import FrameRow, SeriesResult
@@ -88,9 +87,7 @@ def run(
                 frame = known.measure(image, expected, sigma)
                 miss = motion.add(time_s, frame.pose)
                 if start is None:
-                    enough = {name: one for name, one in frame.facets.items() if one.count >= FEWEST_DOTS}
-                    shapes = {name: FirstShape.of(one) for name, one in enough.items()}
-                    start = frame
+                    shapes, start = _shapes_of(frame), frame
                 row = FrameRow.missing(file.name, time_s, "", names).measured(frame, start, shapes)
             except (EstimationError, InputError) as error:
                 motion.lose()
@@ -114,6 +111,22 @@ def run(
         durations_s=dict(progress.durations_s),
         input_sha256=hashes,
     )
+
+
+def _shapes_of(first: FrameSlopes) -> dict[str, FirstShape]:
+    """Return the shapes of the facets that show enough dots in the first frame.
+
+    EstimationError: None does.
+    """
+    shapes, reasons = dict[str, FirstShape](), list[str]()
+    for name, motion in first.facets.items():
+        try:
+            shapes[name] = FirstShape.of(motion)
+        except EstimationError as error:
+            reasons.append(str(error))
+    if not shapes:
+        raise EstimationError("; ".join(reasons))
+    return shapes
 
 
 def _frames(measurement: DotSeriesMeasurement) -> tuple[tuple[Path, ...], FloatArray, tuple[Doubt, ...]]:

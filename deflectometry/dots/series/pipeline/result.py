@@ -28,6 +28,7 @@ class FacetRow(ShortRepr):
     rms_rad, sigma_rms_rad (2,): RMS of the angles from the design in x and y; the sigma is that of its change against
         the first frame [rad].
     count: Dots.
+    flag: Why it is not measured; empty where it is.
     """
 
     tilt_rad: FloatArray
@@ -35,12 +36,13 @@ class FacetRow(ShortRepr):
     rms_rad: FloatArray
     sigma_rms_rad: FloatArray
     count: int
+    flag: str = ""
 
     @classmethod
-    def missing(cls) -> "FacetRow":
+    def missing(cls, flag: str) -> "FacetRow":
         """Return that of a facet that was not measured."""
         nothing = np.full(2, np.nan)
-        return cls(nothing, nothing, nothing, nothing, 0)
+        return cls(nothing, nothing, nothing, nothing, 0, flag)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -76,7 +78,7 @@ class FrameRow(ShortRepr):
     def missing(cls, frame: str, time_s: float, flag: str, facets: Sequence[str]) -> "FrameRow":
         """Return the row of a frame that was not measured."""
         nothing = np.full(2, np.nan)
-        rows = dict.fromkeys(facets, FacetRow.missing())
+        rows = dict.fromkeys(facets, FacetRow.missing(flag or "not measured: too few dots here or in the first frame"))
         return cls(frame, time_s, nothing, nothing, nothing, nothing, nothing, 0, float("nan"), flag, rows)
 
     def measured(self, one: FrameSlopes, start: FrameSlopes, shapes: Mapping[str, FirstShape]) -> "FrameRow":
@@ -84,16 +86,18 @@ class FrameRow(ShortRepr):
 
         start: The first frame.
         shapes: Its facets.
-        EstimationError: None of them is seen, or too little of one.
+        EstimationError: None of them is seen, or too little of each.
         """
         mirror_from_cam = start.pose.inverse()
-        facets = {
-            name: _facet_row(motion, shapes[name], mirror_from_cam, one)
-            for name, motion in one.facets.items()
-            if name in shapes
-        }
+        facets, failed = dict[str, FacetRow](), dict[str, FacetRow]()
+        for name in [name for name in one.facets if name in shapes]:
+            try:
+                facets[name] = _facet_row(one.facets[name], shapes[name], mirror_from_cam, one)
+            except EstimationError as error:
+                failed[name] = FacetRow.missing(f"not measured: {error}")
         if not facets:
-            raise EstimationError("no facet of the first frame shows the pattern")
+            reasons = "; ".join(row.flag.removeprefix("not measured: ") for row in failed.values())
+            raise EstimationError(reasons or "no facet of the first frame shows the pattern")
         seen = facets.values()
         share = np.array([row.count for row in seen], dtype=np.float64)
         share /= share.sum()
@@ -111,6 +115,7 @@ class FrameRow(ShortRepr):
             probability=one.probability,
             facets={
                 **self.facets,
+                **failed,
                 **{
                     name: replace(row, sigma_tilt_rad=np.hypot(row.sigma_tilt_rad, _by_set_up(row.tilt_rad, one)))
                     for name, row in facets.items()
@@ -268,4 +273,5 @@ def _facet_columns(rows: Sequence[FrameRow]) -> dict[str, Any]:
         **_pairs("sd{}", [one.rms_rad for _, _, one in each]),
         **_pairs("sigma_sd{}", [one.sigma_rms_rad for _, _, one in each]),
         "dots": [one.count for _, _, one in each],
+        "flag": [one.flag for _, _, one in each],
     }
