@@ -133,7 +133,8 @@ def find_motion(map_a: SlopeMap, map_b: SlopeMap, start: PlaneMotion) -> FoundMo
 class _Pair:
     """Both maps at the nodes that they share.
 
-    places (2, n), slopes_a, slopes_b, sigmas_a, sigmas_b (2, n), gradients (2, 2, n): d slopes of b / d place [1/m].
+    places (2, n), slopes_a, slopes_b, sigmas_a, sigmas_b (2, n).
+    gradients_a, gradients_b (2, 2, n): d slopes / d place [1/m].
     smooth (m, n): Polynomials.
     """
 
@@ -142,7 +143,8 @@ class _Pair:
     slopes_b: FloatArray
     sigmas_a: FloatArray
     sigmas_b: FloatArray
-    gradients: FloatArray
+    gradients_a: FloatArray
+    gradients_b: FloatArray
     smooth: FloatArray
 
     def without_smooth(self, values: FloatArray) -> FloatArray:
@@ -151,33 +153,38 @@ class _Pair:
         amounts = np.linalg.lstsq(self.smooth.T, flat.T, rcond=None)[0]
         return np.asarray((flat - amounts.T @ self.smooth).reshape(values.shape))
 
+    def jacobian(self, slopes: FloatArray, gradients: FloatArray) -> FloatArray:
+        """Return what turn and shift do to slopes (2, n) with such gradients, shape (3, 2, n)."""
+        x, y = self.places
+        by_turn = np.stack([gradients[k, 0] * y - gradients[k, 1] * x for k in (0, 1)])
+        by_turn += np.stack([-slopes[1], slopes[0]])
+        return self.without_smooth(np.stack([by_turn, -gradients[:, 0], -gradients[:, 1]]))
+
     def step(self) -> tuple[FloatArray, FloatArray]:
         """Return the correction of turn and shift (3,), and the same without each block of nodes (b, 3)."""
         # With x_a = R x_b + t the slopes of b at a place of a change by -gradient times the place's own motion, and
         # turn with the frame.
         x, y = self.places
-        by_turn = np.stack([self.gradients[k, 0] * y - self.gradients[k, 1] * x for k in (0, 1)])
-        by_turn += np.stack([-self.slopes_b[1], self.slopes_b[0]])
-        jacobian = np.stack([by_turn, -self.gradients[:, 0], -self.gradients[:, 1]])
-        jacobian = self.without_smooth(jacobian)
+        jacobian = self.jacobian(self.slopes_b, self.gradients_b)
+        # Noise of the gradients would count as structure in their squares: those of a have other noise, and stand for
+        # those of b on one side (instrumental variables: Durbin, Review of the International Statistical Institute 22
+        # (1954) 23).
+        other = self.jacobian(self.slopes_a, self.gradients_a)
         error = self.without_smooth(self.slopes_a - self.slopes_b)
         lines = [np.quantile(one, np.linspace(0, 1, BLOCKS + 1)[1:-1]) for one in self.places]
         number = np.searchsorted(lines[0], x) * BLOCKS + np.searchsorted(lines[1], y)
         products = np.stack(
             [
-                np.einsum("icn,jcn->ij", jacobian[..., number == one], jacobian[..., number == one])
+                np.einsum("icn,jcn->ij", other[..., number == one], jacobian[..., number == one])
                 for one in range(BLOCKS**2)
             ]
         )
         moments = np.stack(
-            [
-                np.einsum("icn,cn->i", jacobian[..., number == one], error[..., number == one])
-                for one in range(BLOCKS**2)
-            ]
+            [np.einsum("icn,cn->i", other[..., number == one], error[..., number == one]) for one in range(BLOCKS**2)]
         )
         whole = products.sum(axis=0)
-        norms = np.sqrt(np.diag(whole))
-        if not (norms > 0).all() or np.linalg.eigvalsh(whole / np.outer(norms, norms))[0] < 1e-6:
+        norms = np.sqrt(np.maximum(np.diag(whole), 0.0))
+        if not (norms > 0).all() or np.linalg.eigvalsh((whole + whole.T) / np.outer(norms, norms))[0] < 2e-6:
             raise EstimationError("the slopes have no fine structure that determines shift and turn of the two maps")
         step = np.linalg.solve(whole, moments.sum(axis=0))
         others = np.stack(
@@ -190,8 +197,10 @@ def _pair(map_a: SlopeMap, map_b: SlopeMap, motion: PlaneMotion) -> _Pair:
     moved = moved_map(map_b, motion, map_a.x_m, map_a.y_m)
     known = _both_slopes(map_a) & _both_slopes(moved)
     # Differences over two steps on each side: less noise, and no shift.
-    gradients = np.stack([_gradient(one, moved) for one in (moved.slope_x, moved.slope_y)])
-    known &= np.isfinite(gradients).all(axis=(0, 1))
+    gradients_a, gradients_b = (
+        np.stack([_gradient(values, one) for values in (one.slope_x, one.slope_y)]) for one in (map_a, moved)
+    )
+    known &= np.isfinite(gradients_a).all(axis=(0, 1)) & np.isfinite(gradients_b).all(axis=(0, 1))
     count = int(np.count_nonzero(known))
     if count < 200:
         raise EstimationError(f"the two maps share {count} measured nodes; they are compared where both were measured")
@@ -211,7 +220,8 @@ def _pair(map_a: SlopeMap, map_b: SlopeMap, motion: PlaneMotion) -> _Pair:
         at(moved.slope_x, moved.slope_y),
         at(map_a.sigma_random_x, map_a.sigma_random_y),
         at(moved.sigma_random_x, moved.sigma_random_y),
-        gradients[:, :, rows, columns],
+        gradients_a[:, :, rows, columns],
+        gradients_b[:, :, rows, columns],
         monomials(centred[0], centred[1], SMOOTH_DEGREE),
     )
 

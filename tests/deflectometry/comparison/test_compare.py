@@ -15,6 +15,7 @@ from deflectometry.comparison.canting_difference import (
     facets_left_out,
     partners,
 )
+from deflectometry.comparison.in_plane import find_motion
 from deflectometry.comparison.judgement import Agreement
 from deflectometry.comparison.moved_map import PlaneMotion
 from deflectometry.comparison.pipeline.compare import compare_results
@@ -153,6 +154,27 @@ def test_the_turn_of_a_map_is_in_the_sigma_of_its_twist(tmp_path: Path, seed: in
     # Frames that are taken as they are have no such sigma.
     as_placed = compare_results(tmp_path / "first", tmp_path / "second", as_placed=True)
     assert as_placed.terms.sigmas[twist] < 0.1 * expected
+
+
+def test_a_place_found_in_noise_has_the_sigma_of_its_scatter() -> None:
+    """Noise of the gradients is no structure: taken for it, errors are 2.6 times the sigma."""
+    squares = []
+    for seed in range(8):
+        rng = np.random.default_rng(seed)
+        pair = [drawn_map(rng, step_m=0.03) for _ in "ab"]
+        noisy = [
+            replace(
+                one,
+                slope_x=one.slope_x + rng.normal(0, 3e-4, one.shape),
+                slope_y=one.slope_y + rng.normal(0, 3e-4, one.shape),
+            )
+            for one in pair
+        ]
+        found = find_motion(*noisy, PlaneMotion.none())
+        error = np.array([found.motion.turn_rad, *found.motion.shift_m])
+        squares.append(float(error @ np.linalg.solve(found.covariance, error)))
+    # Mean of chi-square over 3: of a jackknife over 16 blocks, whose own spread widens it.
+    assert 0.4 < np.mean(squares) / 3 < 2.5
 
 
 def test_the_one_with_curl_is_blamed_for_the_focus(tmp_path: Path) -> None:
