@@ -190,6 +190,7 @@ def slopes_of_night(
     size = float(np.mean([np.ptp(one.outline_m, axis=0).max() for one in night.facets]))
     step_m = size / _NODES if step_mm is None else 1e-3 * step_mm
     moved = moved_leans(measurement, night, camera, own)
+    shown = against_mean(leans) if align is Align.NORMAL else leans
     as_nominal = {
         facet.name: lean_map(
             facet,
@@ -199,7 +200,7 @@ def slopes_of_night(
             frame,
             alignment_words(align, len(night.facets)),
         )
-        for n, (facet, lean) in enumerate(zip(night.facets, leans, strict=True))
+        for n, (facet, lean) in enumerate(zip(night.facets, shown, strict=True))
         if lean is not None
     }
     pointing = _pointing(leans, [values for _, values in moved])
@@ -207,6 +208,25 @@ def slopes_of_night(
     several = len(night.facets) > 1
     cantings = canting_of_facets(night.facets, maps, build_mounts(measurement.model.mirror)) if several else ()
     return NightSlopes(maps, cantings, pointing)
+
+
+def against_mean(leans: Sequence[Lean | None]) -> list[Lean | None]:
+    """Return leans with the covariance of their differences from the mean of all; their values stay.
+
+    A facet whose lean is hardly known makes the mean, and with it the canting of every other one, less sure; its own
+    lean is a part of the mean.
+    """
+    known = [one.covariance for one in leans if one is not None]
+    rise = np.diag([1.0, 1.0, 0.0, 0.0, 0.0])
+    mean = rise @ np.sum(known, axis=0) @ rise / max(len(known), 1) ** 2
+    found: list[Lean | None] = []
+    for one in leans:
+        if one is None:
+            found.append(None)
+            continue
+        shared = one.covariance @ rise / len(known)
+        found.append(replace(one, covariance=one.covariance - shared - shared.T + mean))
+    return found
 
 
 def moved_leans(

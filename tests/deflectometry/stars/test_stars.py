@@ -8,6 +8,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+import scipy.linalg
 
 from data_synth.stars import NightScene, write_stars
 from data_synth.stars.dataset import true_leans
@@ -15,9 +16,11 @@ from data_synth.stars.night_scene import heliostat_at_night
 from deflectometry.field.placement import field_from_mirror
 from deflectometry.pipeline.choices import Options
 from deflectometry.shape.smooth_shape import Align
+from deflectometry.stars.facet_stars import Lean
 from deflectometry.stars.keys import load_stars
 from deflectometry.stars.pipeline import night as night_of_stars
 from deflectometry.stars.pipeline.measure import StarsResult, run
+from deflectometry.stars.pipeline.night import against_mean
 from heliogauge.errors import EstimationError
 from tests.deflectometry.command import refusal
 
@@ -207,3 +210,19 @@ def test_a_camera_elsewhere_moves_leans_as_predicted(
             # lean with what was found: a hundredth of what moved it.
             allowed = 0.01 * np.sqrt(np.diag(one.covariance)) + 0.02 * np.linalg.norm(predicted[:2]) * FOLLOWING
             assert (np.abs(other.values - one.values - predicted) < allowed).all()
+
+
+def test_canting_holds_the_uncertainty_of_the_mean() -> None:
+    """One facet that is hardly known: every difference from the mean against the joint covariance of all leans."""
+    rng = np.random.default_rng(2)
+    roots = [scale * rng.normal(size=(5, 5)) for scale in (1e-5, 1e-5, 6e-5)]
+    leans = [Lean(np.zeros(5), root @ root.T, np.zeros(0, np.intp), np.zeros(0), 1.0) for root in roots]
+    joint = scipy.linalg.block_diag(*(one.covariance for one in leans))
+    found = against_mean([leans[0], None, *leans[1:]])
+    assert found.pop(1) is None
+    for n, one in enumerate(found):
+        assert one is not None
+        difference = np.zeros((5, 15))
+        difference[:, 5 * n : 5 * n + 5] = np.eye(5)
+        difference[:2] -= np.tile(np.eye(5)[:2], 3) / 3
+        np.testing.assert_allclose(one.covariance, difference @ joint @ difference.T, rtol=1e-9, atol=1e-20)
