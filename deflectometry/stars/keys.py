@@ -1,10 +1,11 @@
 """What measurement.toml of ``kind = "stars"`` may say."""
 
 from dataclasses import dataclass
+from datetime import datetime
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from deflectometry.field.keys import FieldCameraSection, HeliostatSection
 from heliogauge.measurement.load import MEASUREMENT_FILE, read_measurement, refuse_missing
@@ -31,6 +32,19 @@ class NightPhotoSection(Section):
         description="When the exposure began, ISO 8601 with its zone: 2026-03-14T21:30:00.0Z or ...+01:00."
     )
     exposure_s: Positive = Field(description="Exposure time: stars count at its middle [s].")
+
+    @field_validator("time")
+    @classmethod
+    def _has_zone(cls, time: str) -> str:
+        try:
+            moment = datetime.fromisoformat(time.strip())
+        except ValueError:
+            raise ValueError("not an ISO 8601 time such as 2026-03-14T21:30:00Z") from None
+        if moment.utcoffset() is None:
+            raise ValueError(
+                "says no zone; append Z for UTC or an offset such as +01:00 (stars turn by 15 deg an hour)"
+            )
+        return time
 
 
 class StarsEvaluationSection(Section):

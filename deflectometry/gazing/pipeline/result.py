@@ -44,6 +44,15 @@ class Pointing:
         return numbers
 
 
+def pointing_line(numbers: Numbers) -> str:
+    """Return the pointing as a line for the terminal."""
+    said = []
+    for axis in "xy":
+        value, sigma = (numbers[f"{prefix}pointing_{axis}_rad"] for prefix in ("", "sigma_"))
+        said.append(f"{axis} {number_text(float(value or 0.0), sigma, 'rad')}")
+    return f"  pointing         {'   '.join(said)}"
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class CameraRow:
     """How one camera's brightness fits.
@@ -147,8 +156,4 @@ class GazingResult(InstrumentResult):
 
     def headline(self) -> str:
         """Return the most important numbers in a few lines for the terminal."""
-        said = []
-        for axis in "xy":
-            value, sigma = (self.numbers[f"{prefix}pointing_{axis}_rad"] for prefix in ("", "sigma_"))
-            said.append(f"{axis} {number_text(float(value or 0.0), sigma, 'rad')}")
-        return headline_text(self.summarise()) + f"\n  pointing         {'   '.join(said)}"
+        return f"{headline_text(self.summarise())}\n{pointing_line(self.numbers)}"

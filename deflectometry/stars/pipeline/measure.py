@@ -10,6 +10,7 @@ import numpy as np
 from deflectometry.field.placement import OrientedCamera
 from deflectometry.frames.image_file_checks import check_size
 from deflectometry.gazing.pipeline.inputs import oriented
+from deflectometry.gazing.pipeline.result import Pointing, pointing_line
 from deflectometry.pipeline.choices import Options
 from deflectometry.pipeline.headline import (
     Numbers,
@@ -34,7 +35,9 @@ from deflectometry.stars.keys import StarsMeasurement
 from deflectometry.stars.pipeline.catalogue import read_catalogue
 from deflectometry.stars.pipeline.night import (
     SKY_SIGMA_RAD,
+    TURN_PER_S,
     Night,
+    chance_of_points,
     first_orientation,
     is_sure,
     light_of,
@@ -72,6 +75,12 @@ _FEWEST_FACETS = 1
 _DAY_RAD = np.radians(-3.0)
 #: Facets on which other hours are tried.
 _TRIED, _TRIED_POINTS = 3, 8
+#: A lean beyond so many of its own sigmas is none of its scatter: 1 of 270,000 in two directions.
+_SURE_POINTING = 5.0
+#: The same chance for points that miss.
+_CHANCE_OF_POINTS = 1 / 270_000
+#: A lean beyond so many sigmas of the stated normal contradicts it: 1 of 1,000 in two directions.
+_BEYOND_STATED = 3.72
 #: A count of stars is exceeded by chance by less than so many standard deviations.
 _CHANCE_SIGMAS = 5.0
 
@@ -101,6 +110,7 @@ class StarsResult(InstrumentResult):
             "design": self.assembled.design,
             "removed": self.assembled.removed,
             "frame": self.assembled.frame,
+            "pointing": "mean slope error against mirror.normal, before alignment",
             "slopes": "lean, curvatures and twist of each facet: what is finer no star shows",
             "sigma": "1 standard deviation; slopes are those of the normal, a beam turns by twice as much",
         }
@@ -139,7 +149,7 @@ class StarsResult(InstrumentResult):
 
     def headline(self) -> str:
         """Return the most important numbers in a few lines for the terminal."""
-        return headline_text(self.summarise())
+        return f"{headline_text(self.summarise())}\n{pointing_line(self.numbers)}"
 
 
 def _stars_of(light: FacetLight, lean: Lean | None) -> Iterator[tuple[str, float, float]]:
@@ -211,7 +221,11 @@ def run(measurement: StarsMeasurement, options: Options | None = None, progress:
         cantings=cantings,
         lights=night.lights,
         leans=tuple(leans),
-        doubts=gather_doubts(doubt_of_canting(cantings) if several else None, *_doubts(night, leans)),
+        doubts=gather_doubts(
+            doubt_of_canting(cantings) if several else None,
+            _doubt_of_pointing(measurement, night, camera, slopes.pointing),
+            *_doubts(night, leans),
+        ),
         durations_s=dict(progress.durations_s),
         input_sha256=hash_files(measurement.input_files, measurement.folder),
     )
@@ -369,6 +383,41 @@ def _refuse(night: Night, priors: tuple[FloatArray, FloatArray], leans: Sequence
         f"{points / max(len(leans) * len(night.times), 1):.1f} in a facet and photo): the sky does not determine how "
         "they lean; take more photos over the night or longer exposures, or check time, site, mirror.normal and "
         "faintest_magnitude, and that the camera looks where it did when its points were measured"
+    )
+
+
+def _doubt_of_pointing(
+    measurement: StarsMeasurement, night: Night, camera: OrientedCamera, pointing: Pointing
+) -> Doubt | None:
+    """Say what else than the mirror leans all facets alike: time, date, the camera's place."""
+    lean = float(np.hypot(*pointing.angle_rad))
+    stated = 1e-3 * measurement.model.evaluation.sigma_normal_mrad
+    sigmas = lean / stated
+    square, freedom, chance = chance_of_points(measurement, night, camera)
+    numbers: dict[str, float | int] = {"lean_rad": lean, "lean_in_sigmas_ratio": sigmas, "points_chi_square": square}
+    # A normal turns by half of what the sky does, and by half the angle of the camera's shift.
+    shift_m = 2 * lean * float(np.linalg.norm(camera.eye_m))
+    leaning = (
+        f"{1e3 * lean:.3g} mrad against mirror.normal ({sigmas:.2g} of sigma_normal_mrad = {1e3 * stated:.3g}), as a "
+        f"time that is {2 * lean / TURN_PER_S:.0f} s off does (a date one day off: 236 s of stars) or a camera that "
+        f"stood {shift_m:.2g} m aside"
+    )
+    if freedom and chance < _CHANCE_OF_POINTS:
+        return Doubt(
+            "points_contradict_stars",
+            f"the mirror's points in the photos miss by chi-square {square:.0f} of {freedom} where the stars say that "
+            f"it leans: {leaning}; check date and time of the photos, site, place_m of camera and mirror, and the "
+            "points with their sigma_px: canting is wrong with them",
+            numbers,
+            Severity.SERIOUS,
+        )
+    if not np.hypot(*(pointing.angle_rad / pointing.sigma_rad)) > _SURE_POINTING:
+        return None
+    return Doubt(
+        "pointing_off_stated_normal",
+        f"the mean normal leans by {leaning}; the mirror's points in the photos do not contradict it",
+        numbers,
+        Severity.DOUBT if sigmas > _BEYOND_STATED else Severity.NOTE,
     )
 
 

@@ -35,7 +35,7 @@ _SURE = 0.999
 #: A star's place beside what refraction and the clock move alike [rad].
 SKY_SIGMA_RAD = 1e-5
 #: The sky turns by so much in a second of time [rad].
-_TURN_PER_S = 7.292e-5
+TURN_PER_S = 7.292e-5
 #: Nodes of a map along a facet.
 _NODES = 40
 
@@ -235,11 +235,11 @@ def moved_leans(
     """Return what one sigma of each common input does to lean and bows of each facet, shape (f, 5)."""
     model = measurement.model
     found: list[tuple[str, FloatArray]] = []
-    shift = 1e-3 * float(np.hypot(model.camera.sigma_place_mm, model.mirror.sigma_place_mm))
+    shift = sigma_place_m(measurement)
     lights = list(zip(night.lights, leans, strict=True))
     if shift > 0:
         for step in shift * np.eye(3):
-            elsewhere = _oriented_beside(measurement, night, step)
+            elsewhere = oriented_beside(measurement, night, step)
             turn = -vector_from_rotation(elsewhere.cam_from_mirror.rotation @ camera.cam_from_mirror.rotation.T)
             # The points of the mirror stay in their pixels: a camera that was elsewhere was turned as well.
             found.append(("places", np.array([_response(one, lean, step, camera, turn) for one, lean in lights])))
@@ -247,7 +247,7 @@ def moved_leans(
         values = [_response(one, lean, np.zeros(3), camera, turn) for one, lean in lights]
         found.append(("camera orientation", np.array(values)))
     pole = np.array([0.0, np.cos(np.radians(model.site.latitude_deg)), np.sin(np.radians(model.site.latitude_deg))])
-    clock = _TURN_PER_S * model.evaluation.sigma_time_s
+    clock = TURN_PER_S * model.evaluation.sigma_time_s
     if clock > 0:
         # All stars turn about the pole, and every facet's normal follows by half of it across the sight.
         values = [_clock(night, one, lean, clock * pole) for one, lean in lights]
@@ -255,7 +255,27 @@ def moved_leans(
     return found
 
 
-def _oriented_beside(measurement: StarsMeasurement, night: Night, shift_m: FloatArray) -> OrientedCamera:
+def sigma_place_m(measurement: StarsMeasurement) -> float:
+    """Return how well the place of the camera against the mirror is known, each way [m]."""
+    return 1e-3 * float(np.hypot(measurement.model.camera.sigma_place_mm, measurement.model.mirror.sigma_place_mm))
+
+
+def chance_of_points(measurement: StarsMeasurement, night: Night, camera: OrientedCamera) -> tuple[float, int, float]:
+    """Test the mirror's points in the photos against the lean by stars: chi-square, its freedom, chance of as much.
+
+    camera: Turned to its points at that lean. How its place is uncertain widens what points may miss.
+    """
+    from scipy.stats import chi2
+
+    missed = camera.residual_sigmas.ravel()
+    steps = sigma_place_m(measurement) * np.eye(3)
+    by_place = np.array([oriented_beside(measurement, night, one).residual_sigmas.ravel() for one in steps]) - missed
+    square = float(missed @ np.linalg.solve(np.eye(missed.size) + by_place.T @ by_place, missed))
+    freedom = missed.size - 3
+    return square, freedom, float(chi2.sf(square, freedom))
+
+
+def oriented_beside(measurement: StarsMeasurement, night: Night, shift_m: FloatArray) -> OrientedCamera:
     """Return the camera as its points turn it where it stands beside its place by a shift in the mirror's frame."""
     beside = night.field_from_mirror.inverse()
     place = RigidTransform(beside.rotation, beside.translation_m + shift_m)

@@ -21,7 +21,8 @@ from deflectometry.stars.keys import load_stars
 from deflectometry.stars.pipeline import night as night_of_stars
 from deflectometry.stars.pipeline.measure import StarsResult, run
 from deflectometry.stars.pipeline.night import against_mean
-from heliogauge.errors import EstimationError
+from heliogauge.doubts import Severity
+from heliogauge.errors import EstimationError, InputError
 from tests.deflectometry.command import refusal
 
 pytest.importorskip("erfa")
@@ -72,6 +73,32 @@ def test_normal_that_contradicts_the_corners_is_refused(drawn: Path, tmp_path: P
     file.write_text(text.replace(line, "normal = [0.0, -1.0, -0.1]"))
     with pytest.raises(EstimationError, match="camera camera: point"):
         run(load_stars(tmp_path / "night"))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("wrong", ["date", "place"])
+def test_a_date_or_a_place_that_the_points_contradict_is_named(drawn: Path, tmp_path: Path, wrong: str) -> None:
+    """The stars of the next day stand 236 s of sky aside, and as a camera half a metre aside, lean all facets alike."""
+    file = shutil.copytree(drawn, tmp_path / "night") / "measurement.toml"
+    text = file.read_text()
+    place = next(one for one in text.splitlines() if one.startswith("place_m = ") and "[0.0, 0.0, 0.0]" not in one)
+    aside = np.array(load_stars(file.parent).model.camera.place_m) + [0.0, 0.0, 0.5]
+    old, new = {"date": ("03-14T", "03-15T"), "place": (place, f"place_m = {aside.tolist()}")}[wrong]
+    assert old in text
+    file.write_text(text.replace(old, new))
+    result = run(load_stars(file.parent))
+    (doubt,) = (one for one in result.doubts if one.code == "points_contradict_stars")
+    assert doubt.severity is Severity.SERIOUS
+    assert "date" in doubt.text
+    assert "place_m" in doubt.text
+    assert "pointing  " in result.headline()
+
+
+def test_a_time_without_zone_is_named_by_its_key(drawn: Path, tmp_path: Path) -> None:
+    file = shutil.copytree(drawn, tmp_path / "night") / "measurement.toml"
+    file.write_text(file.read_text().replace('00Z"', '00"'))
+    with pytest.raises(InputError, match=r"photo\[1\].time: says no zone.*15 deg an hour"):
+        load_stars(file.parent)
 
 
 def noise_photo(folder: Path, points: int) -> None:
