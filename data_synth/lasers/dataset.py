@@ -9,12 +9,16 @@ import numpy as np
 from data_synth.fringes.dataset import SYNTHETIC, TRUTH_FILE
 from data_synth.lasers.points import PointScene, scan_points
 from data_synth.lasers.scan import LaserScene, trace_lines, trace_scan
+from data_synth.optics.mirror import SyntheticFacet
 from heliogauge.measurement.writer import write_measurement
 from heliogauge.results.json_file import write_json
 from heliogauge.results.tables import write_table_csv
 from heliogauge.results.whole_folder import WholeFolder
+from heliogauge.validate import FloatArray
 
 TRUTH_TABLE = "truth.csv"
+#: Nodes of the true slopes along each side of a facet.
+_TRUE_NODES = 61
 _LINE_COLUMNS = ("sweep", "line", "normal_x", "normal_y", "normal_z", "spot_x_m", "spot_y_m")
 
 
@@ -55,7 +59,7 @@ def line_scene() -> LaserScene:
 
 
 def write_line_sweep(folder: Path, scene: LaserScene | None = None, seed: int = 0, *, force: bool = False) -> None:
-    """Sweep a line over a panel both ways and write the measurement folder, with truth.json.
+    """Sweep a line over a panel both ways and write the measurement folder, with truth.json and truth.csv (slopes).
 
     force: Replace an earlier synthetic measurement.
     InputError: The folder holds something or cannot be written to.
@@ -73,7 +77,16 @@ def write_line_sweep(folder: Path, scene: LaserScene | None = None, seed: int = 
     with WholeFolder(folder, SYNTHETIC, force=force) as working:
         write_table_csv(working / "lines.csv", table)
         write_measurement(working, content, comment=f"Synthetic measurement, seed {seed}; see truth.json.")
+        write_table_csv(working / TRUTH_TABLE, _true_slopes(scene.mirror))
         write_json(working / TRUTH_FILE, {"seed": seed, "turn_rad": list(scene.turn_rad)})
+
+
+def _true_slopes(facet: SyntheticFacet) -> dict[str, FloatArray]:
+    """Return the slopes of a rectangular facet at nodes of its own frame."""
+    low, high = facet.outline_m.min(axis=0), facet.outline_m.max(axis=0)
+    x, y = (one.ravel() for one in np.meshgrid(*np.linspace(low, high, _TRUE_NODES).T))
+    _, slope_x, slope_y = facet.surface(x, y)
+    return {"x_m": x, "y_m": y, "slope_x": slope_x, "slope_y": slope_y}
 
 
 def _content(
@@ -104,7 +117,7 @@ def _content(
 
 
 def write_surface_scan(folder: Path, scene: PointScene | None = None, seed: int = 0, *, force: bool = False) -> None:
-    """Scan a facet and write the measurement folder, with truth.json.
+    """Scan a facet and write the measurement folder, with truth.json and truth.csv (slopes in the mirror's frame).
 
     force: Replace an earlier synthetic measurement.
     InputError: The folder holds something or cannot be written to.
@@ -122,6 +135,7 @@ def write_surface_scan(folder: Path, scene: PointScene | None = None, seed: int 
     with WholeFolder(folder, SYNTHETIC, force=force) as working:
         write_table_csv(working / "points.csv", dict(zip(("x_m", "y_m", "z_m"), points.T, strict=True)))
         write_measurement(working, content, comment=f"Synthetic measurement, seed {seed}; see truth.json.")
+        write_table_csv(working / TRUTH_TABLE, _true_slopes(scene.mirror))
         write_json(
             working / TRUTH_FILE,
             {

@@ -247,3 +247,16 @@ def test_rows_without_a_place_are_counted(tmp_path: Path) -> None:
     write_table_csv(folder / "points.csv", columns)
     (doubt,) = (one for one in measured(folder).doubts if one.code == "points_without_place")
     assert doubt.numbers["points_count"] == 2
+
+
+def test_true_slopes_stand_beside_the_scan(tmp_path: Path) -> None:
+    """Slopes of the measured map against truth.csv by its nearest nodes, whose slopes differ by a step at most."""
+    from scipy.spatial import cKDTree
+
+    folder = scanned(tmp_path / "scan", TROUGH, points__x_axis=X_AXIS)
+    _, true = read_columns_csv(folder / "truth.csv", (), ("x_m", "y_m", "slope_x", "slope_y"))
+    one = measured(folder).slope_map
+    x, y = (plane[one.valid] for plane in np.meshgrid(one.x_m, one.y_m))
+    _, near = cKDTree(np.column_stack([true["x_m"], true["y_m"]])).query(np.column_stack([x, y]))
+    # Half a step of 27 mm on a trough of 1.71 m, and the fitted place.
+    assert np.abs(one.slope_x[one.valid] - true["slope_x"][near]).max() < 0.5 * 0.027 / 3.42 + 0.006
