@@ -414,7 +414,7 @@ def _doubt_of_pointing(
     if not np.hypot(*(pointing.angle_rad / pointing.sigma_rad)) > _SURE_POINTING:
         return None
     return Doubt(
-        "pointing_off_stated_normal",
+        "stars_off_stated_normal",
         f"the mean normal leans by {leaning}; the mirror's points in the photos do not contradict it",
         numbers,
         Severity.DOUBT if sigmas > _BEYOND_STATED else Severity.NOTE,
