@@ -64,10 +64,11 @@ def alternative_tables(folder: Path, labels: Mapping[str, str], shares: Mapping[
 
     labels, shares: Words of each sigma and of each share that an alternative may change.
     """
-    table = read_table_csv(folder / ALTERNATIVES_FILE, ("change", *shares, "states_sigma", "reason"))
+    table = read_table_csv(folder / ALTERNATIVES_FILE, ("change", *shares, "reason"))
     rows = range(1, len(table["change"]))
     done = [n for n in rows if not table["reason"][n]]
-    stated = [n for n in done if table["states_sigma"][n]]
+    # Folders written before there were such changes have no column of them.
+    stated = [n for n in done if "states_sigma" in table and table["states_sigma"][n]]
     others = [n for n in done if n not in stated]
     parts = [_gains("What would better it: by how much each sigma is smaller", table, others, labels, shares)]
     if stated:

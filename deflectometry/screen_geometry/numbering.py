@@ -23,6 +23,8 @@ _SIGMA_DEPTH, _MOST_DEPTH = 2.0, 6.0
 _DEPTH_STEP = 0.1
 #: Dots that say where a photo's lattice is: so many say it ten times better than one.
 _FEW_DOTS = 200
+#: Columns and rows that a photo must show: `_Lattice` is of third order, which fewer leave open.
+_FEWEST_LINES = 4
 #: Numbering with less probability is refused.
 _SURE = 0.99
 
@@ -45,12 +47,19 @@ def number_alike(views: Sequence[DotView], targets_m: FloatArray) -> tuple[IntAr
 
     targets_m (n, 3): Points near the surface of the field: the targets around it [m].
     Returns: Numbers (k, 2) of each photo's dots.
-    EstimationError: A photo that shows another field, or two numberings that are equally likely.
+    EstimationError: A photo that shows another field or a few dots, or two numberings that are equally likely.
 
     A field of dots looks alike when it is shifted by one and moved in depth. The hypotheses are the depths of the field
     before and behind the targets' plane: for each, the lattices of all photos must be whole numbers apart; dots that
     one photo should show and does not make a hypothesis unlikely, and so does its depth.
     """
+    for view in views:
+        columns, rows = (len(np.unique(one)) for one in view.dots.number.T)
+        if min(columns, rows) < _FEWEST_LINES:
+            raise EstimationError(
+                f"{view.photo}: it shows {columns} columns and {rows} rows of dots; {_FEWEST_LINES} of each are needed "
+                "to tell which dot of one photo is which of another"
+            )
     plane = _plane(targets_m, views)
     every, views = views, [_thinned(view) for view in views]
     first = views[0]

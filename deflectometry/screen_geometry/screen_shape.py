@@ -17,7 +17,7 @@ DEGREES = {"plane": (1,), "bent": (2,), "free": (3, 4)}
 _SHARED_DEGREE = 4
 #: Chance of a sound plane to be taken for bent: below it the points contradict the simpler form.
 _CONTRADICTED = 1e-3
-#: Share of a point's variance that is its own at least: it weighs nothing, and a point without any can be weighed.
+#: Share of the mean of the points' own variances that each has at least: a point without any can be weighed.
 _LEAST_OWN = 1e-6
 #: Nodes per side over which the display's own frame is laid.
 _FRAME_NODES = 9
@@ -168,7 +168,8 @@ def _fit(points: ScreenPoints, form: str, degree: int) -> _Fit | None:
         return None
     design = np.asarray(np.kron(terms, np.eye(3)), dtype=np.float64)
     # All that a point between whose kind lengths are known errs by is shared with others: nothing is its own.
-    every = np.einsum("nii->", points.own_m2) + np.sum(points.shared_m**2)
+    # What they share (a loosely known scale: millimetres) is no measure of their own (micrometres) where there is any.
+    every = np.einsum("nii->", points.own_m2) or np.sum(points.shared_m**2)
     least = _LEAST_OWN * every / len(terms)
     roots = np.linalg.inv(np.linalg.cholesky(points.own_m2 + least * np.eye(3)))
     observed = points.points_m.reshape(-1)

@@ -284,7 +284,7 @@ class PlannedScreen:
         """Yield what might be done otherwise."""
         model, plan, photos = self.model, self.plan, self.photos()
         place = self._one_more(photos)
-        count = len(photos)
+        count = len(photos) - (model.measuring_photo is not None)
         yield Change(
             f"one more photo from the side, from ({place[0]:.2f}, {place[1]:.2f}, {place[2]:.2f}) m",
             "plan.places_m",

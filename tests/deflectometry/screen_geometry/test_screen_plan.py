@@ -12,13 +12,14 @@ import pytest
 
 from deflectometry.planning.pipeline.alternatives import ALTERNATIVES_FILE
 from deflectometry.planning.sigma_prospect import SigmaProspect
+from deflectometry.report.plan import alternative_tables
 from deflectometry.screen_geometry.keys import ScreenGeometryModel
 from deflectometry.screen_geometry.planning.plan import PHOTOS_FILE, PlannedScreen
 from deflectometry.screen_geometry.planning.predicted_points import predicted
 from heliogauge.errors import EstimationError, InputError
 from heliogauge.measurement.load import read_measurement
 from heliogauge.measurement.writer import write_measurement
-from heliogauge.results.folder import read_table_csv
+from heliogauge.results.folder import read_table_csv, write_table_csv
 from heliogauge.running import cli
 
 TOML = """
@@ -151,6 +152,23 @@ def test_what_is_missing_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[s
     assert ended.value.code == 2
     assert "as planned, measuring would be refused" in " ".join(capsys.readouterr().err.split())
     assert not (tmp_path / "out").exists()
+
+
+def test_too_few_dots_to_number_are_refused(tmp_path: Path) -> None:
+    """Of two by two, numbers of missing dots ran away, and memory did not suffice for them."""
+    with pytest.raises(EstimationError, match="shows 2 columns and 2 rows of dots; 4 of each are needed"):
+        prospect(tmp_path / "p", display=None, dots={"origin": "corner"}, plan={"columns": 2, "rows": 2})
+
+
+def test_the_measuring_photo_is_none_of_the_places(tmp_path: Path) -> None:
+    (change,) = [one for one in planned(tmp_path / "p").changes() if one.key == "plan.places_m"]
+    assert (change.before, change.after) == ("8 photos", "9 photos")
+
+
+def test_tables_of_older_plans_are_reported(tmp_path: Path) -> None:
+    rows = {"change": ["as planned", "nearer"], "gain_z_m": [1.0, 1.5], "reason": ["", ""]}
+    write_table_csv(tmp_path / ALTERNATIVES_FILE, rows)
+    assert "1.50" in alternative_tables(tmp_path, {"z_m": "depth"}, {}).text
 
 
 @pytest.mark.slow

@@ -1,5 +1,7 @@
 """Shape and frame of a screen from points with joint errors: sigmas are the scatter, wrong inputs are refused."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -149,3 +151,23 @@ def test_too_few_points_are_refused() -> None:
     u, v = np.array([0.0, 0.5, 1.0]), np.array([0.0, 0.5, 1.0])
     with pytest.raises(EstimationError, match="plane display needs"):
         describe_display(_points(np.random.default_rng(0), u, v), "plane", own_frame=True)
+
+
+def test_the_test_of_a_shape_does_not_depend_on_how_well_the_scale_is_known() -> None:
+    u, v = (one.ravel() for one in np.meshgrid(np.linspace(0, 1, 6), np.linspace(0, 1, 6)))
+    points = _points(np.random.default_rng(1), u, v)
+    larger = _WORLD_FROM_SCREEN.rotate(_true_m(u, v))[None]
+    # A larger screen of this form has this form too: what is left of its points is the same.
+    found = [
+        describe_display(
+            replace(
+                points,
+                shared_m=np.concatenate([points.shared_m, share * larger]),
+                pose_steps=np.concatenate([points.pose_steps, np.zeros((1, 6))]),
+            ),
+            "bent",
+            own_frame=True,
+        )[1][0].chi_square
+        for share in (1e-3, 0.1)
+    ]
+    assert found[1] == pytest.approx(found[0], rel=1e-3)
