@@ -4,7 +4,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from deflectometry.overlay.joint_turns import JointTurns
+from deflectometry.overlay.joint_turns import NO_CHECK, JointTurns
 from deflectometry.overlay.source_image import Source
 from heliogauge.doubts import Doubt, Severity
 from heliogauge.geometry.surfaces import Facet
@@ -21,7 +21,9 @@ _FEWEST_FACETS = 4
 #: No facet of a heliostat is wavier (spec C-03, V-41: slope errors of 0.5 to 2 mrad, here of means over edges).
 _WAVIEST_RAD = 1e-3
 #: Numbers that check each other; with fewer the wave is known to worse than half of itself, 1 / sqrt(2 n).
-_FEWEST_CHECKS = 6.0
+FEWEST_CHECKS = 6.0
+#: By how much waves turn a facet in one photo, in shares of their RMS slope: drawn facets, 0.06 mrad of 0.1 mrad.
+_TURN_BY_WAVES = 0.6
 #: Exchanged facets have at least halved turns once they are put back.
 _BETTER = 0.5
 #: And point much further from their design than the others typically do.
@@ -82,12 +84,16 @@ def doubts_of_turns(
             "and size of the source hold? The sigmas contain the difference",
             {"difference_rad": found.wave_rad},
         )
-    if found.redundancy < _FEWEST_CHECKS:
+    if found.redundancy < FEWEST_CHECKS:
+        own = float(np.sqrt(np.nanmean(found.random_rad**2)))
         yield Doubt(
             "waves_unknown",
-            "too few photos check each other: how wavy the facets are is not known, and sigmas of turns contain the "
-            "noise of the pixels but hardly the waves; take three photos from different places",
-            {"checks_count": found.redundancy},
+            "too few photos check each other: how wavy the facets are is not known, and sigmas of turns and canting "
+            f"contain the noise of the pixels, {1e3 * own:.2g} mrad, but hardly the waves, which turn a facet by "
+            f"some {_TURN_BY_WAVES:g} of their RMS slope in each photo ({_TURN_BY_WAVES:g} mrad of 1 mrad); take three "
+            "photos from different places",
+            {"checks_count": found.redundancy, "sigma_random_rad": own},
+            severity=Severity.SERIOUS if found.redundancy < NO_CHECK else Severity.DOUBT,
         )
     if sigma_m == 0:
         yield Doubt(

@@ -21,6 +21,8 @@ _TURN_STEP, _SHIFT_STEP = 1e-6, 1e-4
 #: The light is fitted again with the cameras where the adjustment put them.
 _ROUNDS = 2
 _BISECTIONS = 50
+#: With fewer numbers than one that check each other nothing tells the wave; of one photo rounding made it up.
+NO_CHECK = 1.0
 #: Of a photo that shows edges in one direction only.
 _WORST_CONDITION = 1e3
 
@@ -292,14 +294,14 @@ def _only(equations: _Equations, count: int, known: BoolArray) -> _Equations:
 
 
 def _wave(equations: _Equations) -> float:
-    """Return the standard deviation that makes residuals of the reflections as large as they should be."""
+    """Return the standard deviation that makes residuals of the reflections as large as they should be; 0 if none."""
+    rows = slice(len(equations.prior_residual), None)
 
     def excess(wave_rad: float) -> float:
         _, _, leftover, share = equations.solve(wave_rad)
-        rows = slice(len(equations.prior_residual), None)
         return float(np.sum(leftover[rows] ** 2) - np.sum(share[rows]))
 
-    if excess(0.0) <= 0:
+    if np.sum(equations.solve(0.0)[3][rows]) < NO_CHECK or excess(0.0) <= 0:
         return 0.0
     low, high = -20.0, 2.0
     for _ in range(_BISECTIONS):

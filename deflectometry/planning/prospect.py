@@ -88,6 +88,10 @@ class Prospect:
         """Return what else an alternative may change."""
         return {"seen_share": self.seen_share, "sample_spacing_m": self.spacing_m}
 
+    def known_facets(self) -> frozenset[str]:
+        """Return the names of the facets that will be measured."""
+        return frozenset(one.name for one in self.facets if one.slope_map is not None)
+
     def sigmas(self) -> dict[str, float]:
         """Return what the plan is about, by the names of `LIMITED`: sigmas, RMS over mirror or facets; NaN if none."""
         numbers = self.numbers
@@ -151,6 +155,9 @@ class Promise(Protocol):
 
     def beside(self) -> Mapping[str, float]:
         """Return what else an alternative may change, by names with unit."""
+
+    def known_facets(self) -> frozenset[str]:
+        """Return the names of the facets of which something will be known."""
 
 
 class Planned(Protocol):
@@ -220,7 +227,8 @@ class Alternative:
     """A change with what it brings.
 
     sigmas, beside: As `Promise`; empty where it is impossible.
-    gains: By how much each sigma becomes smaller: before over after.
+    gains: By how much each sigma becomes smaller: before over after. NaN where a facet is lost by it: sigmas are RMS
+        over known facets, and canting is against their mean, so that fewer have smaller ones.
     reason: Why it is impossible.
     """
 

@@ -40,3 +40,7 @@ class SigmaProspect:
     def beside(self) -> Mapping[str, float]:
         """Return what else an alternative may change."""
         return self.shares
+
+    def known_facets(self) -> frozenset[str]:
+        """Return the names of the facets of which a number is promised."""
+        return frozenset(name for name, own in self.facets.items() if any(one is not None for one in own.values()))

@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from deflectometry.overlay.camera_place import Station
-from deflectometry.overlay.doubts import doubts_of_turns
+from deflectometry.overlay.doubts import FEWEST_CHECKS, doubts_of_turns
 from deflectometry.overlay.joint_turns import JointTurns, adjust
 from deflectometry.overlay.keys import OverlayMeasurement, OverlayPhotoSection, load_overlay_plan
 from deflectometry.overlay.pipeline.lines import OVERLAY_FILE, line_table, lines_over
@@ -51,8 +51,8 @@ _SHOWN = {"shown_share": "facets known"}
 _DIRECTIONS = 16
 #: How much farther or nearer source and cameras are tried, and how much larger a source and an image.
 _DISTANCES, _LARGER = (0.75, 1.33), 1.5
-#: Doubt of measuring that a plan says with the reasons.
-_UNKNOWN = "facet_without_image"
+#: Doubts of measuring that a plan says in its own words.
+_OWN_WORDS = {"facet_without_image", "waves_unknown"}
 #: A place that is known to so much is as good as not surveyed [mm].
 _UNSURVEYED_MM = 1e4
 
@@ -128,7 +128,7 @@ class PlannedOverlay:
                     for line in lines_over(scene.camera, name, pose, facet, scene.source, {})
                 ),
             },
-            doubts=(*(one for one in doubts if one.code != _UNKNOWN), *self._doubts(scene, found)),
+            doubts=(*(one for one in doubts if one.code not in _OWN_WORDS), *self._doubts(scene, found)),
         )
 
     def scene(self) -> PlannedScene:
@@ -213,6 +213,14 @@ class PlannedOverlay:
                 "plan_leaves_facets_unknown",
                 f"{len(unknown)} of {len(facets)} facets will stay unknown: {_words(scene.sights, unknown)}",
                 {"facets_count": len(unknown)},
+            )
+        if found.redundancy < FEWEST_CHECKS:
+            yield Doubt(
+                "plan_cannot_find_waves",
+                "too few photos check each other: measuring will not find how wavy the facets are, so that it can "
+                "neither confirm difference_of_photos_mrad of [plan] nor state sigmas that contain waves; take three "
+                "photos from different places",
+                {"checks_count": found.redundancy},
             )
         if self.measurement.model.plan.difference_of_photos_mrad is None:
             yield Doubt(

@@ -34,7 +34,11 @@ def _tried(change: Change, before: Promise) -> Alternative:
     except (InputError, EstimationError) as error:
         return Alternative(change, {}, {}, {}, str(error))
     sigmas = after.sigmas()
-    gains = {name: one / sigmas[name] if sigmas.get(name, 0.0) > 0 else np.nan for name, one in before.sigmas().items()}
+    compares = before.known_facets() <= after.known_facets()
+    gains = {
+        name: one / sigmas[name] if compares and sigmas.get(name, 0.0) > 0 else np.nan
+        for name, one in before.sigmas().items()
+    }
     return Alternative(change, sigmas, gains, after.beside())
 
 

@@ -18,6 +18,7 @@ from deflectometry.overlay.keys import load_overlay, load_overlay_plan
 from deflectometry.overlay.pipeline.measure import run
 from deflectometry.overlay.pipeline.result import OverlayResult
 from deflectometry.overlay.planning.plan import PlannedOverlay
+from heliogauge.doubts import Severity
 from heliogauge.errors import EstimationError
 from heliogauge.measurement.writer import write_measurement
 
@@ -96,6 +97,24 @@ def changed(drawn: Path, folder: Path, change: Callable[[dict[str, Any]], None])
 
 def doubts(folder: Path) -> set[str]:
     return {one.code for one in run(load_overlay(folder)).doubts}
+
+
+def test_sigmas_of_one_photo_are_seriously_doubted(drawn: Path, tmp_path: Path) -> None:
+    """Nothing checks them: waves of the facets are in the errors, not in the sigmas, and rounding makes up none."""
+
+    def one_photo(content: dict[str, Any]) -> None:
+        content["photo"] = content["photo"][:1]
+
+    folder = changed(drawn, tmp_path / "one", one_photo)
+    lines = (folder / "points.csv").read_text().splitlines()
+    (folder / "points.csv").write_text("\n".join(one for one in lines if "photo_2" not in one and "photo_3" not in one))
+    result = run(load_overlay(folder))
+    (doubt,) = [one for one in result.doubts if one.code == "waves_unknown"]
+    assert doubt.severity is Severity.SERIOUS
+    assert result.turns.wave_rad == 0.0
+    truth = np.array(json.loads((drawn / "truth.json").read_text())["turn_rad"])
+    errors = result.turns.canting()[0] - (truth - truth.mean(axis=0))
+    assert np.sqrt(np.mean(errors**2)) > 1.5 * doubt.numbers["sigma_random_rad"]
 
 
 def test_dark_photos_show_no_source(drawn: Path, tmp_path: Path) -> None:

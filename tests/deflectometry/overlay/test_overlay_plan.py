@@ -12,12 +12,14 @@ import pytest
 from data_synth.reflections import ReflectionScene, write_overlay
 from deflectometry.overlay.keys import load_overlay_plan
 from deflectometry.overlay.planning.plan import FACETS_FILE, PlannedOverlay
-from deflectometry.planning.pipeline.alternatives import ALTERNATIVES_FILE
+from deflectometry.planning.pipeline.alternatives import ALTERNATIVES_FILE, try_changes
+from deflectometry.planning.prospect import Change
 from deflectometry.planning.sigma_prospect import SigmaProspect
 from heliogauge.errors import EstimationError, InputError
 from heliogauge.measurement.writer import write_measurement
 from heliogauge.results.folder import read_table_csv
 from heliogauge.running import cli
+from heliogauge.running.progress import SilentProgress
 
 SMALL = ReflectionScene(
     columns=2, rows=2, focal_px=3500.0, width_px=300, height_px=300, wave_sigma_rad=0.0, tilt_sigma_rad=0.3e-3
@@ -68,6 +70,35 @@ def test_facets_without_image_are_named_with_the_reason(drawn: Path, tmp_path: P
     assert found.shares["shown_share"] == 0.75
     assert found.facets["12"]["sigma_canting_x_rad"] is None
     assert found.facets["11"]["sigma_canting_x_rad"] is not None
+
+
+def test_losing_facets_is_no_gain(drawn: Path, tmp_path: Path) -> None:
+    """Against the mean of two facets canting is surer than against that of four: by 1.22, and nothing is better."""
+
+    def turned(content: dict[str, Any]) -> None:
+        for facet in content["mirror"]["facet"][:2]:
+            facet["rotation_vector_rad"] = [0.0, 0.05, 0.0]
+
+    more, fewer = (
+        PlannedOverlay(load_overlay_plan(planned(drawn, tmp_path / name, change)))
+        for name, change in (("more", lambda content: None), ("fewer", turned))
+    )
+    (lost,) = try_changes([Change("", "", "", "", fewer)], more.prospect(), SilentProgress())
+    assert lost.beside["shown_share"] == 0.5
+    assert lost.best_gain == 0.0
+    (same,) = try_changes([Change("", "", "", "", more)], more.prospect(), SilentProgress())
+    assert same.best_gain == pytest.approx(1.0)
+
+
+def test_one_photo_will_find_no_waves(drawn: Path, tmp_path: Path) -> None:
+    def one_photo(content: dict[str, Any]) -> None:
+        content["photo"] = content["photo"][:1]
+        content["plan"]["difference_of_photos_mrad"] = 0.05
+
+    found = {one.code for one in prospect(planned(drawn, tmp_path / "p", one_photo)).doubts}
+    assert "plan_cannot_find_waves" in found
+    assert "waves_unknown" not in found
+    assert "plan_cannot_find_waves" not in {one.code for one in prospect(planned(drawn, tmp_path / "q")).doubts}
 
 
 def test_no_image_of_the_source_is_refused(drawn: Path, tmp_path: Path) -> None:
