@@ -6,6 +6,7 @@ import numpy as np
 
 from deflectometry.overlay.joint_turns import NO_CHECK, JointTurns
 from deflectometry.overlay.source_image import Source
+from deflectometry.overlay.source_size import FEWEST_FACETS, SourceSizes
 from heliogauge.doubts import Doubt, Severity
 from heliogauge.geometry.surfaces import Facet
 from heliogauge.validate import FloatArray
@@ -16,8 +17,6 @@ _UNLIKELY = 0.01
 _FAR_RAD = 0.03
 #: Of a normal distribution 6e-5 is beyond: one false alarm in some thousand surveyed places.
 _SURE_SIGMAS = 4.0
-#: With fewer the scatter of their turns says nothing of their mean.
-_FEWEST_FACETS = 4
 #: No facet of a heliostat is wavier (spec C-03, V-41: slope errors of 0.5 to 2 mrad, here of means over edges).
 _WAVIEST_RAD = 1e-3
 #: Numbers that check each other; with fewer the wave is known to worse than half of itself, 1 / sqrt(2 n).
@@ -31,12 +30,18 @@ _UNUSUAL = 5.0
 
 
 def doubts_of_turns(
-    facets: Sequence[Facet], source: Source, found: JointTurns, names: Sequence[str], sigma_m: float
+    facets: Sequence[Facet],
+    source: Source,
+    found: JointTurns,
+    names: Sequence[str],
+    sigma_m: float,
+    sizes: SourceSizes | None = None,
 ) -> Iterator[Doubt]:
     """Yield what a user should know before a mount is moved.
 
     names: Of the photos.
     sigma_m: As stated for the source's middle [m].
+    sizes: Of its images; a plan has none.
     """
     unlikely = [name for name, one in zip(names, found.stations, strict=True) if one.probability < _UNLIKELY]
     if unlikely:
@@ -76,6 +81,8 @@ def doubts_of_turns(
             )
     yield from _exchanged_or_far(facets, found)
     yield from _common(source, found)
+    if sizes is not None:
+        yield from _size(sizes, source, found)
     if found.wave_rad > _WAVIEST_RAD:
         yield Doubt(
             "turns_contradict",
@@ -160,7 +167,7 @@ def _common(source: Source, found: JointTurns) -> Iterator[Doubt]:
     mean = np.mean(found.turns_rad[known], axis=0)
     covariance = share @ found.covariance[np.ix_(rows, rows)] @ share.T
     count = int(known.sum())
-    if count < _FEWEST_FACETS:
+    if count < FEWEST_FACETS:
         return
     # Facets that scatter by so much have a mean that is off by a root of their number less: Hotelling's test.
     variance = covariance + np.cov(found.turns_rad[known].T) / count
@@ -175,4 +182,29 @@ def _common(source: Source, found: JointTurns) -> Iterator[Doubt]:
             f"the source stood {2e3 * angle * distance:.0f} mm from where center_m says; photos cannot tell "
             "these apart. Moves of mounts do not contain it",
             {"mean_turn_rad": angle, "source_shift_m": 2 * angle * distance},
+        )
+
+
+def _size(sizes: SourceSizes, source: Source, found: JointTurns) -> Iterator[Doubt]:
+    """Name the stated size of the source where its images have another one, and turns are less sure with it.
+
+    An edge that is taken for one that lies elsewhere turns a facet by half of the angle between both.
+    """
+    distance = float(np.linalg.norm(source.heliostat_from_source.translation_m))
+    usual = float(np.sqrt(np.nanmean(np.diag(found.canting()[1]))))
+    keys = ("diameter_m",) if source.is_disc else ("width_m", "height_m")
+    for axis, key in enumerate(keys):
+        ratio = float(np.exp(sizes.mean[axis]))
+        turned = abs(ratio - 1) * source.half_m[axis] / (2 * distance)
+        if not (sizes.chance[axis] < _UNLIKELY and turned > usual):
+            continue
+        stated = 2 * source.half_m[axis]
+        way = "smaller" if ratio < 1 else "larger"
+        yield Doubt(
+            "source_of_another_size",
+            f"the images of the source are {100 * abs(ratio - 1):.0f} % {way} than [source] {key} = {stated:g} m makes "
+            f"them: as of {stated * ratio:.3g} m. Is that its size, are focal_length_m and the distance (center_m) "
+            "right, and was all of it lit? With the wrong one, turns of facets that show only one edge are wrong by "
+            f"up to {1e3 * turned:.2g} mrad",
+            {"size_ratio": ratio, "sigma_size_ratio": float(sizes.sigma[axis] * ratio), "turn_rad": turned},
         )

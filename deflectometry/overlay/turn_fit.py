@@ -1,6 +1,6 @@
 """The turn of a facet that makes its image of the source what the photos show."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -177,6 +177,12 @@ def turn_in_view(facet: Facet, view: FacetView, source: Source, start_rad: Float
     weights = jacobian[:, :2] - levels @ np.linalg.lstsq(levels, jacobian[:, :2], rcond=1e-9)[0]
     scores = _sums_over_squares(view, residual, weights)
     return ViewTurn(view, state, weights.T @ weights, scores, weights.T, residual)
+
+
+def residual_of_view(facet: Facet, one: ViewTurn, source: Source) -> Callable[[FloatArray, Source], FloatArray]:
+    """Return what gives light minus model over noise of one photo for a state and a source, linear about its turn."""
+    seen = _Seen.of(facet, one.view, source, one.turn_rad)
+    return lambda state, other: _residual([seen], other, state)
 
 
 def _start_turn(view: FacetView, facet: Facet, source: Source) -> FloatArray:

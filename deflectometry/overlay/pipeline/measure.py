@@ -15,6 +15,7 @@ from deflectometry.overlay.keys import OverlayMeasurement, SourceSection
 from deflectometry.overlay.pipeline.lines import MEASURED_LINE, OverlayLine, lines_over
 from deflectometry.overlay.pipeline.result import OverlayResult
 from deflectometry.overlay.source_image import Source
+from deflectometry.overlay.source_size import source_sizes
 from deflectometry.overlay.turn_fit import FacetView, ViewTurn, turns_in_views
 from deflectometry.pipeline.inputs import build_camera, build_facets, build_mounts
 from heliogauge.adjust.robust_scale import robust_scale
@@ -45,14 +46,20 @@ def run(measurement: OverlayMeasurement, progress: Progress | None = None) -> Ov
     with progress.stage("place cameras"):
         stations = _place(measurement, camera)
 
+    fitted: dict[str, list[ViewTurn]] = {}
+
     def fits(
         facet: Facet, moved: Sequence[Station], moved_source: Source, start_rad: FloatArray | None
     ) -> list[ViewTurn]:
-        return turns_in_views(facet, list(_views(camera, moved, facet, images)), moved_source, start_rad)
+        views = list(_views(camera, moved, facet, images))
+        fitted[facet.name] = turns_in_views(facet, views, moved_source, start_rad)
+        return fitted[facet.name]
 
     with progress.stage("turns of facets"):
         sigma_m = 1e-3 * model.source.sigma_center_mm
         found = adjust(camera, facets, stations, source, sigma_m, fits)
+    with progress.stage("size of the source"):
+        sizes = source_sizes(facets, fitted, found.source)
     with progress.stage("overlay"):
         lines = tuple(_lines(camera, names, facets, found))
     return OverlayResult(
@@ -64,7 +71,7 @@ def run(measurement: OverlayMeasurement, progress: Progress | None = None) -> Ov
         lines=lines,
         thumbnails={name: make_thumbnail(_grey(image)) for name, image in zip(names, images, strict=True)},
         size_px=(camera.width_px, camera.height_px),
-        doubts=tuple(doubts_of_turns(facets, source, found, names, sigma_m)),
+        doubts=tuple(doubts_of_turns(facets, source, found, names, sigma_m, sizes)),
         durations_s=dict(progress.durations_s),
         input_sha256=hash_files(measurement.input_files, measurement.folder),
     )

@@ -117,6 +117,24 @@ def test_sigmas_of_one_photo_are_seriously_doubted(drawn: Path, tmp_path: Path) 
     assert np.sqrt(np.mean(errors**2)) > 1.5 * doubt.numbers["sigma_random_rad"]
 
 
+@pytest.mark.slow
+def test_a_source_of_another_size_is_named(drawn: Path, tmp_path: Path) -> None:
+    """A height of 0.8 m for 0.6 m passed without a word, and turns by single edges were wrong."""
+    ratios = {"width_m": 1.25, "height_m": 0.75}
+
+    def other_size(content: dict[str, Any]) -> None:
+        for key, ratio in ratios.items():
+            content["source"][key] /= ratio
+
+    result = run(load_overlay(changed(drawn, tmp_path / "other", other_size)))
+    found = [one for one in result.doubts if one.code == "source_of_another_size"]
+    assert len(found) == 2
+    for doubt, (key, ratio) in zip(found, ratios.items(), strict=True):
+        assert key in doubt.text
+        assert doubt.numbers["size_ratio"] == pytest.approx(ratio, rel=0.02)
+    assert "source_of_another_size" not in doubts(drawn)
+
+
 def test_dark_photos_show_no_source(drawn: Path, tmp_path: Path) -> None:
     folder = changed(drawn, tmp_path / "dark", lambda content: None)
     for file in folder.glob("photo_*.png"):
