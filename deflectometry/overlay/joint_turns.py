@@ -245,6 +245,9 @@ def _reflections(
     camera: Camera, facet: Facet, stations: Sequence[Station], source: Source, sigma_m: float, one: ViewTurn
 ) -> list[tuple[FloatArray, float, float]]:
     """Return what a photo says of a facet's turn: along each direction that it shows, with its variance."""
+    if one.gain_dn <= 0:
+        # A source that is darker than what is beside it is a fit that went astray.
+        return []
     values, vectors = np.linalg.eigh(one.information)
     pose = stations[one.view.photo].cam_from_heliostat
     drives = []

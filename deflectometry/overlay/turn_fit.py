@@ -123,6 +123,11 @@ class ViewTurn:
         """Normal against the design's, with the signs of slope errors, shape (2,) [rad]."""
         return self.state[:2]
 
+    @property
+    def gain_dn(self) -> float:
+        """By how much the source is brighter than what is beside it [DN]."""
+        return float(self.state[3])
+
     def drive(self, facet: Facet, moved: FacetView, source: Source) -> FloatArray:
         """Return what drives the turn when the camera or the source is elsewhere; information^-1 of it is the turn."""
         places = np.nan_to_num(seen_places(moved.pixels, facet, self.turn_rad, source), nan=1e6)
@@ -146,9 +151,10 @@ def common_turn(facet: Facet, views: Sequence[FacetView], source: Source) -> Flo
     """Return the turn of a facet that explains its light in all given photos, shape (2,) [rad]."""
     views = [one.only(one.some()) for one in views]
     starts = [_start_turn(one, facet, source) for one in views]
-    # Of an image that is cut off the middle misleads: the start that explains all photos best is taken.
+    # Of an image that is cut off the middle misleads: the start that explains all photos best is taken. Facets are
+    # mostly near their design.
     found = []
-    for start in (*starts, np.mean(starts, axis=0)):
+    for start in (*starts, np.mean(starts, axis=0), np.zeros(2)):
         seen = [_Seen.of(facet, one, source, start) for one in views]
         found.append(_descend(seen, source, _start_state(views, source, start)))
     return min(found, key=lambda one: one[1])[0][:2]

@@ -77,6 +77,14 @@ def test_sigmas_are_the_scatter_and_as_planned(tmp_path: Path) -> None:
     assert np.sqrt(np.diag(promised)) == pytest.approx(np.sqrt(np.mean(stated, axis=0)), rel=0.1)
 
 
+@pytest.mark.slow
+def test_a_fit_that_went_astray_is_not_used(tmp_path: Path) -> None:
+    """Its source was darker than what is beside it, and the facet 13 mrad off, nine of its sigmas."""
+    result, errors = measured(tmp_path / "drawn", SMALL, 105)
+    flat = errors.ravel()
+    assert float(flat @ np.linalg.solve(result.turns.covariance, flat)) < chi2.ppf(0.999, flat.size)
+
+
 @pytest.fixture(scope="module")
 def drawn(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("overlay") / "drawn"
