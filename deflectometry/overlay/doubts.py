@@ -22,7 +22,7 @@ _WAVIEST_RAD = 1e-3
 #: Numbers that check each other; with fewer the wave is known to worse than half of itself, 1 / sqrt(2 n).
 FEWEST_CHECKS = 6.0
 #: By how much waves turn a facet in one photo, in shares of their RMS slope: drawn facets, 0.06 mrad of 0.1 mrad.
-_TURN_BY_WAVES = 0.6
+TURN_BY_WAVES = 0.6
 #: Exchanged facets have at least halved turns once they are put back.
 _BETTER = 0.5
 #: And point much further from their design than the others typically do.
@@ -97,7 +97,7 @@ def doubts_of_turns(
             "waves_unknown",
             "too few photos check each other: how wavy the facets are is not known, and sigmas of turns and canting "
             f"contain the noise of the pixels, {1e3 * own:.2g} mrad, but hardly the waves, which turn a facet by "
-            f"some {_TURN_BY_WAVES:g} of their RMS slope in each photo ({_TURN_BY_WAVES:g} mrad of 1 mrad); take three "
+            f"some {TURN_BY_WAVES:g} of their RMS slope in each photo ({TURN_BY_WAVES:g} mrad of 1 mrad); take three "
             "photos from different places",
             {"checks_count": found.redundancy, "sigma_random_rad": own},
             severity=Severity.SERIOUS if found.redundancy < NO_CHECK else Severity.DOUBT,

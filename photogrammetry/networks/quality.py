@@ -290,6 +290,11 @@ def _doubtful_photos(photos: Sequence[LeftOut]) -> Iterator[Doubt]:
         yield Doubt("photos_contradict_others", text, {"photos_count": len(photos)})
 
 
+def _first_of(names: Sequence[str]) -> str:
+    more = f" and {len(names) - _LISTED} more" if len(names) > _LISTED else ""
+    return ", ".join(names[:_LISTED]) + more
+
+
 def _unused_values(unused: Sequence[LeftOut]) -> Iterator[Doubt]:
     """Yield known values of targets that are not in the network, all for one reason together."""
     names_of: dict[str, list[str]] = {}
@@ -298,7 +303,9 @@ def _unused_values(unused: Sequence[LeftOut]) -> Iterator[Doubt]:
     if len(unused) == 1:
         yield Doubt("known_value_not_used", f"{unused[0].name}: {unused[0].reason}")
     elif unused:
-        listed = "; ".join(f"{reason.removeprefix('not used: ')} ({', '.join(n)})" for reason, n in names_of.items())
+        listed = "; ".join(
+            f"{reason.removeprefix('not used: ')} ({_first_of(names)})" for reason, names in names_of.items()
+        )
         yield Doubt("known_values_not_used", f"{len(unused)} known values are not used: {listed}")
 
 

@@ -373,7 +373,9 @@ def _problem(
         if isinstance(one, KnownPlaces) and len(missing) < len(one.targets):
             constraints.append(one.of(seen))
         elif missing:
-            unused.append(LeftOut(one.name, f"not used: {', '.join(missing)} is not in the network"))
+            # A control point has its target in its name.
+            which = "" if isinstance(one, ControlPoint) else f"{', '.join(missing)} is "
+            unused.append(LeftOut(one.name, f"not used: {which}not in the network"))
         else:
             constraints.append(one)
     fixed = tuple(name for name in knowledge.fixed_m if name in seen)

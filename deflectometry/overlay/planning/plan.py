@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from deflectometry.overlay.camera_place import Station
-from deflectometry.overlay.doubts import FEWEST_CHECKS, doubts_of_turns
+from deflectometry.overlay.doubts import FEWEST_CHECKS, TURN_BY_WAVES, doubts_of_turns
 from deflectometry.overlay.joint_turns import JointTurns, adjust
 from deflectometry.overlay.keys import OverlayMeasurement, OverlayPhotoSection, load_overlay_plan
 from deflectometry.overlay.pipeline.lines import OVERLAY_FILE, line_table, lines_over
@@ -29,7 +29,7 @@ from deflectometry.planning.pipeline.sigma_plan import SigmaPlanResult, run_sigm
 from deflectometry.planning.prospect import Change
 from deflectometry.planning.sigma_prospect import SigmaProspect
 from heliogauge.camera.model import Camera
-from heliogauge.doubts import Doubt, Severity
+from heliogauge.doubts import Doubt
 from heliogauge.errors import EstimationError, InputError
 from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.geometry.surfaces import Facet
@@ -226,9 +226,8 @@ class PlannedOverlay:
             yield Doubt(
                 "plan_without_facet_waves",
                 "no waves of the facets are stated in [plan] (difference_of_photos_mrad): each facet is taken to have "
-                "the design's shape, and sigmas of turns hold the noise of pixels and places alone; turns of real "
-                "facets are less certain",
-                severity=Severity.NOTE,
+                "the design's shape, and sigmas of turns hold the noise of pixels and places alone; waves "
+                f"turn a facet by some {TURN_BY_WAVES:g} of their RMS slope in each photo",
             )
 
     def changes(self) -> Iterator[Change]:

@@ -17,7 +17,7 @@ from deflectometry.scans.pipeline.measure import EvaluatedPoints, evaluate_point
 from deflectometry.scans.pipeline.read_points import ScannedPoints
 from deflectometry.scans.planning.keys import SurfacePlanSection
 from deflectometry.scans.planning.predicted_points import predicted_points
-from heliogauge.doubts import Doubt, Severity
+from heliogauge.doubts import Doubt
 from heliogauge.errors import InputError
 from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.measurement.designs import build_design
@@ -97,7 +97,6 @@ class PlannedSurfaceScan:
                 "plan_without_waves",
                 "no waves are stated in [plan] (wave_mrad, wave_length_m): the mirror is taken to have the design's "
                 "shape, and large patches to lose nothing; slopes of a real mirror are less certain",
-                severity=Severity.NOTE,
             )
 
     def limits(self, prospect: Prospect) -> Mapping[str, Mapping[str, float]]:

@@ -15,6 +15,7 @@ from deflectometry.overlay.planning.plan import FACETS_FILE, PlannedOverlay
 from deflectometry.planning.pipeline.alternatives import ALTERNATIVES_FILE, try_changes
 from deflectometry.planning.prospect import Change
 from deflectometry.planning.sigma_prospect import SigmaProspect
+from heliogauge.doubts import Severity
 from heliogauge.errors import EstimationError, InputError
 from heliogauge.measurement.writer import write_measurement
 from heliogauge.results.folder import read_table_csv
@@ -121,7 +122,8 @@ def test_waves_that_nobody_states_are_said(drawn: Path, tmp_path: Path) -> None:
         one_facet(content)
 
     found = prospect(planned(drawn, tmp_path / "p", forget))
-    assert "plan_without_facet_waves" in {one.code for one in found.doubts}
+    (doubt,) = (one for one in found.doubts if one.code == "plan_without_facet_waves")
+    assert doubt.severity is Severity.DOUBT
     assert found.not_determined["canting_x_rms_rad"] == "a single facet has no canting against others"
     assert found.sigmas()["mean_turn_x_rad"] > 0
 

@@ -5,7 +5,7 @@ import pytest
 
 from heliogauge.camera.model import Camera
 from heliogauge.geometry.rigid import RigidTransform
-from photogrammetry.bundle.constraints import KnownPlaces
+from photogrammetry.bundle.constraints import Constraint, ControlPoint, KnownPlaces
 from photogrammetry.bundle.datum import Datum
 from photogrammetry.bundle.problem import CameraModel
 from photogrammetry.image_points import ImagePoints
@@ -21,7 +21,13 @@ NAMES = tuple(str(k + 1) for k in range(len(TARGETS)))
 SIGMA_PX = 0.05
 
 
-def solved(shifted: range, shift_m: float, seed: int = 0, moved_rows: range = range(6, 12)) -> Solved:
+def solved(
+    shifted: range,
+    shift_m: float,
+    seed: int = 0,
+    moved_rows: range = range(6, 12),
+    more: tuple[Constraint, ...] = (),
+) -> Solved:
     """A flight of 20 photos; in the last one five targets of one rim and some others, which are elsewhere."""
     rng = np.random.default_rng(seed)
     places = TARGETS + rng.normal(0, 1e-3, TARGETS.shape)
@@ -43,7 +49,7 @@ def solved(shifted: range, shift_m: float, seed: int = 0, moved_rows: range = ra
     points = ImagePoints.from_names(photos, names, np.concatenate(pixels), covariance)
     cameras = NetworkCameras((CAMERA,), (CameraModel("camera"),), dict.fromkeys(points.photos, 0))
     listed = KnownPlaces(NAMES, TARGETS, 1e-6 * np.eye(36))
-    knowledge = Knowledge((listed,), {}, Datum(), StartValues(poses))
+    knowledge = Knowledge((listed, *more), {}, Datum(), StartValues(poses))
     return solve_network(points, np.full((len(names), 2, 2), np.nan), cameras, knowledge, SolveOptions())
 
 
@@ -91,3 +97,14 @@ def test_false_image_points_of_foreign_photos_hide_no_other() -> None:
     assert found_among({3: 6, 7: 19}) == (["photo7"], ["photo3"])
     # Ten of twenty might be chance only while three photos that are false throughout count.
     assert found_among({3: 10, 7: 20, 8: 20, 9: 20}) == (["photo3", "photo7", "photo8", "photo9"], [])
+
+
+def test_known_values_that_no_photo_shows_are_listed_for_one_reason() -> None:
+    """28 corners of a published wall were said one by one, each twice."""
+    unseen = tuple(ControlPoint(f"{n}.0", np.zeros(3), 1e-6 * np.eye(3)) for n in range(20, 48))
+    [doubt] = [
+        one for one in check_network(solved(range(6, 12), 0.0, more=unseen)) if one.code == "known_values_not_used"
+    ]
+    assert doubt.text.startswith("28 known values are not used: not in the network (")
+    assert doubt.text.endswith(" and 18 more)")
+    assert doubt.text.count("20.0") == 1
