@@ -229,7 +229,7 @@ class SeriesResult(InstrumentResult):
         numbers = self.summarise().numbers
         turns = "   ".join(
             f"{axis} {1e3 * float(numbers[f'turn_{axis}_range_rad'] or 0.0):.3f} mrad "
-            f"(sigma of one {1e3 * float(numbers[f'sigma_turn_{axis}_rad'] or 0.0):.3f})"
+            f"(sigma of one {1e3 * float(numbers[f'sigma_turn_{axis}_rad'] or 0.0):.2g})"
             for axis in "xy"
         )
         medians = "   ".join(
