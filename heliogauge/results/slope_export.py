@@ -42,13 +42,22 @@ def export_slope_map(result: Path, out: Path, form: str, *, facet: str | None = 
     if not slope_map.valid.any():
         raise InputError(f"{file}: no node has a slope, so there is nothing to export")
     serious = serious_result(result)
+    across_only = "" if form == "csv" else words_of_design_along(slope_map)
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(f"{out}: no folder can be made there ({error.strerror or error})") from error
     _FORMS[form][1](out, slope_map)
-    said = f"{int(slope_map.valid.sum())} nodes: {out}"
-    return said if serious is None else f"{said}\nserious: {serious}"
+    said = [f"{int(slope_map.valid.sum())} nodes: {out}", across_only, "" if serious is None else f"serious: {serious}"]
+    return "\n".join(filter(None, said))
+
+
+def words_of_design_along(slope_map: SlopeMap) -> str:
+    """Return, in a clause, at how many nodes a file has the design's dz/dy since only dz/dx was measured; else empty."""
+    measured = int(np.count_nonzero(slope_map.valid))
+    missing = measured - int(np.count_nonzero(slope_map.valid & np.isfinite(slope_map.slope_y)))
+    share = "all nodes" if missing == measured else f"{missing} of {measured} nodes"
+    return f"dz/dy is the design's at {share}: only dz/dx was measured there" if missing else ""
 
 
 def _write_csv(out: Path, slope_map: SlopeMap) -> None:
@@ -105,20 +114,24 @@ def _write_soltrace(out: Path, slope_map: SlopeMap) -> None:
         raise InputError(f"{out}: SolTrace knows the file by its ending; name it {out.with_suffix('.sht').name}")
     good = slope_map.valid
     x, y = (plane[good] for plane in np.meshgrid(slope_map.x_m, slope_map.y_m))
-    write_text(out, soltrace_text(x, y, slope_map.slope_x[good], slope_map.slope_y[good])[0])
+    slopes = slope_map.slope_x[good], slope_map.with_both_slopes().slope_y[good]
+    write_text(out, soltrace_text(x, y, *slopes, words_of_design_along(slope_map))[0])
 
 
-def soltrace_text(x: FloatArray, y: FloatArray, slope_x: FloatArray, slope_y: FloatArray) -> tuple[str, FloatArray]:
+def soltrace_text(
+    x: FloatArray, y: FloatArray, slope_x: FloatArray, slope_y: FloatArray, comment: str = ""
+) -> tuple[str, FloatArray]:
     """Return a VSHOT file as text, and the surface in its header.
 
     x, y, slope_x, slope_y (n,): Places [m] and slopes.
+    comment: What its first line, the title, says beside who wrote it.
     Returns: The text; coefficients as `fit_monomials` has them [m].
     """
     surface = fit_monomials(x, y, slope_x, slope_y)
     fitted = iter(surface.tolist())
     rows = [[next(fitted) for _ in range(k + 1)] for k in range(_DEGREE + 1)]
     points = np.column_stack([x, y, np.arctan(slope_x), np.arctan(slope_y)])
-    lines = ["slope map exported by heliogauge", "0\t0\t0", f"0\t{_DEGREE}\t{len(points)}", "0\t0"]
+    lines = ["; ".join(filter(None, ["slope map exported by heliogauge", comment])), "0\t0\t0", f"0\t{_DEGREE}\t{len(points)}", "0\t0"]
     # Ours fall in powers of x, SolTrace's rise.
     lines += [f"{value:.12e}" for row in rows for value in reversed(row)]
     lines += ["\t".join(f"{value:.9f}" for value in point) + "\t0" for point in points.tolist()]
@@ -135,6 +148,8 @@ def _write_ply(out: Path, slope_map: SlopeMap) -> None:
     number = np.full(good.shape, -1)
     number[good] = np.arange(int(good.sum()))
     x, y = (plane[good] for plane in np.meshgrid(slope_map.x_m, slope_map.y_m))
+    comment = "; ".join(filter(None, ["metres; heliogauge", words_of_design_along(slope_map)]))
+    slope_map = slope_map.with_both_slopes()
     normals = np.column_stack([-slope_map.slope_x[good], -slope_map.slope_y[good], np.ones(x.size)])
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     points = np.column_stack([x, y, slope_map.height_m[good], normals]).astype("<f4")
@@ -144,7 +159,7 @@ def _write_ply(out: Path, slope_map: SlopeMap) -> None:
     faces = np.zeros(len(triangles), dtype=[("count", "u1"), ("corners", "<i4", 3)])
     faces["count"], faces["corners"] = 3, triangles
     header = (
-        "ply\nformat binary_little_endian 1.0\ncomment metres; heliogauge\n"
+        f"ply\nformat binary_little_endian 1.0\ncomment {comment}\n"
         f"element vertex {len(points)}\n"
         + "".join(f"property float {name}\n" for name in ("x", "y", "z", "nx", "ny", "nz"))
         + f"element face {len(faces)}\nproperty list uchar int vertex_indices\nend_header\n"

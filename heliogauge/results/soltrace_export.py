@@ -9,7 +9,7 @@ import numpy as np
 
 from heliogauge.errors import InputError
 from heliogauge.measurement.writer import write_text
-from heliogauge.results.slope_export import soltrace_text
+from heliogauge.results.slope_export import soltrace_text, words_of_design_along
 from heliogauge.results.slope_map_file import read_slope_map
 from heliogauge.results.soltrace_files import read_sun, write_system
 from heliogauge.results.used_results import serious_result
@@ -66,8 +66,6 @@ def export_system(result: Path, out: Path, choices: SystemChoices, *, force: boo
     if out.suffix.lower() != ".stinput":
         raise InputError(f"{out}: SolTrace knows a system by its ending; name it {out.with_suffix('.stinput').name}")
     slope_map = read_slope_map(file)
-    if not np.isfinite(slope_map.slope_y[slope_map.valid]).any():
-        raise InputError(f"{file}: SolTrace needs both slopes, and this map has slopes in x only")
     parts = list(facet_maps(slope_map))
     if not parts:
         raise InputError(f"{file}: no node has a slope, so there is nothing to export")
@@ -137,9 +135,11 @@ def _facet(slope_map: SlopeMap, file: str, number: int, choices: SystemChoices) 
     width, height = float(np.ptp(x)) + steps[0], float(np.ptp(y)) + steps[1]
     aperture, sizes, reason = _outline(slope_map.aperture, x - middle[0], y - middle[1], width, height, steps)
     # A canted facet of an ensemble hangs on the height of its middle; slopes hold how it is canted.
+    across_only = words_of_design_along(slope_map)
+    slope_map = slope_map.with_both_slopes()
     level = _height_at(slope_map, middle)
     points, scatter = _averaged(slope_map, middle, choices.points)
-    text, surface = soltrace_text(*points)
+    text, surface = soltrace_text(*points, across_only)
     reasons = [reason] if reason else []
     heights = _off_heights(slope_map, middle, level, surface)
     if heights > 1e-4:
@@ -201,7 +201,7 @@ def _averaged(
     slope_map: SlopeMap, middle_m: FloatArray, most: int
 ) -> tuple[tuple[FloatArray, FloatArray, FloatArray, FloatArray], float]:
     """Return means of slopes over blocks of nodes, at most so many, and the RMS in one direction that they take out."""
-    known = slope_map.valid & np.isfinite(slope_map.slope_y)
+    known = slope_map.valid
     rows, columns = np.nonzero(known)
     x, y = slope_map.x_m[columns] - middle_m[0], slope_map.y_m[rows] - middle_m[1]
     slopes = np.stack([slope_map.slope_x[known], slope_map.slope_y[known]])
@@ -289,6 +289,8 @@ def _direction(values: tuple[float, float, float]) -> FloatArray:
 
 def _what_is_left_out(slope_map: SlopeMap, choices: SystemChoices) -> Iterator[str]:
     yield "not in the file: sigmas of the slopes, for which SolTrace has no place; slope_map.nc keeps them"
+    if along := words_of_design_along(slope_map):
+        yield along
     noise = float(np.sqrt(np.nanmean(slope_map.sigma_random_x[slope_map.valid] ** 2)))
     if noise > 0:
         yield f"in the file: the noise of the slopes, {1e3 * noise:.3g} mrad RMS; it widens the beam as slope errors do"

@@ -1,7 +1,7 @@
 """SlopeMap: the common product of every method, with its uncertainty in two shares."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -229,6 +229,13 @@ class SlopeMap(ShortRepr):
     def slope_error_y(self) -> FloatArray:
         """Measured minus design dz/dy, shape (ny, nx)."""
         return self.slope_y - self.design_slope_y
+
+    def with_both_slopes(self) -> "SlopeMap":
+        """Return the map with the design's dz/dy at nodes where only dz/dx was measured (a trough flown in one pass)."""
+        across_only = self.valid & ~np.isfinite(self.slope_y)
+        if not across_only.any():
+            return self
+        return replace(self, slope_y=np.where(across_only, self.design_slope_y, self.slope_y))
 
     def common_variance(self) -> FloatArray:
         """Return the variance of slope_x and slope_y from common sources, shape (2, ny, nx) [rad^2]."""

@@ -70,7 +70,6 @@ def mirror_nodes(slope_map: SlopeMap, focal_length_m: float) -> MirrorNodes:
         raise EstimationError("slope map: no node was measured, so there is no intercept factor")
     x, y = np.meshgrid(slope_map.x_m, slope_map.y_m)
     height = np.where(np.isfinite(slope_map.height_m), slope_map.height_m, x**2 / (4 * focal_length_m))
-    slope_y = np.where(np.isfinite(slope_map.slope_y), slope_map.slope_y, slope_map.design_slope_y)
     node = np.flatnonzero(valid)
     per_node = column_shares(slope_map) / np.maximum(np.count_nonzero(valid, axis=0), 1)
     return MirrorNodes(
@@ -78,7 +77,7 @@ def mirror_nodes(slope_map: SlopeMap, focal_length_m: float) -> MirrorNodes:
         node,
         np.stack([part[valid] for part in (x, y, height)], axis=1),
         slope_map.slope_x[valid],
-        slope_y[valid],
+        slope_map.with_both_slopes().slope_y[valid],
         slope_map.design_slope_x[valid],
         per_node[node % slope_map.shape[1]],
         slope_map.measured_share,

@@ -1,6 +1,6 @@
 """Intercept factor by tracing rays from the measured mirror onto the absorber tube: an independent count."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -81,9 +81,7 @@ def trace_intercept(
     columns = _Columns(slope_map, _Tube(absorber, diameter_m / 2))
     illumination = Illumination(light.sun, light.direction_to_sun, light.specularity_rad)
     height = _design_height(slope_map)
-    slope_y = np.where(np.isfinite(slope_map.slope_y), slope_map.slope_y, slope_map.design_slope_y)
-    whole = replace(slope_map, slope_y=slope_y)
-    for block in reflected_rays(whole, height, illumination, rays=rays, rng=rng):
+    for block in reflected_rays(slope_map.with_both_slopes(), height, illumination, rays=rays, rng=rng):
         if light.tracking_error_rad > 0:
             _turn(block, light.tracking_error_rad, rng)
         columns.add(block)

@@ -148,11 +148,11 @@ def _leaning(facet: Facet, lean: FloatArray) -> Facet:
 
 
 def read_slope_map_mirror(path: Path) -> Mirror:
-    """Read a mirror from a slope map: its measured nodes are the patches.
+    """Read a mirror from a slope map: its measured nodes are the patches; where no dz/dy was measured, with the design's.
 
     InputError: Not a slope map, or nothing was measured.
     """
-    slope_map = read_slope_map(path)
+    slope_map = read_slope_map(path).with_both_slopes()
     valid = slope_map.valid
     if not valid.any():
         raise InputError(f"{path}: no node of the slope map was measured")

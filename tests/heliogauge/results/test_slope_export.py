@@ -1,11 +1,14 @@
 """Slope maps in the form of other programs, read back by those programs' own formulas."""
 
 import csv
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from deflectometry.exchange.slope_files import read_soltrace
+from deflectometry.exchange.surface_files import read_surface
 from heliogauge.errors import InputError
 from heliogauge.results.slope_export import export_slope_map, fit_monomials
 from heliogauge.results.slope_map_file import write_slope_map
@@ -73,6 +76,40 @@ def test_soltrace_reads_heights_and_normals(result: Path, tmp_path: Path) -> Non
     np.testing.assert_allclose(np.tan(points[:, 2]), 2 * CURVATURE * x + 0.02 * y + 0.009 * x**2, atol=1e-8)
     np.testing.assert_allclose(np.tan(points[:, 3]), 0.02 * x + 0.02 * y, atol=1e-8)
     assert len(points) == a_map().valid.sum()
+
+
+def across_only(folder: Path) -> SlopeMap:
+    """The same mirror with slopes across only, and a design that bends along, too."""
+    known = a_map()
+    _, y = np.meshgrid(known.x_m, known.y_m)
+    unknown = np.full(known.shape, np.nan)
+    one = replace(known, slope_y=unknown, sigma_random_y=unknown, design_slope_y=0.02 * y)
+    folder.mkdir()
+    write_slope_map(folder / "slope_map.nc", {"": one})
+    return one
+
+
+def test_soltrace_takes_the_design_along_where_slopes_are_known_across_only(tmp_path: Path) -> None:
+    known = across_only(tmp_path / "result")
+    said = export_slope_map(tmp_path / "result", tmp_path / "m.sht", "soltrace")
+    assert "dz/dy is the design's at all nodes" in said
+    assert "dz/dy is the design's at all nodes" in (tmp_path / "m.sht").read_text().splitlines()[0]
+    back = read_soltrace(tmp_path / "m.sht")
+    np.testing.assert_allclose(back.points.slope_x, known.slope_x[known.valid], atol=1e-8)
+    np.testing.assert_allclose(back.points.slope_y, known.design_slope_y[known.valid], atol=1e-8)
+    assert not back.contradiction
+    table, _ = soltrace(tmp_path / "m.sht")
+    assert table[2, 0] == pytest.approx(CURVATURE, rel=1e-3)
+    assert table[0, 2] == pytest.approx(0.01, rel=1e-3)
+
+
+def test_a_mesh_takes_the_design_along_where_slopes_are_known_across_only(tmp_path: Path) -> None:
+    known = across_only(tmp_path / "result")
+    assert "dz/dy is the design's" in export_slope_map(tmp_path / "result", tmp_path / "m.ply", "ply")
+    assert b"comment metres; heliogauge; dz/dy is the design's at all nodes" in (tmp_path / "m.ply").read_bytes()
+    back = read_surface(tmp_path / "m.ply")
+    np.testing.assert_allclose(back.slope_x, known.slope_x[known.valid], atol=1e-6)
+    np.testing.assert_allclose(back.slope_y, known.design_slope_y[known.valid], atol=1e-6)
 
 
 def test_the_polynomial_of_a_measured_panel_is_that_of_its_file(shared_data: Path) -> None:

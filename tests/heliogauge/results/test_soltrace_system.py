@@ -1,5 +1,6 @@
 """Systems of SolTrace: read, written, and traced by SolTrace's own formulas, with a parser of its own."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -7,11 +8,13 @@ import pytest
 from typer.testing import CliRunner
 
 from deflectometry.cli import app
+from deflectometry.exchange.slope_files import read_soltrace
 from deflectometry.exchange.soltrace_import import slope_file_of_system
 from heliogauge.errors import InputError
 from heliogauge.geometry.rigid import RigidTransform, rotation_from_vector
 from heliogauge.results.folder import Summary, write_slope_map, write_summary
 from heliogauge.results.soltrace_export import SystemChoices, export_system, sun_of_words
+from heliogauge.results.slope_map_file import read_slope_map
 from heliogauge.results.soltrace_files import read_sun, read_system, write_sun, write_system
 from heliogauge.slopes.map import SlopeMap, no_common_modes
 from heliogauge.sunlight.soltrace_system import aim_and_turn, placed
@@ -163,6 +166,20 @@ def test_means_over_nodes_keep_the_spread_of_the_beam(tmp_path: Path) -> None:
     # Of blocks of 9 nodes means keep a ninth of the variance; the rest is the slope error of the optics.
     assert optics["mirror 1"][2] == pytest.approx(4 * np.sqrt(8 / 9), rel=0.1)
     assert any("became" in line for line in said)
+
+
+def test_a_trough_with_slopes_across_only_takes_the_design_along(tmp_path: Path) -> None:
+    result = trough_result(tmp_path / "result", 2e-3, 3)
+    known = read_slope_map(result / "slope_map.nc")
+    write_slope_map(result / "slope_map.nc", {"": replace(known, slope_y=np.full(known.shape, np.nan))})
+    out = tmp_path / "trough.stinput"
+    said = export_system(result, out, SystemChoices("gaussian:2.73", tube_diameter_m=TUBE_M, tube_height_m=FOCAL_M))
+    assert any("dz/dy is the design's at all nodes" in line for line in said)
+    points = read_soltrace(tmp_path / "trough_1.sht").points
+    np.testing.assert_allclose(points.slope_x, known.slope_x[known.valid], atol=1e-7)
+    assert not points.slope_y.any()
+    # Slopes along matter little to a trough: the reference with errors in both.
+    assert abs(traced_intercept(out, 2.73, 20_000, 1) - 0.9979) < 3.3 * np.sqrt(0.9979 * 0.0021 / 4000)
 
 
 def test_frames_are_those_of_spencer_and_murty() -> None:
