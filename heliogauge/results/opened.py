@@ -6,6 +6,7 @@ import os
 import shutil
 import weakref
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -24,6 +25,8 @@ if TYPE_CHECKING:
     import pandas
     import xarray
     from matplotlib.figure import Figure
+
+    from heliogauge.view.maps import MapLayer
 
 SLOPE_MAP_FILE = "slope_map.nc"
 _NEEDED = "a folder of results as heliogauge wrote it"
@@ -184,11 +187,15 @@ class Result:
         measured_x, measured_y, design_x, design_y = (slopes[name].values.astype(np.float64) for name in names)
         turn = d_angles_d_slopes(design_x, design_y)
         variances = [slopes[f"sigma_slope_{axis}"].values.astype(np.float64) ** 2 for axis in "xy"]
-        angles = normal_angles(measured_x, measured_y, design_x, design_y)
+        # A trough flown in one pass has slopes across only: there the normal turns across alone.
+        across_only = np.isnan(measured_y)
+        angles = normal_angles(measured_x, np.where(across_only, design_y, measured_y), design_x, design_y)
+        angles[1][across_only] = np.nan
         fields: dict[str, Any] = {}
         for place, axis in enumerate("xy"):
             # The two slopes of a node have independent noise; what they share is small beside it.
-            sigma = np.sqrt(turn[place, 0] ** 2 * variances[0] + turn[place, 1] ** 2 * variances[1])
+            along = np.where(across_only & (place == 0), 0.0, variances[1])
+            sigma = np.sqrt(turn[place, 0] ** 2 * variances[0] + turn[place, 1] ** 2 * along)
             words = f"angle from the design's to the measured normal, component in {axis}"
             fields[f"angle_{axis}"] = (("y", "x"), angles[place], {"units": "rad", "long_name": words})
             about = {"units": "rad", "long_name": f"standard deviation of angle_{axis}"}
@@ -216,8 +223,9 @@ class Result:
         Parameters
         ----------
         quantity : str, optional
-            What of a slope map: "slope_error", "slope_error_x", "slope_x", "sigma_slope_x", "height" and the like;
-            without it the slope error, and the main picture of a result without a slope map.
+            What of a slope map: "slope_error", "slope_error_x", "slope_x", "sigma_slope_x", "height" and the like, or
+            of the `angles`: "angle_x", "theta_r". Without it the slope error (of a trough with slopes across only
+            that in x), and the main picture of a result without a slope map.
 
         Returns
         -------
@@ -235,12 +243,28 @@ class Result:
         from heliogauge.view.maps import MapView
 
         if isinstance(view, MapView):
-            drawn: Figure = view.figure(quantity or ("slope_error" if self._has_map() else None))
+            keys = [layer.key for layer in view.layers]
+            if quantity is None and "slope_error" in keys:
+                quantity = "slope_error"
+            if quantity is not None and quantity not in keys and self._has_map():
+                view = replace(view, layers=(*view.layers, *self._angle_layers()))
+            drawn: Figure = view.figure(quantity)
             return drawn
         if quantity is not None:
             raise InputError(f"quantity {quantity!r}: results of the kind {self.kind!r} have one picture only")
         figure: Figure = view.figure()
         return figure
+
+    def _angle_layers(self) -> "Iterator[MapLayer]":
+        from heliogauge.view.maps import MapLayer
+
+        for name, angle in self.angles.items():
+            if angle.attrs.get("units") == "rad" and bool(angle.notnull().any()):
+                is_sigma, title = str(name).startswith("sigma_"), str(angle.attrs["long_name"])
+                unit, factor = ("\u00b5rad", 1e6) if is_sigma else ("mrad", 1e3)
+                low = 0.0 if is_sigma else None
+                title = title[0].upper() + title[1:]
+                yield MapLayer(str(name), title, unit, angle.values, factor, diverging=not is_sigma, low=low)
 
     def _has_map(self) -> bool:
         return (self.folder / SLOPE_MAP_FILE).is_file()

@@ -53,7 +53,7 @@ def export_slope_map(result: Path, out: Path, form: str, *, facet: str | None = 
 
 
 def words_of_design_along(slope_map: SlopeMap) -> str:
-    """Return, in a clause, at how many nodes a file has the design's dz/dy since only dz/dx was measured; else empty."""
+    """Return, in a clause, at how many nodes only dz/dx was measured, so that files have the design's dz/dy."""
     measured = int(np.count_nonzero(slope_map.valid))
     missing = measured - int(np.count_nonzero(slope_map.valid & np.isfinite(slope_map.slope_y)))
     share = "all nodes" if missing == measured else f"{missing} of {measured} nodes"
@@ -131,7 +131,8 @@ def soltrace_text(
     fitted = iter(surface.tolist())
     rows = [[next(fitted) for _ in range(k + 1)] for k in range(_DEGREE + 1)]
     points = np.column_stack([x, y, np.arctan(slope_x), np.arctan(slope_y)])
-    lines = ["; ".join(filter(None, ["slope map exported by heliogauge", comment])), "0\t0\t0", f"0\t{_DEGREE}\t{len(points)}", "0\t0"]
+    title = "; ".join(filter(None, ["slope map exported by heliogauge", comment]))
+    lines = [title, "0\t0\t0", f"0\t{_DEGREE}\t{len(points)}", "0\t0"]
     # Ours fall in powers of x, SolTrace's rise.
     lines += [f"{value:.12e}" for row in rows for value in reversed(row)]
     lines += ["\t".join(f"{value:.9f}" for value in point) + "\t0" for point in points.tolist()]

@@ -231,7 +231,7 @@ class SlopeMap(ShortRepr):
         return self.slope_y - self.design_slope_y
 
     def with_both_slopes(self) -> "SlopeMap":
-        """Return the map with the design's dz/dy at nodes where only dz/dx was measured (a trough flown in one pass)."""
+        """Return the map with the design's dz/dy where only dz/dx was measured, as of a trough flown in one pass."""
         across_only = self.valid & ~np.isfinite(self.slope_y)
         if not across_only.any():
             return self

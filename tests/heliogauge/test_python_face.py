@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from dataclasses import replace
 from inspect import signature
 from pathlib import Path
 
@@ -12,6 +13,9 @@ import heliogauge as hg
 from heliogauge.errors import InputError
 from heliogauge.instruments import Instrument, instruments, resolve
 from heliogauge.measurement.templates import write_template
+from heliogauge.results.slope_map_file import read_slope_map, write_slope_map
+from observer.files import write_angles
+from observer.product.slope_map import AngleMaps
 
 
 @pytest.fixture(scope="module")
@@ -187,6 +191,24 @@ def test_plots_are_figures(result: hg.Result, tmp_path: Path) -> None:
     assert "Height" in [text.get_text() for text in result.plot("height").texts]
     with pytest.raises(InputError, match="quantity 'heigth' is not in it; did you mean height"):
         result.plot("heigth")
+
+
+def test_a_trough_with_slopes_across_only_is_drawn(result: hg.Result, tmp_path: Path) -> None:
+    """Its map has no magnitude; theta_r, which the Observer keeps in a file of its own, is drawn, too."""
+    trough = hg.open(result.save(tmp_path / "trough"))
+    known = read_slope_map(trough.folder / "slope_map.nc")
+    across_only = replace(known, slope_y=np.full(known.shape, np.nan))
+    write_slope_map(trough.folder / "slope_map.nc", {"": across_only})
+    theta = -0.002 * np.where(known.valid, 1.0, np.nan)
+    write_angles(trough.folder / "angles.nc", across_only, AngleMaps(theta, theta, np.abs(theta), across_only))
+    assert "Slope error in x" in [text.get_text() for text in trough.plot().texts]
+    assert "Slope error across the trough" in [text.get_text() for text in trough.plot("theta_r").texts]
+    seen = np.isfinite(known.slope_x)
+    np.testing.assert_allclose(trough.angles["angle_x"].values[seen], known.slope_error_x[seen], rtol=1e-4)
+    np.testing.assert_allclose(trough.angles["sigma_angle_x"].values[seen], known.sigma_slope()[0][seen], rtol=1e-4)
+    assert not np.isfinite(trough.angles["angle_y"].values).any()
+    with pytest.raises(InputError, match="'theta_b' is not in it; did you mean theta_"):
+        trough.plot("theta_b")
 
 
 def test_parts_are_results_within_results(tmp_path: Path) -> None:

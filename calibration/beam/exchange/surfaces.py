@@ -148,7 +148,7 @@ def _leaning(facet: Facet, lean: FloatArray) -> Facet:
 
 
 def read_slope_map_mirror(path: Path) -> Mirror:
-    """Read a mirror from a slope map: its measured nodes are the patches; where no dz/dy was measured, with the design's.
+    """Read a mirror from a slope map: its measured nodes are the patches, with the design's dz/dy where none is.
 
     InputError: Not a slope map, or nothing was measured.
     """
