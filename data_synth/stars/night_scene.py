@@ -7,7 +7,7 @@ import numpy as np
 from data_synth.sky.gazing_scene import look_at
 from data_synth.sky.heliostat import DrawnHeliostat
 from data_synth.stars.celestial import apparent_places, over_place
-from heliogauge.validate import BoolArray, FloatArray
+from heliogauge.validate import FloatArray, IntArray
 
 #: Hipparcos places are of this date.
 _EPOCH_JD = 2448349.0625
@@ -124,16 +124,16 @@ def draw_photo(
         stars, magnitude = stars_over(scene, seen, julian)
         flux = scene.zero_magnitude_dn * scene.exposure_s / steps * 10 ** (-0.4 * magnitude)
         for facet in range(scene.heliostat.count):
-            sight, shown = _sights_of(scene, stars @ places.mirror_axes, eye_mirror, facet)
-            _splat(scene, light, sight[shown] @ places.mirror_axes.T @ places.camera_axes, flux[shown] * 0.9)
+            shown, sights = _shown_by(scene, stars @ places.mirror_axes, eye_mirror, facet)
+            _splat(scene, light, sights @ places.mirror_axes.T @ places.camera_axes, flux[shown] * 0.9)
     light += scene.sky_dn
     return np.asarray(
         light + np.sqrt(scene.noise_dn**2 + np.maximum(light, 0) * 0.3) * rng.standard_normal(light.shape)
     )
 
 
-def _sights_of(scene: NightScene, stars: FloatArray, eye: FloatArray, facet: int) -> tuple[FloatArray, BoolArray]:
-    """Return the sight (n, 3) under which each star is seen in a facet, and which are (n,), in the mirror's frame.
+def _shown_by(scene: NightScene, stars: FloatArray, eye: FloatArray, facet: int) -> tuple[IntArray, FloatArray]:
+    """Return which stars a facet shows, (k,), and the sights under which they are seen, (k, 3), in the mirror's frame.
 
     The point of the facet whose normal halves eye and star is found by Newton steps on the height above the facet.
     """
@@ -142,7 +142,11 @@ def _sights_of(scene: NightScene, stars: FloatArray, eye: FloatArray, facet: int
     own_eye, own = (eye - middle) @ axes, stars @ axes
     a, b, c = helio.bows_per_m[facet]
     radius = helio.facet_radius_m
-    ahead = own[:, 2] > 0
+    # A corner shows what is aside of what the middle shows by the angle to it and twice its slope: doubled, to be sure.
+    corner_m, away_m = 0.5 * np.hypot(helio.width_m, helio.height_m), np.linalg.norm(own_eye)
+    aside = 2 * corner_m * (1 / away_m + 2 * (1 / radius + np.abs([a, b, c]).sum()))
+    near = np.flatnonzero((own[:, 2] > 0) & (own @ (own_eye * [-1, -1, 1]) > np.cos(aside) * away_m))
+    own = own[near]
     x, y = np.zeros(len(own)), np.zeros(len(own))
     for _ in range(25):
         bow = 0.5 * (a * x**2 + b * y**2) + c * x * y
@@ -150,16 +154,14 @@ def _sights_of(scene: NightScene, stars: FloatArray, eye: FloatArray, facet: int
         to_eye = own_eye - np.stack([x, y, height], axis=1)
         distance = np.linalg.norm(to_eye, axis=1)
         half = to_eye / distance[:, None] + own
-        # Of stars behind the facet's plane, which are left out, some are opposite to the camera.
-        half[~ahead] = [0.0, 0.0, 1.0]
         slope_x, slope_y = helio.slopes(facet, x, y)
         miss_x, miss_y = -half[:, 0] / half[:, 2] - slope_x, -half[:, 1] / half[:, 2] - slope_y
         # The halved direction follows the point by 1 / (2 distance cos), the slope by its curvature.
         gain = 1 / np.maximum(1 / (distance * half[:, 2]) - 1 / radius, 1e-6)
         x, y = np.clip(x - gain * miss_x, -60, 60), np.clip(y - gain * miss_y, -60, 60)
-    shown = ahead & (np.abs(x) <= 0.5 * helio.width_m) & (np.abs(y) <= 0.5 * helio.height_m)
+    shown = (np.abs(x) <= 0.5 * helio.width_m) & (np.abs(y) <= 0.5 * helio.height_m)
     shown &= np.hypot(miss_x, miss_y) < 1e-7
-    return -to_eye @ axes.T, shown
+    return near[shown], -to_eye[shown] @ axes.T
 
 
 def _splat(scene: NightScene, light: FloatArray, sights: FloatArray, flux: FloatArray) -> None:
