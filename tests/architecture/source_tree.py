@@ -3,7 +3,7 @@
 import ast
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 from pathlib import Path
 
 from heliogauge.faces import face_homes
@@ -55,15 +55,19 @@ BORDER_MODULES = {
 
 @dataclass(frozen=True)
 class Module:
-    """A module of ours: dotted name, path relative to the repository, source and syntax tree."""
+    """A module of ours: dotted name, path relative to the repository, and source."""
 
     name: str
     path: str
     source: str
-    tree: ast.Module
 
     def __str__(self) -> str:
         return self.name
+
+    @cached_property
+    def tree(self) -> ast.Module:
+        """Its syntax; read when asked for, as every process that collects the tests makes this list."""
+        return ast.parse(self.source)
 
     @property
     def is_face(self) -> bool:
@@ -93,10 +97,8 @@ def all_modules() -> tuple[Module, ...]:
 def _read(file: Path) -> Module:
     relative = file.relative_to(REPOSITORY)
     parts = relative.with_suffix("").parts
-    source = file.read_text(encoding="utf-8")
-    return Module(
-        ".".join(parts[:-1] if parts[-1] == "__init__" else parts), relative.as_posix(), source, ast.parse(source)
-    )
+    name = ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+    return Module(name, relative.as_posix(), file.read_text(encoding="utf-8"))
 
 
 @cache
