@@ -1,29 +1,41 @@
-"""A drawn trough through the command line: slopes and absorber within their predicted sigma of the truth."""
+"""A drawn trough: slopes and absorber within their predicted sigma of the truth, and what a plan says of it."""
 
 import csv
 import json
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.stats import chi2
-from typer.testing import CliRunner
 
-from data_synth.troughs.dataset import read_trough_truth
+from data_synth.troughs.dataset import read_trough_truth, write_trough_dataset
+from data_synth.troughs.presets import trough_scene
 from heliogauge.flags import SampleFlag
-from heliogauge.results.slope_map_file import read_slope_map
-from heliogauge.running.cli import app
+from heliogauge.results.slope_map_file import read_slope_map, write_slope_map
+from observer import Result, run
+from observer.keys import load_observer
+from observer.planning import plan as pipeline_plan
+from observer.planning.keys import load_observer_plan
 
 
 @pytest.fixture(scope="module")
-def measured(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("trough")
-    scene, results = folder / "scene", folder / "results"
-    runner = CliRunner()
-    drawn = runner.invoke(app, ["observer", "synth", str(scene), "--preset", "small", "--quiet"])
-    assert drawn.exit_code == 0, drawn.output
-    done = runner.invoke(app, ["observer", "measure", str(scene), "-o", str(results), "--no-report", "--quiet"])
-    assert done.exit_code == 0, done.output
-    return read_trough_truth(scene), results
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("trough") / "scene"
+    write_trough_dataset(folder, trough_scene("small"))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def result(folder: Path) -> Result:
+    return run(load_observer(folder))
+
+
+@pytest.fixture(scope="module")
+def measured(folder, result, tmp_path_factory):
+    results = tmp_path_factory.mktemp("results")
+    result.write(results)
+    return read_trough_truth(folder), results
 
 
 @pytest.mark.slow
@@ -79,3 +91,41 @@ def test_absorber_is_within_its_sigma(measured):
         for one in stations:
             error = float(one[f"{axis}_a_m"]) - np.interp(float(one["y_m"]), truth.absorber_y_m, true)
             assert abs(error) < 4 * float(one[f"sigma_{axis}_a_m"]) + 1e-4
+
+
+@pytest.mark.slow
+def test_a_plan_states_what_the_measurement_then_states(folder: Path, result: Result, tmp_path: Path) -> None:
+    earlier, plan = (tmp_path / name for name in ("earlier", "plan"))
+    for one in (earlier, plan):
+        one.mkdir()
+    result.write(earlier)
+    # The plan looks at the true mirror: what was measured of it is smoother.
+    slope_map = result.slope_map
+    x, y = np.meshgrid(slope_map.x_m, slope_map.y_m)
+    true_x = trough_scene("small").world.mirror.deviation(x, y)[1]
+    truth = replace(slope_map, slope_x=np.where(slope_map.valid, slope_map.design_slope_x + true_x, np.nan))
+    (earlier / "slope_map.nc").unlink()
+    write_slope_map(earlier / "slope_map.nc", {"": truth})
+    said = (folder / "measurement.toml").read_text()
+    (plan / "targets.csv").write_text((folder / "targets.csv").read_text())
+    edges, bundle = result.seen.edges, result.network.solved.bundle
+    pixel_m = 12.0 / 1030.0
+    target_px = float(np.sqrt(np.median(bundle.problem.observations.covariance_px2[:, 0, 0])))
+    edge_px = float(np.median(edges.sigma_x_m)) / pixel_m
+    # Behind glass the tube's middle is less sure than an edge, and all rows of a photo have a part of it in common.
+    bearings = result.seen.bearings
+    tube_px = float(np.median(np.hypot(bearings.sigma_rad, bearings.shared_rad))) * 12.0 / pixel_m
+    bars = "[[scale_bar]]" + said.partition("[[scale_bar]]")[2].partition("[evaluation]")[0]
+    (plan / "measurement.toml").write_text(
+        'kind = "observer-plan"\nname = "small"\n'
+        + said[said.index("[collector]") : said.index("[images]")]
+        + f"[targets]\nsigma_px = {target_px}\n{bars}\n"
+        + '[[flight]]\nheight_m = 12.0\nreach_m = 2.9\nphotos = 24\n[mirror]\nlike = "../earlier"\n'
+        + f"[noise]\nreflection_px = {edge_px}\nabsorber_px = {tube_px}\n"
+    )
+    planned = pipeline_plan.run(load_observer_plan(plan))
+    sigmas = [one.sigma_slope()[0][one.valid] for one in (planned.simulated.slope_map, slope_map)]
+    assert np.median(sigmas[0]) / np.median(sigmas[1]) == pytest.approx(1.0, abs=0.2)
+    assert planned.simulated.slope_map.measured_share == pytest.approx(slope_map.measured_share, abs=0.06)
+    places = [np.mean([np.trace(part[3:, 3:]) for part in one.covariance.poses]) for one in (planned.bundle, bundle)]
+    assert np.sqrt(places[0] / places[1]) == pytest.approx(1.0, abs=0.1)

@@ -4,7 +4,7 @@ Corners of drawn mirrors, projected by the drawing's own camera; no photo is dra
 """
 
 from collections.abc import Callable
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
@@ -92,6 +92,7 @@ def _adjusted(survey: PhotogrammetryMeasurement, start: StartValues, measured: M
     return run(survey, Options(jobs=1), measured=measured, start=start)
 
 
+@cache
 def pose_errors(seed: int, mounting_m: float) -> tuple[np.ndarray, np.ndarray]:
     """Return errors and covariance of all poses of one flight whose corners were stated with ``mounting_m``."""
     scene = drawn(seed)

@@ -5,6 +5,7 @@ walk. Each mirror is one for all rows where it is alike: errors have few indepen
 """
 
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -44,6 +45,7 @@ def mirror(seed: int, share_alike: float) -> TypicalMirror:
     return replace(drawn, waves=(waves, drawn.waves[1]))
 
 
+@cache
 def measured(seed: int, share_alike: float, photos: int) -> Found:
     rng = np.random.default_rng([seed, 2])
     drawn = mirror(seed, share_alike)
