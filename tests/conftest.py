@@ -14,6 +14,15 @@ settings.register_profile("search", deadline=None, max_examples=1000)
 settings.load_profile(os.environ.get("HELIOGAUGE_HYPOTHESIS", "repeatable"))
 
 
+#: Tests that start kernels and programs, up to a minute each.
+LONGEST = ("test_notebooks.py", "test_readme.py")
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Begin with the longest: what runs last leaves the other process idle."""
+    items.sort(key=lambda item: item.path.name not in LONGEST)
+
+
 @pytest.fixture(scope="session")
 def repository() -> Path:
     """The root of the source tree."""
