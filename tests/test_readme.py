@@ -70,35 +70,40 @@ def test_make_has_the_two_commands() -> None:
         assert re.search(rf"^{target}:", makefile, re.MULTILINE)
 
 
+@pytest.fixture(scope="module")
+def drawn(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the folder in which the first commands of the page ran: they need no data."""
+    folder = tmp_path_factory.mktemp("readme")
+    for command in blocks("sh")[0].splitlines():
+        run(command, folder)
+    return folder
+
+
 @pytest.mark.slow
-def test_its_commands_run_in_their_order(tmp_path: Path) -> None:
-    """Drawn data need nothing; the real measurement is compared with what the page says came out."""
+def test_its_commands_run_in_their_order(drawn: Path) -> None:
+    """The real measurement is compared with what the page says came out."""
     if not DATA.is_dir():
         pytest.skip("real measurements (../shared/data beside the source tree) are not on this machine")
-    (tmp_path / "opencsp").mkdir()
+    (drawn / "opencsp").mkdir()
     for file in FILES:
-        shutil.copy(DATA / file, tmp_path / "opencsp")
-    drawn, many = blocks("sh")
+        shutil.copy(DATA / file, drawn / "opencsp")
+    _, many = blocks("sh")
     (listing,) = blocks("console")
-    for command in drawn.splitlines():
-        run(command, tmp_path)
     said = ""
     for command in re.findall(r"^\$ (.*)", listing, re.MULTILINE):
-        said = run(command, tmp_path)
+        said = run(command, drawn)
     printed = listing[listing.rindex("$ ") :].split("\n", 1)[1]
     found = lines(said)
     for line in lines(printed):
         assert line in found
     for command in many.splitlines():
-        run(command, tmp_path)
+        run(command, drawn)
     (code,) = blocks("python")
-    done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=True)
+    done = subprocess.run([sys.executable, "-c", code], cwd=drawn, capture_output=True, text=True, check=True)
     assert float(done.stdout.split()[0]) == pytest.approx(0.4740e-3, abs=1e-7)
-    assert (tmp_path / "height.png").stat().st_size > 10_000
+    assert (drawn / "height.png").stat().st_size > 10_000
 
 
 @pytest.mark.slow
-def test_its_drawn_measurement_needs_no_data(tmp_path: Path) -> None:
-    for command in blocks("sh")[0].splitlines():
-        run(command, tmp_path)
-    assert (tmp_path / "drawn-result" / "report.html").is_file()
+def test_its_drawn_measurement_needs_no_data(drawn: Path) -> None:
+    assert (drawn / "drawn-result" / "report.html").is_file()
