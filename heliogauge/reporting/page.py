@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
-from heliogauge.doubts import heaviest_first
+from heliogauge.doubts import Severity, heaviest_first
 from heliogauge.errors import EstimationError
 from heliogauge.flags import FLAG_TEXTS, REJECTED, SampleFlag, count_flags
 from heliogauge.reporting.html import FirstScreen, Html, Shown, join, table, wrap
@@ -135,20 +135,27 @@ def first_screen(
 
 
 def verdict_box(verdict: Verdict) -> Html:
-    """Return the verdict: what is missing, what is doubtful, what passed."""
-    lines = [f'<li class="missing">{html.escape(text)}</li>' for text in verdict.missing]
+    """Return the verdict: what is wrong, what is missing, what is doubtful, what passed."""
+    words = STATE_WORDS[verdict.state]
+    if verdict.state is State.INCOMPLETE and verdict.doubtful:
+        words = f"{words} and {STATE_WORDS[State.DOUBTFUL].lower()}"
+    lines, serious = [f'<li class="missing">{html.escape(text)}</li>' for text in verdict.missing], 0
     for remark in verdict.doubtful[:MOST_REMARKS]:
-        text = html.escape(remark.text)
-        lines.append(f'<li class="doubtful {remark.severity}"><a href="#{remark.mark}">{text}</a></li>')
+        line = f'<li class="doubtful {remark.severity}"><a href="#{remark.mark}">{html.escape(remark.text)}</a></li>'
+        if remark.severity is Severity.SERIOUS:
+            lines.insert(serious, line)
+            serious += 1
+        else:
+            lines.append(line)
     more = len(verdict.doubtful) - MOST_REMARKS
     if more > 0:
         lines.append(f'<li class="doubtful"><a href="#{_ALL_DOUBTS}">and {more} more</a></li>')
     lines += [f'<li class="passed">{html.escape(text)}</li>' for text in verdict.passed]
     if verdict.notes:
-        words = "1 note" if verdict.notes == 1 else f"{verdict.notes} notes"
-        lines.append(f'<li class="note"><a href="#{_ALL_DOUBTS}">{words}</a></li>')
+        counted = "1 note" if verdict.notes == 1 else f"{verdict.notes} notes"
+        lines.append(f'<li class="note"><a href="#{_ALL_DOUBTS}">{counted}</a></li>')
     items = f"<ul>{''.join(lines)}</ul>" if lines else ""
-    return Html(f'<div class="verdict {verdict.state}"><strong>{STATE_WORDS[verdict.state]}</strong>{items}</div>')
+    return Html(f'<div class="verdict {verdict.state}"><strong>{words}</strong>{items}</div>')
 
 
 def headline_numbers(rows: Iterable[tuple[str, ...]]) -> Html:

@@ -14,12 +14,12 @@ STYLE = f"""\
 @media (prefers-color-scheme: dark) {{ :root:not([data-theme="light"]) {{{_DARK} }} }}
 :root[data-theme="dark"] {{{_DARK} }}
 * {{ box-sizing: border-box; }}
-html {{ scroll-padding-top: 3.2em; }}
+html {{ scroll-padding-top: 4.8em; }}
 body {{ margin: 0; color: var(--ink); background: var(--ground);
   font: 16px/1.5 system-ui, -apple-system, "Segoe UI", "DejaVu Sans", sans-serif; }}
 nav {{ position: sticky; top: 0; z-index: 9; display: flex; gap: 1em; align-items: center; padding: .35em 1em;
   background: var(--paper); border-bottom: 1px solid var(--line); font-size: .85em; }}
-nav div {{ display: flex; flex: 1; gap: 1.3em; justify-content: safe center; overflow-x: auto; scrollbar-width: none; }}
+nav div {{ display: flex; flex: 1; flex-wrap: wrap; gap: 0 1.3em; justify-content: center; }}
 nav a {{ color: var(--faint); text-decoration: none; padding: .3em 0; white-space: nowrap; }}
 nav a:hover, nav a:focus-visible {{ color: var(--accent); }}
 nav button {{ font: inherit; font-size: 1.2em; line-height: 1; padding: .2em .4em; color: var(--faint);
@@ -82,7 +82,12 @@ code {{ font-size: .9em; background: var(--code); padding: .1em .3em; border-rad
   align-items: start; }}
 .beside > * {{ min-width: 0; }}
 .caption {{ color: var(--faint); font-size: .9em; margin: .2em 0 1em; }}
-.table {{ overflow-x: auto; margin: .8em 0; }}
+/* A shade at a side where a table goes on: the cover scrolls with the table, the shade does not. */
+.table {{ overflow-x: auto; margin: .8em 0; background:
+  linear-gradient(to right, var(--paper) 40%, transparent) 0 / 3em 100% no-repeat local,
+  linear-gradient(to left, var(--paper) 40%, transparent) 100% / 3em 100% no-repeat local,
+  linear-gradient(to right, var(--line), transparent) 0 / 1em 100% no-repeat scroll,
+  linear-gradient(to left, var(--line), transparent) 100% / 1em 100% no-repeat scroll; }}
 table {{ border-collapse: collapse; font-size: .93em; }}
 th, td {{ text-align: left; padding: .3em 1.1em .3em .2em; border-bottom: 1px solid var(--line);
   vertical-align: top; }}
@@ -100,7 +105,9 @@ summary {{ cursor: pointer; color: var(--accent); }}
 @media (max-width: 600px) {{
   main {{ padding: .4em .9em 2em; }}
   nav {{ padding: .3em .9em; }}
-  nav div {{ justify-content: flex-start; }}
+  /* One line that scrolls, fading where it goes on. */
+  nav div {{ flex-wrap: nowrap; justify-content: flex-start; overflow-x: auto; scrollbar-width: none;
+    padding-right: 2em; mask-image: linear-gradient(to left, transparent, #000 2em); }}
   .numbers {{ font-size: .84em; }}
   .table td:first-child, .table th:first-child {{ min-width: 9em; }}
   .table td.sentence {{ min-width: 13em; }}
@@ -121,7 +128,7 @@ summary {{ cursor: pointer; color: var(--accent); }}
   .beside .figures {{ grid-template-columns: 1fr; }}
   .figures figure, .verdict, tr {{ break-inside: avoid; }}
   .verdict, .table {{ print-color-adjust: exact; }}
-  .table {{ overflow: visible; margin: .3em 0; }}
+  .table {{ overflow: visible; margin: .3em 0; background: none; }}
   table {{ font-size: .86em; }}
   th, td {{ padding: .18em .7em .18em .1em; }}
   td.number, th.number {{ white-space: normal; }}

@@ -13,7 +13,7 @@ from heliogauge.validate import BoolArray, FloatArray
 
 #: Less of a panel's own light is not worth a turn. A convention, not a result: change it to what a turn costs.
 LEAST_GAIN_SHARE = 1e-3
-#: A loss is sure beyond so many of its sigmas, as a gain is.
+#: A loss is sure beyond so many of its sigmas, as a gain is; a gain surely stays below what is that far above it.
 _SURE = 3.0
 
 
@@ -21,8 +21,8 @@ class TurnAdvice(StrEnum):
     """What to do with a panel.
 
     TURN: The gain is sure and worth the work.
-    NOT_WORTH: The gain is sure, but too small to matter.
-    NOT_SURE: Neither a gain nor a loss is sure.
+    NOT_WORTH: What it gains, if anything, is surely too small to matter.
+    NOT_SURE: Neither a gain nor a loss is sure, and the gain may be worth the work.
     LOSES: Turned to mean angle zero the panel surely loses light.
     UNKNOWN: Too little of the panel is measured.
     """
@@ -51,11 +51,13 @@ def turn_advice(gain_ratio: FloatArray, sigma_gain_ratio: FloatArray, sure: Bool
     """
     with np.errstate(invalid="ignore"):
         loses = gain_ratio < -_SURE * sigma_gain_ratio
+        too_small = ~is_worth(gain_ratio + _SURE * sigma_gain_ratio)
     kinds = [
         (np.isnan(gain_ratio), TurnAdvice.UNKNOWN),
         (sure & is_worth(gain_ratio), TurnAdvice.TURN),
         (sure, TurnAdvice.NOT_WORTH),
         (loses, TurnAdvice.LOSES),
+        (too_small, TurnAdvice.NOT_WORTH),
     ]
     chosen = np.select([which for which, _ in kinds], [str(kind) for _, kind in kinds], str(TurnAdvice.NOT_SURE))
     return tuple(TurnAdvice(one) for one in chosen)

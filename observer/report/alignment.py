@@ -2,6 +2,7 @@
 
 import base64
 import html
+from collections import Counter
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -10,13 +11,14 @@ import numpy as np
 from heliogauge.files.regular import read_regular
 from heliogauge.reporting import page
 from heliogauge.reporting.html import FirstScreen, Html, join, wrap
+from heliogauge.reporting.notation import light_text
 from heliogauge.reporting.verdict import verdict_of
 from heliogauge.results.folder import Summary, read_summary, read_table_csv
 from heliogauge.validate import FloatArray
 from heliogauge.view.maps import MapLayer, MapView
 from heliogauge.view.stills import side_by_side
 from observer.files import ALIGNMENT_OVERLAY, COLLECTOR, OVERLAY_STEM, read_collector
-from observer.product.panel_turns import LEAST_GAIN_SHARE
+from observer.product.panel_turns import LEAST_GAIN_SHARE, TurnAdvice
 from observer.report.figures_alignment import moves_sheet
 from observer.report.lines import listed
 from observer.report.maps import panel_lines
@@ -29,8 +31,6 @@ _MRAD = 1e3
 _NODES = 240
 #: Numbers of the first screen and what they are called there.
 LABELS: dict[str, str] = {
-    "panels_prescribed_count": "Panels with a prescription",
-    "panels_count": "Panels",
     "rms_panel_theta_ra_rad": "Mean angle of a panel to the absorber, RMS",
     "largest_move_mm": "Largest move of a mount",
 }
@@ -100,8 +100,22 @@ def head(results: AlignmentResults) -> FirstScreen:
     missing = [f"{count - known} of {count} panels without a prescription"] if known < count else []
     passed = [f"{known} of {count} panels with a prescription"] if known else []
     line = f"prescription for {count} panels; heliogauge {summary.version}"
-    rows = headline_rows(summary, LABELS)
+    rows = [*_to_turn(results.panels), *headline_rows(summary, LABELS)]
     return page.first_screen(summary.name, line, verdict_of(summary, missing, passed), rows, panels_view(results))
+
+
+def _to_turn(panels: Columns) -> list[tuple[str, ...]]:
+    """Say which panels are worth a turn, the largest gain first; nothing where the measurement has no gains."""
+    if "turn" not in panels:
+        return []
+    gain, sigma = numbers(panels, "gain_ratio"), numbers(panels, "sigma_gain_ratio")
+    best = [k for k in np.argsort(-np.nan_to_num(gain)) if panels["turn"][k] == TurnAdvice.TURN]
+    gains = ", ".join(f"panel {panels['panel'][k]} gains {light_text(gain[k], sigma[k])}" for k in best)
+    kinds = Counter(one for one in panels["turn"] if one != TurnAdvice.TURN)
+    others = ", ".join(f"{count} {kind}" for kind, count in kinds.most_common())
+    said = (gains, f"others: {others}" if others else "")
+    note = "; ".join(text for text in said if text)
+    return [("Panels to turn", ", ".join(panels["panel"][k] for k in best) or "none", note)]
 
 
 def doubts(results: AlignmentResults) -> Html:

@@ -184,8 +184,11 @@ def _turned(results: StudyResults) -> list[tuple[str, tuple[str, str]]]:
     found = []
     for name, part in _parts(results.changed_panels):
         sure = [panel for panel, one in zip(part["panel"], part["is_sure"], strict=True) if one == "1"]
-        numbers_ = ", ".join(sure)
-        found.append((name, (f"{len(sure)} of {len(part['panel'])}", f"panel {numbers_}" if sure else "")))
+        known = int(np.isfinite(numbers(part, "theta_r_change_rad")).sum())
+        named = f"panel {', '.join(sure)}" if sure else ""
+        rest = len(part["panel"]) - known
+        unsaid = f"{rest} more are measured by less than half in both, of which nothing is known" if rest else ""
+        found.append((name, (f"{len(sure)} of {known}", "; ".join(text for text in (named, unsaid) if text))))
     return found
 
 
@@ -209,7 +212,11 @@ def weight(results: StudyResults) -> Html:
     """Return what the tube's weight does to each span, and the bend that it keeps."""
     names = ("span, y", "sag by weight, downward", "lasting bend across", "lasting bend along the axis", "worst rest")
     rows = _weights(results)
-    return table(names, rows, numbers=(1, 2, 3, 4)) if rows else Html("<p>No span was measured twice.</p>")
+    if rows:
+        return table(names, rows, numbers=(1, 2, 3, 4))
+    if not results.is_turned:
+        return Html("<p>All results are at one orientation, which says nothing of what weight does.</p>")
+    return Html("<p>No span was measured at two orientations.</p>")
 
 
 def _weights(results: StudyResults) -> list[tuple[str, ...]]:

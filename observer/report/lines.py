@@ -10,7 +10,7 @@ from heliogauge.reporting.notation import number_text
 from heliogauge.validate import FloatArray
 from heliogauge.view.charts import ChartSeries, ChartView, Mark
 from heliogauge.view.tables import TableColumn, TableView
-from observer.product.panel_turns import LEAST_GAIN_SHARE
+from observer.product.panel_turns import LEAST_GAIN_SHARE, turn_advice
 from observer.report.results import Columns, TroughResults, numbers
 from observer.selection.edge_refusal import FATE_TEXTS, EdgeFate
 from observer.trough.collector import Collector
@@ -167,7 +167,7 @@ def panels(results: TroughResults) -> Html:
     # Short headings, and nothing where all cells are empty: the table must not be wider than the page.
     shown = {
         name.replace("mean_", "").replace("centre_", "").replace("mount_move_", "mount_move_at_larger_x_"): cells
-        for name, cells in columns.items()
+        for name, cells in (columns if "gain_is_sure" not in columns else _advised(columns)).items()
         if any(cells)
     }
     text = (
@@ -175,12 +175,29 @@ def panels(results: TroughResults) -> Html:
         "<em>gain</em>: what the intercept factor gains by turning this panel until its mean theta_ra is zero, the sun "
         "on the optical axis; it is sure where angle and gain are beyond three sigma. A turn to mean angle zero can "
         "lose light where the panel is bent: the mean counts all of it alike, the light is lost at its worst part. "
-        f"A gain below {100 * LEAST_GAIN_SHARE:g} % of the panel's own light is not worth a turn. "
-        "<em>mount move at larger x</em>: of the mount at the panel's edge of larger x, along the mirror's normal, "
-        "positive towards the absorber; the one at smaller x moves the other way. "
+        f"A gain below {100 * LEAST_GAIN_SHARE:g} % of the panel's own light is not worth a turn. <em>turn</em>: what "
+        "follows for the panel. <em>mount move at larger x</em>: of the mount at the panel's edge of larger x, along "
+        "the mirror's normal, positive towards the absorber; the one at smaller x moves the other way. "
         "<code>heliogauge observer align</code> gives the moves of the mounts."
     )
     return join(Html(f"<h2>Panels</h2><p>{text}</p>"), listed(shown, "panels"))
+
+
+def _advised(columns: Columns) -> Columns:
+    """Return the panels' table with what to do in words, and without digits of gains that are as good as none."""
+    gain, sigma = (numbers(columns, name) for name in ("gain_ratio", "sigma_gain_ratio"))
+    advice = turn_advice(gain, sigma, numbers(columns, "gain_is_sure") == 1)
+    found: Columns = {}
+    for name, cells in columns.items():
+        if name == "gain_is_sure":
+            found["turn"] = [str(one) for one in advice]
+        elif name == "gain_ratio":
+            # A thousandth of what is worth a turn.
+            none = (np.abs(gain) + 3 * sigma) * gain.size < 1e-3 * LEAST_GAIN_SHARE
+            found[name] = ["none" if one else cell for one, cell in zip(none, cells, strict=True)]
+        else:
+            found[name] = cells
+    return found
 
 
 def listed(columns: Columns | None, name: str = "numbers") -> Html:

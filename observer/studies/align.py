@@ -15,11 +15,11 @@ from heliogauge.errors import InputError
 from heliogauge.files.faults import explain_faults
 from heliogauge.reporting.notation import light_text
 from heliogauge.results.arrays import read_arrays
-from heliogauge.results.folder import PhotoPose, Summary, hash_files, write_table_csv
+from heliogauge.results.folder import SUMMARY_FILE, PhotoPose, Summary, hash_files, read_summary, write_table_csv
 from heliogauge.results.frame import InstrumentResult
 from heliogauge.results.slope_map_file import read_slope_map
 from heliogauge.results.tables import read_cameras_json, read_table_csv
-from heliogauge.results.used_results import serious_result
+from heliogauge.results.used_results import doubted_results
 from heliogauge.slopes.map import SlopeMap
 from heliogauge.slopes.mounts import LEAST_SHARE
 from heliogauge.validate import BoolArray, FloatArray, IntArray
@@ -234,7 +234,7 @@ def run(folder: Path, mounts: Path | None = None) -> Result:
         gains,
         picture,
         name="panel alignment",
-        doubts=gather_doubts(serious_result(folder), _doubts(slope_map, to_absorber, mounts is None)),
+        doubts=gather_doubts(_handed_on(folder), _doubts(slope_map, to_absorber, mounts is None)),
         input_sha256=hash_files([*files, *([] if mounts is None else [mounts])]),
     )
 
@@ -337,6 +337,11 @@ def _doubts(slope_map: SlopeMap, tilts: PanelTilts, assumed: bool) -> Iterator[D
     if slope_map.removed != "nothing":
         text = f"the slope map has {slope_map.removed} removed; the prescription lacks it"
         yield Doubt("slope_map_not_as_measured", text)
+
+
+def _handed_on(folder: Path) -> tuple[Doubt, ...]:
+    file = folder / SUMMARY_FILE
+    return doubted_results({str(folder): read_summary(file)}) if file.is_file() else ()
 
 
 def assumed_mounts() -> Doubt:

@@ -15,7 +15,7 @@ from heliogauge.results.folder import Summary, hash_files, read_summary, unit_of
 from heliogauge.results.frame import InstrumentResult
 from heliogauge.results.slope_map_file import read_slope_map
 from heliogauge.results.tables import read_table_csv
-from heliogauge.results.used_results import serious_results
+from heliogauge.results.used_results import doubted_results, shared_files
 from heliogauge.slopes.grid import resample
 from heliogauge.slopes.map import SlopeMap
 from heliogauge.validate import FloatArray
@@ -167,9 +167,14 @@ def _said(one: NumberChange) -> str:
 def turned_text(turned: PanelChanges) -> str:
     """Say which panels turned."""
     numbers = ", ".join(map(str, turned.panel[turned.is_sure]))
+    known = int(np.isfinite(turned.theta_r_change_rad).sum())
+    if not known:
+        return f"no panel of {turned.panel.size} is measured by half in both"
+    rest = turned.panel.size - known
+    unsaid = f"; of {rest} nothing is known, less than half of each is measured in both" if rest else ""
     if not numbers:
-        return f"none of {turned.panel.size} panels surely turned"
-    return f"{turned.is_sure.sum()} of {turned.panel.size} panels turned: {numbers}"
+        return f"none of {known} panels surely turned{unsaid}"
+    return f"{turned.is_sure.sum()} of {known} panels turned: {numbers}{unsaid}"
 
 
 def run(folders: Sequence[Path]) -> Comparison:
@@ -221,7 +226,11 @@ def run(folders: Sequence[Path]) -> Comparison:
             for one in found[1:]
         ),
         name=found[0].summary.name,
-        doubts=gather_doubts(serious_results({str(one.folder): one.summary for one in found}), doubts),
+        doubts=gather_doubts(
+            doubted_results({str(one.folder): one.summary for one in found}),
+            *(shared_files(found[0].summary, one.summary) for one in found[1:]),
+            doubts,
+        ),
         input_sha256={f"{k}/{one.name}": next(iter(hash_files([one]).values())) for k, one in inputs},
     )
 

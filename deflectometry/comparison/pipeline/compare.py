@@ -40,6 +40,7 @@ from heliogauge.results.facet_frames import facet_frames
 from heliogauge.results.folder import SUMMARY_FILE, hash_files, read_summary
 from heliogauge.results.opened import SLOPE_MAP_FILE
 from heliogauge.results.slope_map_file import facet_names, read_slope_map
+from heliogauge.results.used_results import shared_files
 from heliogauge.slopes.map import SlopeMap
 from heliogauge.validate import FloatArray
 
@@ -259,23 +260,10 @@ def _cut(grid: tuple[FloatArray, FloatArray], slope_map: SlopeMap) -> tuple[Floa
 def _doubts(
     sides: tuple[Side, Side], shared: Sequence[str], judged: Judgement, checks: tuple[SelfCheck, ...]
 ) -> Iterator[Doubt]:
-    hashes = [one.summary.input_sha256 for one in sides]
-    common = sorted({name for name, digest in hashes[0].items() if digest in set(hashes[1].values())})
-    if common and {*hashes[0].values()} == {*hashes[1].values()}:
-        yield Doubt(
-            "same_measurement_twice",
-            "both results were evaluated from the same files: their noise is the same, and no sigma here applies; "
-            "compare results of two measurements",
-        )
-    elif common and not shared:
-        names = ", ".join(common[:3]) + (f" and {len(common) - 3} more" if len(common) > 3 else "")
-        yield Doubt(
-            "inputs_shared",
-            f"both results read {names}: what is wrong with that is in both and partly cancels, so that sigmas of the "
-            "difference are upper bounds; name the sources that both share with --shared",
-            {"files_count": len(common)},
-            Severity.NOTE,
-        )
+    same = shared_files(*(one.summary for one in sides), "; name the sources that both share with --shared")
+    # What they share was named where --shared says it.
+    if same is not None and (same.code == "same_measurement_twice" or not shared):
+        yield same
     for axis in (0, 1):
         extents = [float(np.ptp(_extent(one.slope_map, axis))) for one in sides]
         step = max(
