@@ -260,7 +260,8 @@ def _cut(grid: tuple[FloatArray, FloatArray], slope_map: SlopeMap) -> tuple[Floa
 def _doubts(
     sides: tuple[Side, Side], shared: Sequence[str], judged: Judgement, checks: tuple[SelfCheck, ...]
 ) -> Iterator[Doubt]:
-    same = shared_files(*(one.summary for one in sides), "; name the sources that both share with --shared")
+    advice = "; name the sources that both share with --shared"
+    same = shared_files(sides[0].summary, sides[1].summary, advice)
     # What they share was named where --shared says it.
     if same is not None and (same.code == "same_measurement_twice" or not shared):
         yield same
