@@ -1,6 +1,6 @@
 """Where a camera stood, from points of known place in its photo."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -14,6 +14,8 @@ from heliogauge.validate import FloatArray
 _FEWEST = 4
 #: Points that are off by so many pixels RMS and more than twenty sigma are not those of the photo.
 _WRONG_SIGMAS = 20.0
+#: Steps of a pose, and the one that is none [rad, m].
+_STEPS, _STILL = 20, 1e-12
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -36,6 +38,21 @@ class Station:
     probability: float
     place_m: FloatArray | None = None
     sigma_place_m: float = 1.0
+
+    def settled(self, camera: Camera) -> "Station":
+        """Return it where points and survey together put it: from near the axis points alone leave decimetres."""
+        found = self
+        for _ in range(_STEPS):
+            residual, jacobian = found.equations(camera)
+            step = np.linalg.lstsq(jacobian, residual, rcond=None)[0]
+            found = replace(found, cam_from_heliostat=found.cam_from_heliostat.moved(step))
+            if np.abs(step).max() < _STILL:
+                break
+        return found
+
+    def is_surveyed_to(self, distance_m: float) -> bool:
+        """Return whether its place was surveyed, and as well as that."""
+        return self.place_m is not None and self.sigma_place_m < distance_m
 
     def equations(self, camera: Camera) -> tuple[FloatArray, FloatArray]:
         """Return what points and survey say of a step of the pose: residual (m,) and derivatives (m, 6) over sigma."""
@@ -68,7 +85,7 @@ def place_camera(camera: Camera, points_m: FloatArray, pixels_px: FloatArray, si
     if not found:
         raise EstimationError(f"{name}: its points of known place do not determine where the camera stood")
     pose = RigidTransform.from_rotation_vector(vector.ravel(), shift.ravel())
-    for _ in range(20):
+    for _ in range(_STEPS):
         projected = camera.project_posed(points_m, pose)
         residual = (pixels_px - projected.pixels_px).ravel()
         jacobian = projected.d_pixel_d_pose.reshape(-1, 6)
@@ -78,7 +95,7 @@ def place_camera(camera: Camera, points_m: FloatArray, pixels_px: FloatArray, si
             raise EstimationError(f"{name}: its points of known place lie on a line; the camera's place stays open")
         step = np.linalg.solve(products, jacobian.T @ residual)
         pose = pose.moved(step)
-        if np.abs(step).max() < 1e-12:
+        if np.abs(step).max() < _STILL:
             break
     residual = (pixels_px - camera.project(pose.apply(points_m))).ravel()
     rms = float(np.sqrt(np.mean(residual**2)))

@@ -4,7 +4,8 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from deflectometry.overlay.joint_turns import NO_CHECK, JointTurns
+from deflectometry.overlay.facet_fit import Unused
+from deflectometry.overlay.joint_turns import FEWEST_CHECKS, NO_CHECK, TURN_BY_WAVES, JointTurns
 from deflectometry.overlay.source_image import Source
 from deflectometry.overlay.source_size import FEWEST_FACETS, SourceSizes
 from heliogauge.doubts import Doubt, Severity
@@ -19,10 +20,8 @@ _FAR_RAD = 0.03
 _SURE_SIGMAS = 4.0
 #: No facet of a heliostat is wavier (spec C-03, V-41: slope errors of 0.5 to 2 mrad, here of means over edges).
 _WAVIEST_RAD = 1e-3
-#: Numbers that check each other; with fewer the wave is known to worse than half of itself, 1 / sqrt(2 n).
-FEWEST_CHECKS = 6.0
-#: By how much waves turn a facet in one photo, in shares of their RMS slope: drawn facets, 0.06 mrad of 0.1 mrad.
-TURN_BY_WAVES = 0.6
+#: Light that is something else than the source.
+_STRANGE = {Unused.DARKER, Unused.FOREIGN, Unused.CONTRADICTS, Unused.ALL_CONTRADICT}
 #: Exchanged facets have at least halved turns once they are put back.
 _BETTER = 0.5
 #: And point much further from their design than the others typically do.
@@ -61,24 +60,7 @@ def doubts_of_turns(
             "that the photo belongs to it",
             {"photos_count": len(strange)},
         )
-    missing = [facet.name for facet, known in zip(facets, found.known, strict=True) if not known]
-    if missing:
-        yield Doubt(
-            "facet_without_image",
-            f"no photo shows enough of the source's edge in facet {', '.join(missing)}: it is turned too far, the "
-            "source fills it or is hidden; the overlay shows where its image should be. Other "
-            "photos may show it",
-            {"facets_count": len(missing)},
-        )
-    for number, name in enumerate(names):
-        strangers = [facet.name for facet, out in zip(facets, found.left_out, strict=True) if number in out]
-        if strangers:
-            yield Doubt(
-                "light_left_out",
-                f"{name}: the light in facet {', '.join(strangers)} is no image of the source that a turn could make "
-                "with the other photos: left out. Is the photo mirrored or of another place, or something else bright?",
-                {"facets_count": len(strangers)},
-            )
+    yield from _not_used(facets, found, names)
     yield from _exchanged_or_far(facets, found)
     yield from _common(source, found)
     if sizes is not None:
@@ -109,6 +91,57 @@ def doubts_of_turns(
             "sigma of how the heliostat as a whole points is too small",
             severity=Severity.NOTE,
         )
+
+
+def _not_used(facets: Sequence[Facet], found: JointTurns, names: Sequence[str]) -> Iterator[Doubt]:
+    """Say which facets have no turn and why, which light was left out, and which turns nothing checks."""
+    for k, (first, second) in found.rivals_rad.items():
+        yield Doubt(
+            "facet_ambiguous",
+            f"facet {facets[k].name}: turns of ({1e3 * first[0]:+.2f}, {1e3 * first[1]:+.2f}) and "
+            f"({1e3 * second[0]:+.2f}, {1e3 * second[1]:+.2f}) mrad explain its light equally well; none is stated. "
+            "Photos from other places, or a facet that shows more of the source, decide",
+            {"turns_apart_rad": float(np.linalg.norm(second - first))},
+        )
+    missing: dict[str, list[str]] = {}
+    for k in np.flatnonzero(~found.known).tolist():
+        if k not in found.rivals_rad:
+            missing.setdefault(reasons(found, k, names), []).append(facets[k].name)
+    if missing:
+        texts = [f"{', '.join(own)} ({why})" for why, own in missing.items()]
+        yield Doubt(
+            "facet_without_image",
+            f"no photo shows enough of the source's edge in facet {'; '.join(texts)}: it is turned too far, the "
+            "source fills it or is hidden; the overlay shows where its image should be. Other photos may show it",
+            {"facets_count": sum(map(len, missing.values()))},
+        )
+    for number, name in enumerate(names):
+        strangers = [facet.name for facet, why in zip(facets, found.unused, strict=True) if why.get(number) in _STRANGE]
+        if strangers:
+            yield Doubt(
+                "light_left_out",
+                f"{name}: the light in facet {', '.join(strangers)} is no image of the source that a turn could make "
+                "with the other photos: left out. Is the photo mirrored or of another place, the facet partly in shade "
+                "or hidden, or something else bright?",
+                {"facets_count": len(strangers)},
+            )
+    alone = [facet.name for facet, one in zip(facets, found.unchecked, strict=True) if one]
+    if alone and found.redundancy >= NO_CHECK:
+        yield Doubt(
+            "facet_unchecked",
+            f"the turn of facet {', '.join(alone)} hangs on one photo: no other checks it, and a part in shade or "
+            "another bright thing may pass for the source's edge; take photos that show the source in it",
+            {"facets_count": len(alone)},
+        )
+
+
+def reasons(found: JointTurns, facet: int, names: Sequence[str]) -> str:
+    """Return why photos are not used for a facet, of a number, and that nothing checks its turn; empty if neither."""
+    photos: dict[str, list[str]] = {}
+    for number, why in sorted(found.unused[facet].items()):
+        photos.setdefault(why, []).append(names[number])
+    texts = [f"{' '.join(own)}: {why}" for why, own in photos.items()]
+    return "; ".join([*texts, "one photo alone, unchecked"] if found.unchecked[facet] else texts)
 
 
 def _normals(facets: Sequence[Facet], turns_rad: FloatArray) -> FloatArray:

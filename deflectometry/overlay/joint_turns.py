@@ -1,18 +1,21 @@
 """Turns of all facets, places of all cameras and of the source in one adjustment."""
 
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from deflectometry.overlay.camera_place import Station
+from deflectometry.overlay.facet_fit import FacetFit, Unused
 from deflectometry.overlay.source_image import Source
-from deflectometry.overlay.turn_fit import ViewTurn
+from deflectometry.overlay.turn_fit import ViewTurn, has_foreign_light
+from heliogauge.adjust.robust_scale import SIGMA_PER_MAD
 from heliogauge.camera.model import Camera
 from heliogauge.errors import EstimationError
 from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.geometry.surfaces import Facet
-from heliogauge.validate import BoolArray, FloatArray
+from heliogauge.validate import BoolArray, FloatArray, IntArray
 
 #: A direction that a photo shows worse than this says nothing of a facet's turn: the image's edge runs along it.
 _WORST_RAD = 2e-3
@@ -23,11 +26,21 @@ _ROUNDS = 2
 _BISECTIONS = 50
 #: With fewer numbers than one that check each other nothing tells the wave; of one photo rounding made it up.
 NO_CHECK = 1.0
+#: Numbers that check each other; with fewer the wave is known to worse than half of itself, 1 / sqrt(2 n).
+FEWEST_CHECKS = 6.0
+#: By how much waves turn a facet in one photo, in shares of their RMS slope: drawn facets, 0.06 mrad of 0.1 mrad.
+TURN_BY_WAVES = 0.6
+#: Student's distribution of fewer has no standard deviation (JCGM 101:2008, 6.4.9.4).
+_FEWEST_OF_STUDENT = 3.0
+#: Photos of a facet that differ by more sigmas are not by chance: one in a million, and the sigma is one of few.
+_CONTRADICTS = 5.0
+#: A number of which less is left by the adjustment is not checked by others.
+_CHECKED = 0.05
 #: Of a photo that shows edges in one direction only.
 _WORST_CONDITION = 1e3
 
 #: Returns the turns of a facet as each photo shows it, seen from given stations; from a start where there is one.
-Fits = Callable[[Facet, Sequence[Station], Source, FloatArray | None], Sequence[ViewTurn]]
+Fits = Callable[[Facet, Sequence[Station], Source, FloatArray | None], FacetFit]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -39,10 +52,13 @@ class JointTurns:
     random_rad (k, 2): What their sigmas are with cameras and source exactly known [rad].
     stations: Cameras where the adjustment put them.
     source: Likewise.
-    wave_rad: By how much one photo's turn of a facet is off beyond its pixels, from the photos' differences [rad].
+    wave_rad: By how much one photo's turn of a facet is off beyond its pixels, from the photos' differences [rad]; the
+        covariance holds besides that it is found from few numbers.
     redundancy: How many numbers of the photos check each other; the wave is as sure as these are many.
-    seen_in: Numbers of the photos that show the source in each facet.
-    left_out: Numbers of the photos that show light in each facet which no turn makes the source's image.
+    unused: Of each facet, why photos are not used, by their numbers.
+    rivals_rad: Of facets whose light two turns explain, by their numbers: both turns (2, 2).
+    seen_in: Numbers of the photos that determine the turn of each facet.
+    unchecked: Facets whose turn is not determined any more without one of the photos, shape (k,).
     place_misfits: What all facets in one photo are off alike, in sigmas; NaN where its camera was not surveyed.
     """
 
@@ -53,8 +69,10 @@ class JointTurns:
     source: Source
     wave_rad: float
     redundancy: float
+    unused: tuple[Mapping[int, Unused], ...]
+    rivals_rad: Mapping[int, FloatArray]
     seen_in: tuple[tuple[int, ...], ...]
-    left_out: tuple[tuple[int, ...], ...]
+    unchecked: BoolArray
     place_misfits: FloatArray
 
     @property
@@ -86,13 +104,49 @@ class JointTurns:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Equations:
-    """Linear equations ``jacobian @ unknown = residual``: prior ones over sigma, those of reflections with variance."""
+    """Linear equations ``jacobian @ unknown = residual``: prior ones over sigma, those of reflections with variance.
+
+    facets (k,): Facets whose turns are the last unknowns, two each.
+    owner (m, 2): Facet and photo of each reflection.
+    """
 
     prior_jacobian: FloatArray
     prior_residual: FloatArray
     jacobian: FloatArray
     residual: FloatArray
     variance: FloatArray
+    facets: IntArray
+    owner: IntArray
+
+    @property
+    def before(self) -> int:
+        """Number of unknowns before those of turns."""
+        return int(self.jacobian.shape[1]) - 2 * len(self.facets)
+
+    def determined(self, rows: BoolArray) -> BoolArray:
+        """Return whether some of the reflections determine the turn of each facet, shape (k,)."""
+        found = []
+        for number, facet in enumerate(self.facets):
+            first = self.before + 2 * number
+            part = self.jacobian[rows & (self.owner[:, 0] == facet), first : first + 2]
+            # Directions are of unit length: two that differ by 15 degrees leave more than this.
+            found.append(len(part) > 0 and np.linalg.eigvalsh(part.T @ part)[0] > 0.03)
+        return np.array(found, dtype=bool)
+
+    def only(self, rows: BoolArray) -> "_Equations":
+        """Return the equations of some reflections, and of facets that these determine."""
+        kept = self.determined(rows)
+        columns = np.concatenate([np.ones(self.before, dtype=bool), np.repeat(kept, 2)])
+        rows = rows & np.isin(self.owner[:, 0], self.facets[kept])
+        return _Equations(
+            self.prior_jacobian[:, columns],
+            self.prior_residual,
+            self.jacobian[rows][:, columns],
+            self.residual[rows],
+            self.variance[rows],
+            self.facets[kept],
+            self.owner[rows],
+        )
 
     def solve(self, wave_rad: float) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """Return unknowns, their covariance, residuals over sigma and the share of each that is left (all rows)."""
@@ -132,50 +186,59 @@ def adjust(
     shift = np.zeros(3)
     moved, moved_source = list(stations), source
     for _ in range(_ROUNDS):
-        seen: dict[int, list[ViewTurn]] = {}
+        seen: dict[int, Sequence[ViewTurn]] = {}
+        unused: list[dict[int, Unused]] = []
+        rivals: dict[int, FloatArray] = {}
         for k, facet in enumerate(facets):
-            if fitted := fits(facet, moved, moved_source, turns.get(k)):
-                seen[k] = list(fitted)
+            fitted = fits(facet, moved, moved_source, turns.get(k))
+            unused.append(dict(fitted.unused))
+            if fitted.rivals_rad is not None:
+                rivals[k] = fitted.rivals_rad
+            if fitted.turns:
+                seen[k] = fitted.turns
         equations = _equations(camera, facets, moved, moved_source, shift, sigma_m, seen)
-        own = list(seen)
-        count = 6 * len(moved) + 3
-        known = np.isin(np.arange(len(own)), _determined(equations, count))
-        if not known.any():
+        equations = equations.only(np.ones(len(equations.residual), dtype=bool))
+        if wave_rad is None:
+            equations = _consistent(equations, facets, moved_source, seen, unused)
+        if not len(equations.facets):
+            count_of = Counter(str(why) for own in unused for why in own.values())
             raise EstimationError(
                 "no facet shows the source in any photo so that its turn follows: none has an edge of a bright image "
                 "on dark. Does the source stand where center_m in [source] says, was it lit, and do the photos show it?"
+                f" Facets in photos: {', '.join(f'{why} ({count})' for why, count in count_of.most_common())}"
             )
-        equations = _only(equations, count, known)
         wave = _wave(equations) if wave_rad is None else wave_rad
-        unknown, covariance, leftover, share = equations.solve(wave)
+        spread = wave
+        if wave_rad is None:
+            # The standard deviation of what is scaled by an estimate from few numbers is Student's.
+            checks = max(float(equations.solve(wave)[3][len(equations.prior_residual) :].sum()), _FEWEST_OF_STUDENT)
+            spread = wave * float(np.sqrt(checks / (checks - 2)))
+        unknown, covariance, leftover, share = equations.solve(spread)
         for place, station in enumerate(moved):
             step = unknown[6 * place : 6 * place + 6]
             moved[place] = replace(station, cam_from_heliostat=station.cam_from_heliostat.moved(step))
+        count, own = equations.before, equations.facets
         shift = shift + sigma_m * unknown[count - 3 : count]
         moved_source = _shifted(source, shift)
         found = unknown[count:].reshape(-1, 2)
-        own = [k for k, good in zip(own, known, strict=True) if good]
-        turns = dict(zip(own, found, strict=True))
-    rows = np.concatenate([[2 * k, 2 * k + 1] for k in own]).astype(int)
+        turns = dict(zip(own.tolist(), found, strict=True))
+    rows = np.column_stack([2 * own, 2 * own + 1]).ravel()
     total = np.full((2 * len(facets),) * 2, np.nan)
     total[np.ix_(rows, rows)] = covariance[count:, count:]
     values, random = np.full((len(facets), 2), np.nan), np.full(2 * len(facets), np.nan)
     values[own] = found
-    weight = equations.jacobian[:, count:] / np.sqrt(equations.variance + wave**2)[:, None]
+    weight = equations.jacobian[:, count:] / np.sqrt(equations.variance + spread**2)[:, None]
     random[rows] = np.sqrt(np.diag(np.linalg.inv(weight.T @ weight)))
     reflections = share[len(equations.prior_residual) :]
-    photos_of = {
-        k: tuple(
-            one.view.photo
-            for one in seen[k]
-            if np.any(
-                np.abs(equations.jacobian[:, count + 2 * n : count + 2 * n + 2]).sum(axis=1)
-                * np.abs(equations.jacobian[:, 6 * one.view.photo : 6 * one.view.photo + 6]).sum(axis=1)
-            )
-        )
-        for n, k in enumerate(own)
-    }
-    rest = leftover[len(equations.prior_residual) :] * np.sqrt(equations.variance + wave**2)
+    used = {(int(k), int(photo)) for k, photo in equations.owner}
+    for k, views in seen.items():
+        for one in views:
+            if (k, one.view.photo) not in used:
+                unused[k].setdefault(one.view.photo, Unused.EDGE_ALONG)
+    unchecked = np.zeros(len(facets), dtype=bool)
+    for photo in range(len(moved)):
+        unchecked[own] |= ~equations.determined(equations.owner[:, 1] != photo)
+    rest = leftover[len(equations.prior_residual) :] * np.sqrt(equations.variance + spread**2)
     return JointTurns(
         values,
         total,
@@ -184,11 +247,10 @@ def adjust(
         moved_source,
         wave,
         float(reflections.sum()),
-        tuple(photos_of.get(k, ()) for k in range(len(facets))),
-        tuple(
-            tuple(one.view.photo for one in seen.get(k, ()) if one.view.photo not in photos_of.get(k, ()))
-            for k in range(len(facets))
-        ),
+        tuple(unused),
+        rivals,
+        tuple(tuple(sorted(photo for number, photo in used if number == k)) for k in range(len(facets))),
+        unchecked,
         _misfits(moved, moved_source, equations, rest, float(reflections.sum())),
     )
 
@@ -221,7 +283,7 @@ def _equations(
     rows[:, count - 3 : count] = np.eye(3)
     prior.append(rows)
     prior_residual.append(-shift_m / sigma_m if sigma_m > 0 else np.zeros(3))
-    left, right, variance = [], [], []
+    left, right, variance, owner = [], [], [], []
     for place, (k, views) in enumerate(seen.items()):
         for one in views:
             for row, value, own in _reflections(camera, facets[k], stations, source, sigma_m, one):
@@ -232,12 +294,15 @@ def _equations(
                 left.append(full)
                 right.append(value)
                 variance.append(own)
+                owner.append((k, one.view.photo))
     return _Equations(
         np.concatenate(prior),
         np.concatenate(prior_residual),
         np.array(left).reshape(-1, size),
         np.array(right),
         np.array(variance),
+        np.array(list(seen), dtype=int),
+        np.array(owner, dtype=int).reshape(-1, 2),
     )
 
 
@@ -245,9 +310,6 @@ def _reflections(
     camera: Camera, facet: Facet, stations: Sequence[Station], source: Source, sigma_m: float, one: ViewTurn
 ) -> list[tuple[FloatArray, float, float]]:
     """Return what a photo says of a facet's turn: along each direction that it shows, with its variance."""
-    if one.gain_dn <= 0:
-        # A source that is darker than what is beside it is a fit that went astray.
-        return []
     values, vectors = np.linalg.eigh(one.information)
     pose = stations[one.view.photo].cam_from_heliostat
     drives = []
@@ -272,28 +334,61 @@ def _reflections(
     return found
 
 
-def _determined(equations: _Equations, count: int) -> list[int]:
-    """Return the facets whose turn has both components."""
-    found = []
-    for number in range((equations.jacobian.shape[1] - count) // 2):
-        part = equations.jacobian[:, count + 2 * number : count + 2 * number + 2]
-        # Directions are of unit length: two that differ by 15 degrees leave more than this.
-        if len(part) and np.linalg.eigvalsh(part.T @ part)[0] > 0.03:
-            found.append(number)
-    return found
+def _consistent(
+    equations: _Equations,
+    facets: Sequence[Facet],
+    source: Source,
+    seen: Mapping[int, Sequence[ViewTurn]],
+    unused: Sequence[dict[int, Unused]],
+) -> _Equations:
+    """Leave out photos of facets whose light no image of the source explains, and those that contradict the others.
+
+    What is left out is noted in unused. How far edges and turns scatter is found from all facets, by a median that few
+    of them do not move.
+    """
+    views = {(k, one.view.photo): one for k, own in seen.items() for one in own}
+    while len(equations.facets):
+        wave, off = _scatter(equations)
+        if off is None:
+            break
+        owners = {(int(k), int(photo)) for k, photo in equations.owner}
+        blur_m = float(np.exp(np.median([views[one].state[4] for one in owners])))
+        out = {
+            (k, photo): Unused.FOREIGN
+            for k, photo in owners
+            if has_foreign_light(facets[k], views[k, photo], source, wave / TURN_BY_WAVES, blur_m)
+        }
+        if not out and off.max() > _CONTRADICTS:
+            k, photo = (int(one) for one in equations.owner[np.argmax(off)])
+            same = [other for other in owners if other[0] == k]
+            # Of two that differ neither is known to be wrong.
+            out = {(k, photo): Unused.CONTRADICTS} if len(same) > 2 else dict.fromkeys(same, Unused.ALL_CONTRADICT)
+        if not out:
+            break
+        for (k, photo), why in out.items():
+            unused[k][photo] = why
+        equations = equations.only(np.array([(int(k), int(n)) not in out for k, n in equations.owner]))
+    return equations
 
 
-def _only(equations: _Equations, count: int, known: BoolArray) -> _Equations:
-    columns = np.concatenate([np.ones(count, dtype=bool), np.repeat(known, 2)])
-    other = np.abs(equations.jacobian[:, ~columns]).sum(axis=1)
-    rows = other == 0
-    return _Equations(
-        equations.prior_jacobian[:, columns],
-        equations.prior_residual,
-        equations.jacobian[rows][:, columns],
-        equations.residual[rows],
-        equations.variance[rows],
-    )
+def _scatter(equations: _Equations) -> tuple[float, FloatArray | None]:
+    """Return the wave by the median of the reflections' residuals, and each of them in sigmas; None where too few."""
+    rows = slice(len(equations.prior_residual), None)
+
+    def sizes(wave_rad: float) -> FloatArray:
+        _, _, leftover, share = equations.solve(wave_rad)
+        # What nothing checks has no residual.
+        checked = share[rows] > _CHECKED
+        return np.where(checked, np.abs(leftover[rows]) / np.sqrt(np.where(checked, share[rows], 1.0)), np.nan)
+
+    if np.sum(equations.solve(0.0)[3][rows]) < FEWEST_CHECKS:
+        return 0.0, None
+
+    def excess(wave_rad: float) -> float:
+        return SIGMA_PER_MAD * float(np.nanmedian(sizes(wave_rad))) - 1
+
+    wave = _root(excess)
+    return wave, np.nan_to_num(sizes(wave))
 
 
 def _wave(equations: _Equations) -> float:
@@ -304,7 +399,14 @@ def _wave(equations: _Equations) -> float:
         _, _, leftover, share = equations.solve(wave_rad)
         return float(np.sum(leftover[rows] ** 2) - np.sum(share[rows]))
 
-    if np.sum(equations.solve(0.0)[3][rows]) < NO_CHECK or excess(0.0) <= 0:
+    if np.sum(equations.solve(0.0)[3][rows]) < NO_CHECK:
+        return 0.0
+    return _root(excess)
+
+
+def _root(excess: Callable[[float], float]) -> float:
+    """Return where a falling function of the wave is 0; 0 where it is nowhere above."""
+    if excess(0.0) <= 0:
         return 0.0
     low, high = -20.0, 2.0
     for _ in range(_BISECTIONS):

@@ -14,6 +14,8 @@ from heliogauge.validate import FloatArray
 FEWEST_FACETS = 4
 #: An image that tells its size worse, as one that is cut off by the facet, is not asked.
 _WORST_SIGMA = 0.2
+#: Logarithm of a size beyond which a fit has gone astray.
+_LARGEST = 5.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -63,7 +65,7 @@ def _size_in_view(facet: Facet, one: ViewTurn, source: Source) -> FloatArray:
     residual = residual_of_view(facet, one, source)
 
     def of_size(unknown: FloatArray) -> FloatArray:
-        half = np.array(source.half_m) * np.exp(np.resize(unknown[5:], 2))
+        half = np.array(source.half_m) * np.exp(np.clip(np.resize(unknown[5:], 2), -_LARGEST, _LARGEST))
         return residual(unknown[:5], replace(source, half_m=(float(half[0]), float(half[1]))))
 
     found = least_squares(of_size, np.concatenate([one.state, np.zeros(axes)]), x_scale="jac", max_nfev=30)

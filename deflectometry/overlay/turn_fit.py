@@ -9,7 +9,7 @@ from deflectometry.overlay.source_image import FacetPixels, Source, seen_places
 from heliogauge.camera.model import Camera
 from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.geometry.surfaces import Facet
-from heliogauge.validate import BoolArray, FloatArray
+from heliogauge.validate import BoolArray, FloatArray, IntArray
 
 #: Light that differs by less than this many sigmas of a pixel shows no edge of a source.
 _CONTRAST = 6.0
@@ -17,7 +17,7 @@ _CONTRAST = 6.0
 _BLOCK_PX = 12
 _ITERATIONS = 40
 #: Steps and turns beyond belong to a direction that the light does not show.
-_LONGEST_RAD, _FARTHEST_RAD = 0.01, 0.3
+_LONGEST_RAD, FARTHEST_RAD = 0.01, 0.3
 #: Of levels [DN]: more than any camera has.
 _LARGEST_STEP = 1e6
 #: Of the pixels far from an edge every so many are used.
@@ -26,6 +26,8 @@ _EVERY = 7
 _SHARPER = 0.5
 #: At twice the blur, a pixel eight blurs off an edge sees so little (or misses so little) of the source.
 _FLAT = 3e-5
+#: A square with fewer of its pixels far from an edge is not judged.
+_FEWEST = 5
 #: Steps for derivatives: a turn that moves the image by a tenth of a pixel or so, and a share of the blur.
 _STEP_RAD, _STEP_BLUR = 1e-5, 1e-4
 
@@ -59,6 +61,12 @@ class FacetView:
         return replace(self, pixels=FacetPixels.of(camera, cam_from_heliostat, facet, self.pixels.pixels_px))
 
     @property
+    def squares(self) -> IntArray:
+        """Number of the square that each pixel lies in, from 0, shape (n,)."""
+        square = (self.pixels.pixels_px // _BLOCK_PX).astype(np.int64)
+        return np.asarray(np.unique(square[:, 0] * 100_003 + square[:, 1], return_inverse=True)[1])
+
+    @property
     def range_dn(self) -> tuple[float, float]:
         """Dark and bright level; without the brightest and darkest pixels."""
         low, high = np.percentile(self.light_dn, [2, 99])
@@ -72,7 +80,7 @@ class FacetView:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Seen:
+class Seen:
     """Where the pixels of a view look in the source's plane, linear in the turn: over 0.1 mrad exact to 1e-8 rad.
 
     about_rad (2,): That turn. places_m (2, n): There. by_turn (2, n, 2): Derivatives.
@@ -84,7 +92,7 @@ class _Seen:
     by_turn: FloatArray
 
     @classmethod
-    def of(cls, facet: Facet, view: FacetView, source: Source, about_rad: FloatArray) -> "_Seen":
+    def of(cls, facet: Facet, view: FacetView, source: Source, about_rad: FloatArray) -> "Seen":
         """Trace the pixels of a view about a turn."""
 
         def places(turn_rad: FloatArray) -> FloatArray:
@@ -93,6 +101,11 @@ class _Seen:
         steps = _STEP_RAD * np.eye(2)
         by_turn = [(places(about_rad + step) - places(about_rad - step)) / (2 * _STEP_RAD) for step in steps]
         return cls(view, about_rad, places(about_rad), np.stack(by_turn, axis=-1))
+
+    @property
+    def reach_m(self) -> float:
+        """How far a turn moves what a pixel sees of the source's plane [m/rad]."""
+        return float(np.sqrt(abs(np.linalg.det(np.median(self.by_turn, axis=1)))))
 
     def places(self, turn_rad: FloatArray) -> FloatArray:
         """Return where the pixels look with a turn, shape (2, n) [m]."""
@@ -134,32 +147,6 @@ class ViewTurn:
         return np.asarray(-self.weights @ (_residual_at(moved, source, places, self.state[2:]) - self.residual))
 
 
-def turns_in_views(
-    facet: Facet, views: Sequence[FacetView], source: Source, start_rad: FloatArray | None
-) -> list[ViewTurn]:
-    """Fit the turn of a facet in each photo that shows part of it bright and part of it dark.
-
-    start_rad (2,): Where to start; None: at the turn that explains all photos together.
-    """
-    used = [one for one in views if one.shows_source]
-    if used and start_rad is None:
-        start_rad = common_turn(facet, used, source)
-    return [turn_in_view(facet, one, source, start_rad) for one in used if start_rad is not None]
-
-
-def common_turn(facet: Facet, views: Sequence[FacetView], source: Source) -> FloatArray:
-    """Return the turn of a facet that explains its light in all given photos, shape (2,) [rad]."""
-    views = [one.only(one.some()) for one in views]
-    starts = [_start_turn(one, facet, source) for one in views]
-    # Of an image that is cut off the middle misleads: the start that explains all photos best is taken. Facets are
-    # mostly near their design.
-    found = []
-    for start in (*starts, np.mean(starts, axis=0), np.zeros(2)):
-        seen = [_Seen.of(facet, one, source, start) for one in views]
-        found.append(_descend(seen, source, _start_state(views, source, start)))
-    return min(found, key=lambda one: one[1])[0][:2]
-
-
 def turn_in_view(facet: Facet, view: FacetView, source: Source, start_rad: FloatArray) -> ViewTurn:
     """Fit the turn of a facet to its light in one photo.
 
@@ -167,16 +154,16 @@ def turn_in_view(facet: Facet, view: FacetView, source: Source, start_rad: Float
     pixels of one square share (short waves of the facet, blur of another form) are in the scores: they are those of
     sums over squares (White, Econometrica 48 (1980) 817, by clusters).
     """
-    start = _start_state([view], source, start_rad)
+    start = start_state([view], source, start_rad)
     start[4] += np.log(_SHARPER)
-    state, _ = _descend([_Seen.of(facet, view.only(view.some()), source, start_rad)], source, start)
-    seen = _Seen.of(facet, view, source, state[:2])
+    state, _ = descend([Seen.of(facet, view.only(view.some()), source, start_rad)], source, start)
+    seen = Seen.of(facet, view, source, state[:2])
     # Pixels far from an edge know nothing of the turn.
     share = source.brightness(seen.places_m, 2 * float(np.exp(state[4])))
     chosen = view.some() | ((share > _FLAT) & (share < 1 - _FLAT))
     view = view.only(chosen)
     seen = replace(seen, view=view, places_m=seen.places_m[:, chosen], by_turn=seen.by_turn[:, chosen])
-    state, _ = _descend([seen], source, state)
+    state, _ = descend([seen], source, state)
     residual, jacobian = _linear([seen], source, state)
     levels = jacobian[:, 2:]
     # What levels and blur can explain is taken out.
@@ -185,27 +172,29 @@ def turn_in_view(facet: Facet, view: FacetView, source: Source, start_rad: Float
     return ViewTurn(view, state, weights.T @ weights, scores, weights.T, residual)
 
 
+def has_foreign_light(facet: Facet, one: ViewTurn, source: Source, slope_rad: float, blur_m: float) -> bool:
+    """Return whether a square of pixels that is far from every edge is bright where it should be dark, or vice versa.
+
+    Far is where a normal distribution of edges, of waves and blur, has less than `_FLAT`.
+    slope_rad: RMS slope of the facet's waves.
+    blur_m: Of the photo in the source's plane, standard deviation.
+    """
+    seen = Seen.of(facet, one.view, source, one.turn_rad)
+    share = source.brightness(seen.places_m, float(np.hypot(slope_rad * seen.reach_m, blur_m)))
+    deep = (share < _FLAT) | (share > 1 - _FLAT)
+    if not deep.any():
+        return False
+    dark, gain = one.state[2:4]
+    off = (one.view.light_dn[deep] - dark) / gain - np.rint(share[deep])
+    number = one.view.squares[deep]
+    count = np.bincount(number)
+    return bool(np.any(np.abs(np.bincount(number, off))[count >= _FEWEST] > 0.5 * count[count >= _FEWEST]))
+
+
 def residual_of_view(facet: Facet, one: ViewTurn, source: Source) -> Callable[[FloatArray, Source], FloatArray]:
     """Return what gives light minus model over noise of one photo for a state and a source, linear about its turn."""
-    seen = _Seen.of(facet, one.view, source, one.turn_rad)
-    return lambda state, other: _residual([seen], other, state)
-
-
-def _start_turn(view: FacetView, facet: Facet, source: Source) -> FloatArray:
-    """Return the turn that puts the middle of the bright part on the middle of the source."""
-    low, high = view.range_dn
-    bright = view.light_dn > 0.5 * (low + high)
-    here = replace(view.pixels, pixels_px=view.pixels.pixels_px[bright], rays=view.pixels.rays[bright])
-    turn = np.zeros(2)
-    for _ in range(4):
-        places = seen_places(here, facet, turn, source)
-        off = np.nanmean(places, axis=1)
-        columns = []
-        for axis in range(2):
-            step = turn + 1e-4 * np.eye(2)[axis]
-            columns.append((np.nanmean(seen_places(here, facet, step, source), axis=1) - off) / 1e-4)
-        turn = turn - np.linalg.solve(np.column_stack(columns), off)
-    return np.asarray(turn)
+    seen = Seen.of(facet, one.view, source, one.turn_rad)
+    return lambda state, other: residuals([seen], other, state)
 
 
 def _residual_at(view: FacetView, source: Source, places_m: FloatArray, levels: FloatArray) -> FloatArray:
@@ -214,7 +203,7 @@ def _residual_at(view: FacetView, source: Source, places_m: FloatArray, levels: 
     return np.asarray((view.light_dn - dark - gain * share) / view.noise_dn)
 
 
-def _residual(seen: Sequence[_Seen], source: Source, state: FloatArray) -> FloatArray:
+def residuals(seen: Sequence[Seen], source: Source, state: FloatArray) -> FloatArray:
     """Return light minus model over noise, all views in a row."""
     return np.concatenate(
         [
@@ -224,9 +213,9 @@ def _residual(seen: Sequence[_Seen], source: Source, state: FloatArray) -> Float
     )
 
 
-def _linear(seen: Sequence[_Seen], source: Source, state: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _linear(seen: Sequence[Seen], source: Source, state: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the residual and its derivatives (m, p)."""
-    residual = _residual(seen, source, state)
+    residual = residuals(seen, source, state)
     jacobian = np.zeros((residual.size, state.size))
     row = 0
     for number, one in enumerate(seen):
@@ -251,7 +240,7 @@ def _linear(seen: Sequence[_Seen], source: Source, state: FloatArray) -> tuple[F
     return residual, jacobian
 
 
-def _start_state(views: Sequence[FacetView], source: Source, turn: FloatArray) -> FloatArray:
+def start_state(views: Sequence[FacetView], source: Source, turn: FloatArray) -> FloatArray:
     """Return a start with much blur, so that edges far off still pull."""
     state = np.concatenate([turn, np.zeros(3 * len(views))])
     for number, view in enumerate(views):
@@ -260,7 +249,7 @@ def _start_state(views: Sequence[FacetView], source: Source, turn: FloatArray) -
     return state
 
 
-def _descend(seen: Sequence[_Seen], source: Source, state: FloatArray) -> tuple[FloatArray, float]:
+def descend(seen: Sequence[Seen], source: Source, state: FloatArray) -> tuple[FloatArray, float]:
     """Minimise the residual by Levenberg and Marquardt; return the state and its sum of squares."""
     damping = 1e-3
     residual, jacobian = _linear(seen, source, state)
@@ -273,11 +262,11 @@ def _descend(seen: Sequence[_Seen], source: Source, state: FloatArray) -> tuple[
         if (
             not np.abs(step).max() < _LARGEST_STEP
             or np.abs(step[:2]).max() > _LONGEST_RAD
-            or np.abs(other[:2]).max() > _FARTHEST_RAD
+            or np.abs(other[:2]).max() > FARTHEST_RAD
         ):
             damping *= 8
             continue
-        changed = _residual(seen, source, other)
+        changed = residuals(seen, source, other)
         new = float(changed @ changed)
         if new < cost:
             done = cost - new < 1e-6 * cost
@@ -293,8 +282,7 @@ def _descend(seen: Sequence[_Seen], source: Source, state: FloatArray) -> tuple[
 
 
 def _sums_over_squares(view: FacetView, residual: FloatArray, jacobian: FloatArray) -> FloatArray:
-    square = (view.pixels.pixels_px // _BLOCK_PX).astype(np.int64)
-    _, number = np.unique(square[:, 0] * 100_003 + square[:, 1], return_inverse=True)
+    number = view.squares
     scores = jacobian * residual[:, None]
     sums = np.stack([np.bincount(number, column) for column in scores.T], axis=1)
     return np.asarray(sums.T @ sums)

@@ -8,7 +8,7 @@ import numpy as np
 
 from deflectometry.shape.facet_canting import CANTING_FILE, CANTING_SIGN, MOUNTS_FILE
 from heliogauge.geometry.surfaces import Facet, plane
-from heliogauge.reporting.html import Html, join
+from heliogauge.reporting.html import Html, join, table_under_name
 from heliogauge.reporting.look import nice_ceiling
 from heliogauge.reporting.notation import number_text
 from heliogauge.results.folder import Summary, read_table_csv
@@ -49,7 +49,7 @@ def canting_section(results: FolderAndSummary) -> Html:
     head = f"<h2>Canting</h2><p>{html.escape(words)}. The mean tilt of all facets is that of the mirror's frame.</p>"
     if not has_mounts:
         head += "<p>With the places of the mounts (mounts_m in measurement.toml) the moves stand here.</p>"
-    tables = [_canting_table(columns), *([_mount_table(mounts)] if mounts else [])]
+    tables = [table_under_name(one) for one in (_canting_table(columns), *([_mount_table(mounts)] if mounts else []))]
     return join(Html(head), canting_view(results, columns, mounts), *tables)
 
 
@@ -128,7 +128,7 @@ def _canting_table(columns: Columns) -> TableView:
         values, sigmas = _numbers(columns, key), _numbers(columns, f"sigma_{key}")
         texts = [_signed(value, sigma, "rad") for value, sigma in zip(values.tolist(), sigmas.tolist(), strict=True)]
         shown.append(TableColumn(f"canting in {axis}", texts, values.tolist()))
-    return TableView("Canting", tuple(shown))
+    return TableView("Canting of each facet", tuple(shown))
 
 
 def _mount_table(mounts: Columns) -> TableView:

@@ -17,8 +17,9 @@ from deflectometry.report.maps import (
     shape_view,
     slope_view,
 )
+from deflectometry.shape.facet_canting import CANTING_FILE
 from heliogauge.reporting import page
-from heliogauge.reporting.html import Html, beside, join, table
+from heliogauge.reporting.html import Html, beside, join, table, table_under_name
 from heliogauge.reporting.look import INK, LINE_X, LINE_Y
 from heliogauge.reporting.notation import number_text
 from heliogauge.reporting.page import (
@@ -43,6 +44,7 @@ __all__ = [
     "charts",
     "doubts_box",
     "duration_table",
+    "facet_section",
     "facet_table",
     "facet_views",
     "first_screen",
@@ -127,15 +129,26 @@ def charts(results: Results) -> Html:
     return beside(*shown)
 
 
+def facet_section(results: Results) -> Html:
+    """Return the table of facets under its name; nothing for a single facet."""
+    found = facet_table(results)
+    return found if isinstance(found, Html) else table_under_name(found)
+
+
 def facet_table(results: Results) -> TableView | Html:
-    """Return the numbers of each facet with a link to its map; nothing for a single facet."""
+    """Return the numbers of each facet with a link to its map; nothing for a single facet.
+
+    Where a table of the canting stands above it, it does not repeat it.
+    """
     facets = results.summary.facets
     if not facets:
         return Html("")
     names, marks = list(facets), {name: f"#{facet_mark(number)}" for number, name in enumerate(results.facets, start=1)}
+    told = {"canting_x", "canting_y"} if (results.folder / CANTING_FILE).exists() else set()
+    shown = {*_COLUMNS, "measured_share", "focal_length_x"} - told
     columns = [TableColumn("facet", names, links=[marks.get(name, "") for name in names])]
     for key in next(iter(facets.values())):
-        if key.startswith("sigma_") or unit_of(key)[0] not in {*_COLUMNS, "measured_share", "focal_length_x"}:
+        if key.startswith("sigma_") or unit_of(key)[0] not in shown:
             continue
         columns.append(_facet_column(key, facets))
     return TableView("Facets", tuple(columns))

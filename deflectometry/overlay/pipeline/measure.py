@@ -9,6 +9,7 @@ import numpy.typing as npt
 
 from deflectometry.overlay.camera_place import Station, place_camera
 from deflectometry.overlay.doubts import doubts_of_turns
+from deflectometry.overlay.facet_fit import FacetFit, Unused, fit_facet
 from deflectometry.overlay.facet_sight import LEAST_NOISE_DN, pixels_within
 from deflectometry.overlay.joint_turns import JointTurns, adjust
 from deflectometry.overlay.keys import OverlayMeasurement, SourceSection
@@ -16,7 +17,7 @@ from deflectometry.overlay.pipeline.lines import MEASURED_LINE, OverlayLine, lin
 from deflectometry.overlay.pipeline.result import OverlayResult
 from deflectometry.overlay.source_image import Source
 from deflectometry.overlay.source_size import source_sizes
-from deflectometry.overlay.turn_fit import FacetView, ViewTurn, turns_in_views
+from deflectometry.overlay.turn_fit import FacetView, ViewTurn
 from deflectometry.pipeline.inputs import build_camera, build_facets, build_mounts
 from heliogauge.adjust.robust_scale import robust_scale
 from heliogauge.camera.model import Camera
@@ -29,6 +30,9 @@ from heliogauge.results.folder import hash_files
 from heliogauge.results.tables import read_columns_csv
 from heliogauge.running.progress import Progress, SilentProgress
 from heliogauge.validate import FloatArray
+
+#: A camera whose place is known to this share of the source's half size shows a facet's image where the others do.
+_NARROW = 0.25
 
 
 def run(measurement: OverlayMeasurement, progress: Progress | None = None) -> OverlayResult:
@@ -46,20 +50,25 @@ def run(measurement: OverlayMeasurement, progress: Progress | None = None) -> Ov
     with progress.stage("place cameras"):
         stations = _place(measurement, camera)
 
-    fitted: dict[str, list[ViewTurn]] = {}
+    surveyed = {n for n, one in enumerate(stations) if one.is_surveyed_to(_NARROW * min(source.half_m))}
+    fitted: dict[str, Sequence[ViewTurn]] = {}
 
-    def fits(
-        facet: Facet, moved: Sequence[Station], moved_source: Source, start_rad: FloatArray | None
-    ) -> list[ViewTurn]:
+    def fits(facet: Facet, moved: Sequence[Station], moved_source: Source, start_rad: FloatArray | None) -> FacetFit:
         views = list(_views(camera, moved, facet, images))
-        fitted[facet.name] = turns_in_views(facet, views, moved_source, start_rad)
-        return fitted[facet.name]
+        found = fit_facet(facet, views, moved_source, start_rad, surveyed)
+        fitted[facet.name] = found.turns
+        outside = set(range(len(images))) - {one.photo for one in views}
+        return replace(found, unused={**found.unused, **dict.fromkeys(outside, Unused.OUTSIDE)})
 
     with progress.stage("turns of facets"):
         sigma_m = 1e-3 * model.source.sigma_center_mm
         found = adjust(camera, facets, stations, source, sigma_m, fits)
     with progress.stage("size of the source"):
-        sizes = source_sizes(facets, fitted, found.source)
+        used = {
+            facet.name: [one for one in fitted[facet.name] if one.view.photo in photos]
+            for facet, photos in zip(facets, found.seen_in, strict=True)
+        }
+        sizes = source_sizes(facets, used, found.source)
     with progress.stage("overlay"):
         lines = tuple(_lines(camera, names, facets, found))
     return OverlayResult(
@@ -118,6 +127,7 @@ def _place(measurement: OverlayMeasurement, camera: Camera) -> list[Station]:
         station = place_camera(camera, mine[:, :3], mine[:, 3:], measurement.model.points.sigma_px, f"photo {one.file}")
         if one.place_m is not None:
             station = replace(station, place_m=np.array(one.place_m), sigma_place_m=1e-3 * one.sigma_place_mm)
+            station = station.settled(camera)
         found.append(station)
     return found
 

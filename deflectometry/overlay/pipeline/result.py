@@ -7,6 +7,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from deflectometry.overlay.doubts import reasons
 from deflectometry.overlay.joint_turns import JointTurns
 from deflectometry.overlay.pipeline.lines import OVERLAY_FILE, OverlayLine, line_table
 from deflectometry.pipeline.headline import canting_numbers
@@ -62,6 +63,11 @@ class OverlayResult(InstrumentResult):
             found.append(FacetCanting(facet, 1.0 if known else 0.0, canted, places, moves))
         return tuple(found)
 
+    @property
+    def not_used(self) -> list[str]:
+        """Why photos are not used for each facet, and whether nothing checks its turn; empty where neither."""
+        return [reasons(self.turns, k, self.photos) for k in range(len(self.facets))]
+
     def summarise(self) -> Summary:
         """Collect the numbers with their sigmas."""
         mean, covariance = self.turns.mean_turn()
@@ -98,6 +104,7 @@ class OverlayResult(InstrumentResult):
             columns[f"sigma_turn_{name}_rad"] = sigmas[:, axis]
             columns[f"sigma_random_{name}_rad"] = self.turns.random_rad[:, axis]
         columns["photos"] = [" ".join(self.photos[n] for n in one) for one in self.turns.seen_in]
+        columns["not_used"] = self.not_used
         write_table_csv(folder / TURNS_FILE, columns)
         write_canting(folder, self.cantings())
         write_table_csv(folder / OVERLAY_FILE, line_table(self.lines))
@@ -130,11 +137,13 @@ class OverlayResult(InstrumentResult):
             f"{1e3 * sigma[1]:.3f} mrad",
         ]
         cant, of_cant = self.turns.canting()
-        for facet, value, one in zip(self.facets, cant, np.sqrt(np.diag(of_cant)).reshape(-1, 2), strict=True):
+        sigmas = np.sqrt(np.diag(of_cant)).reshape(-1, 2)
+        for facet, value, one, why in zip(self.facets, cant, sigmas, self.not_used, strict=True):
             lines.append(
                 f"  facet {facet.name:8s} against the mean  x {1e3 * value[0]:+.3f} +- {1e3 * one[0]:.3f}   y "
                 f"{1e3 * value[1]:+.3f} +- {1e3 * one[1]:.3f} mrad"
                 if np.isfinite(value).all()
-                else f"  facet {facet.name:8s} no photo shows enough of the source in it"
+                else f"  facet {facet.name:8s} unknown"
             )
+            lines += [f"    {why}"] if why else []
         return "\n".join(lines)

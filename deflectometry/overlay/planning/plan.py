@@ -8,8 +8,9 @@ from typing import Any, ClassVar
 import numpy as np
 
 from deflectometry.overlay.camera_place import Station
-from deflectometry.overlay.doubts import FEWEST_CHECKS, TURN_BY_WAVES, doubts_of_turns
-from deflectometry.overlay.joint_turns import JointTurns, adjust
+from deflectometry.overlay.doubts import doubts_of_turns
+from deflectometry.overlay.facet_fit import FacetFit, fit_facet
+from deflectometry.overlay.joint_turns import FEWEST_CHECKS, TURN_BY_WAVES, JointTurns, adjust
 from deflectometry.overlay.keys import OverlayMeasurement, OverlayPhotoSection, load_overlay_plan
 from deflectometry.overlay.pipeline.lines import OVERLAY_FILE, line_table, lines_over
 from deflectometry.overlay.pipeline.measure import build_source
@@ -22,7 +23,7 @@ from deflectometry.overlay.planning.predicted_photos import (
     sight_of,
 )
 from deflectometry.overlay.source_image import Source
-from deflectometry.overlay.turn_fit import ViewTurn, turns_in_views
+from deflectometry.overlay.turn_fit import ViewTurn
 from deflectometry.pipeline.inputs import build_camera, build_facets
 from deflectometry.planning.pipeline.changed_values import changed_model
 from deflectometry.planning.pipeline.sigma_plan import SigmaPlanResult, run_sigma_plan
@@ -172,9 +173,9 @@ class PlannedOverlay:
 
         def fits(
             facet: Facet, moved: Sequence[Station], moved_source: Source, start_rad: FloatArray | None
-        ) -> list[ViewTurn]:
+        ) -> FacetFit:
             # As predicted nothing moves: what was fitted once is right for every station and source.
-            return self._fits(scene, stations, facet)
+            return FacetFit(self._fits(scene, stations, facet))
 
         wave_rad = 1e-3 * (model.plan.difference_of_photos_mrad or 0.0)
         sigma_m = 1e-3 * model.source.sigma_center_mm
@@ -189,7 +190,7 @@ class PlannedOverlay:
             if key not in self.fitted:
                 view = predicted_view(scene.camera, number, pose, station, facet, source, self.measurement.model.plan)
                 views = [] if view is None else [view]
-                self.fitted[key] = next(iter(turns_in_views(facet, views, source, np.zeros(2))), None)
+                self.fitted[key] = next(iter(fit_facet(facet, views, source, np.zeros(2)).turns), None)
             one = self.fitted[key]
             if one is not None:
                 found.append(one)

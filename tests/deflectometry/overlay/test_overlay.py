@@ -175,6 +175,27 @@ def test_mirrored_photo_is_left_out_and_named(drawn: Path, tmp_path: Path) -> No
 
 
 @pytest.mark.slow
+def test_a_facet_partly_in_shade_is_named_and_spoils_no_other(drawn: Path, tmp_path: Path) -> None:
+    """It was used, and the contradiction of its photos enlarged the sigmas of all facets fivefold."""
+    folder = changed(drawn, tmp_path / "shade", lambda content: None)
+    photo = str(folder / "photo_2.png")
+    image = cv2.imread(photo, cv2.IMREAD_GRAYSCALE)
+    assert image is not None
+    facet = image[150:260, 40:148]
+    rows = np.flatnonzero((facet > 90).any(axis=1))
+    facet[rows[rows.size // 2] :] = np.minimum(facet[rows[rows.size // 2] :], 12)
+    cv2.imwrite(photo, image)
+    result = run(load_overlay(folder))
+    (doubt,) = [one for one in result.doubts if one.code == "light_left_out"]
+    assert doubt.text.startswith("photo_2.png: the light in facet 11 is no image")
+    assert result.not_used == ["photo_2.png: contradicts the other photos", "", "", ""]
+    assert result.turns.wave_rad < SMALL.wave_sigma_rad
+    errors = result.turns.turns_rad - np.array(json.loads((drawn / "truth.json").read_text())["turn_rad"])
+    flat = errors.ravel()
+    assert float(flat @ np.linalg.solve(result.turns.covariance, flat)) < chi2.ppf(0.999, flat.size)
+
+
+@pytest.mark.slow
 def test_exchanged_facets_are_named(drawn: Path, tmp_path: Path) -> None:
     def exchange(content: dict[str, Any]) -> None:
         first, last = content["mirror"]["facet"][0], content["mirror"]["facet"][3]
