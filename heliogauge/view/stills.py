@@ -319,7 +319,10 @@ class Sheet:
             y = float(_places(value, limits, bottom, top, log=False))
             self.write(x + 18, y + 4, _number(value, limits, log=False))
         if unit:
-            self.write(x - 2, bottom + 17, f"[{unit}]")
+            text = f"[{unit}]"
+            most = self.width - 4 - 11.5 * _LETTER * len(text)
+            # A long one ends at the sheet's edge, below the numbers of the axis.
+            self.write(min(x - 2, most), bottom + (17 if x - 2 <= most else 34), text)
 
     def legend(self, entries: Iterable[LegendEntry]) -> None:
         """Write a legend below everything; the sheet grows by its lines."""

@@ -54,6 +54,16 @@ def test_arrows_lead_from_place_to_place() -> None:
     assert np.array(numbers[:2], dtype=float) == pytest.approx(np.array(ends), abs=0.1)
 
 
+@pytest.mark.parametrize("unit", ["mm", "mm out of plane"])
+def test_the_unit_of_a_color_bar_is_within_the_sheet(unit: str) -> None:
+    """ "[mm out of plane]" was cut off at the right edge of pictures in print."""
+    one = sheet()
+    one.color_bar(-1.0, 1.0, unit, diverging=True)
+    (x,) = re.findall(rf'<text x="([0-9.]+)"[^>]*>\[{unit}\]</text>', one.svg())
+    # Letters of the font are 0.56 of its size wide, as for titles.
+    assert float(x) + 0.56 * 11.5 * len(f"[{unit}]") <= one.width
+
+
 def test_texts_stay_texts_and_the_legend_makes_room() -> None:
     evil = '<script>alert("1")</script>'
     one = sheet()
