@@ -4,11 +4,12 @@ The targets have given the poses. A first solution for the slopes, from some row
 have; then their edges say how high each is, and where all cameras are over the mirror.
 """
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from heliogauge.doubts import Doubt, Severity
+from heliogauge.doubts import Doubt, Severity, gather_doubts
 from heliogauge.errors import EstimationError
 from heliogauge.running.progress import Progress
 from heliogauge.running.threads import side_by_side
@@ -22,6 +23,7 @@ from observer.corners.placed_panels import (
     joined_sights,
     place_by_edges,
 )
+from observer.corners.stated_edges import StatedEdge, stated_edges, strange_edges
 from observer.keys import CornersSection
 from observer.photo_edges.moved_edges import bearings_in_poses, edges_in_poses
 from observer.pipeline.cameras import Cameras
@@ -34,6 +36,8 @@ from observer.slopes.pose_modes import Photos
 #: Photos that are looked at for edges, evenly spread over the pass, and rows of the first solution: enough for what the
 #: edges are off by themselves, and for the shape of panels.
 _MOST_PHOTOS, _MOST_ROWS = 60, 60
+#: Photos in which each stated edge is looked for in both directions: four show where it is to a millimetre.
+_CHECKED_PHOTOS = 8
 #: How far beside its prediction an edge is looked for: poses are good to a millimetre, panels to a few [px].
 _REACH_PX = 6.0
 #: With less than this share of the edges in the photos found where they should be the drawing is not believed.
@@ -94,10 +98,22 @@ def place_panels(
 
         pieces, noise = zip(*side_by_side(one, chosen.tolist(), jobs), strict=True)
         looked = lines_in(pieces, lattice.along_trough, noise)
-    lines = [found for found, _ in looked]
-    shown = sum(int(np.count_nonzero(pieces)) for _, pieces in looked)
+        some = chosen[np.unique(np.linspace(0, chosen.size - 1, _CHECKED_PHOTOS).round().astype(np.intp))].tolist()
+        strange = strange_edges(
+            stated_edges(
+                lambda k: np.asarray(reader.read(cameras.files[some[k]]), dtype=np.float32),
+                [cameras.views[number] for number in some],
+                lattice,
+            )
+        )
+    doubts = tuple(_stated_doubts(strange, lattice))
+    # What is found near the place of an edge that is elsewhere is another thing.
+    wrong = {one.number for one in strange if one.axis == 0}
+    kept = np.array([line.number not in wrong for line in lattice.along_trough])
+    lines = [tuple(one if right else None for one, right in zip(found, kept, strict=True)) for found, _ in looked]
+    shown = sum(int(np.count_nonzero(pieces[kept])) for _, pieces in looked)
     if shown == 0:
-        return unchanged
+        return replace(unchanged, doubts=doubts)
     share = sum(line is not None for found in lines for line in found) / shown
     if share < _LEAST_SHARE:
         text = (
@@ -105,7 +121,8 @@ def place_panels(
             "panel_edges_x_m and panel_edges_y_m have them; they were not used for the heights of panels and the frame "
             "of the targets"
         )
-        return replace(unchanged, doubts=(Doubt("panel_edges_not_seen", text, {"seen_ratio": share}, Severity.NOTE),))
+        unseen = Doubt("panel_edges_not_seen", text, {"seen_ratio": share}, Severity.NOTE)
+        return replace(unchanged, doubts=(*doubts, unseen))
     sights = joined_sights(
         [edge_sights(int(k), cameras.views[k], lattice, found) for k, found in zip(chosen, lines, strict=True)]
     )
@@ -117,7 +134,7 @@ def place_panels(
         edges=edges_in_poses(seen.edges, cameras.views, views, expected),
         bearings=bearings_in_poses(seen.bearings, cameras.views, views, expected),
     )
-    doubts = tuple(one for one in (_beside_doubt(placed, ends, lattice),) if one is not None)
+    doubts = gather_doubts(doubts, _beside_doubt(placed, ends, lattice))
     return PlacedPanels(replace(cameras, photos=placed.photos, views=views), moved, doubts)
 
 
@@ -162,6 +179,27 @@ def _shape_of(reflector: Reflector, ends: EdgeEnds, inputs: Inputs) -> FloatArra
         height = (1 - share) * reflector.height_m[rows, before] + share * reflector.height_m[rows, near]
         found[k, side] = np.polynomial.polynomial.polyfit(reflector.y_m[rows] - ends.points_m[k, 1], height, 1)[0]
     return np.asarray(found.sum(axis=1) / ends.sides)
+
+
+def _stated_doubts(strange: Sequence[StatedEdge], lattice: PanelLattice) -> Iterator[Doubt]:
+    """Yield a doubt for each key whose entries the photos show elsewhere, or do not show."""
+    for axis, name in enumerate("xy"):
+        own, stated_m = [one for one in strange if one.axis == axis], lattice.edges_m[axis]
+        if not own:
+            continue
+        said = [
+            f"entry {one.number + 1} ({stated_m[one.number]:g} m) "
+            + (f"is at {round(stated_m[one.number] + one.beside_m, 3) + 0.0:.3f} m" if one.is_seen else "is not seen")
+            for one in own
+        ]
+        text = (
+            f"collector.panel_edges_{name}_m: in the photos {', '.join(said)}; mend these, until then slopes beside "
+            "them are wrong by far more than their sigma"
+        )
+        if len(own) == stated_m.size and all(one.is_seen for one in own):
+            text += "; all of them: are the list's targets given from the vertex in the middle of the length?"
+        largest = max((abs(one.beside_m) for one in own if one.is_seen), default=0.0)
+        yield Doubt("stated_panel_edges_wrong", text, {"entries_count": len(own), "largest_m": largest})
 
 
 def _beside_doubt(placed: PlacedByEdges, ends: EdgeEnds, lattice: PanelLattice) -> Doubt | None:
