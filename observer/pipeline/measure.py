@@ -91,7 +91,9 @@ def evaluate(inputs: Inputs, first: FirstLook, options: Options, progress: Progr
     listed, cameras = adjust_turning(listed, inputs, options.jobs, progress)
     refuse_impossible_cameras(cameras.photos.eyes_m, inputs.collector)
     seen = look_again(cameras.files, cameras.views, inputs.finder, listed.first, jobs=options.jobs, progress=progress)
-    panels = place_panels(inputs, cameras, seen, options.jobs, progress)
+    kept = listed.first.kept
+    panels = place_panels(inputs, cameras, seen, options.jobs, progress, kept)
+    kept.clear()
     cameras, seen = panels.cameras, panels.seen
     shown = partial(cameras.network.measured.pictures, "too little is seen of the absorber")
     with progress.stage("absorber"), blamed(cameras.network), showing(shown):

@@ -4,16 +4,18 @@ The targets have given the poses. A first solution for the slopes, from some row
 have; then their edges say how high each is, and where all cameras are over the mirror.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 
 import numpy as np
 
 from heliogauge.doubts import Doubt, Severity, gather_doubts
 from heliogauge.errors import EstimationError
+from heliogauge.images.photos import Image
 from heliogauge.running.progress import Progress
 from heliogauge.running.threads import side_by_side
-from heliogauge.validate import FloatArray, IntArray
+from heliogauge.validate import Float32Array, FloatArray, IntArray
 from observer.corners.lattice import PanelLattice
 from observer.corners.panel_lines import Pieces, line_pieces, lines_in, photo_noise
 from observer.corners.placed_panels import (
@@ -29,13 +31,12 @@ from observer.photo_edges.moved_edges import bearings_in_poses, edges_in_poses
 from observer.pipeline.cameras import Cameras
 from observer.pipeline.inputs import Inputs
 from observer.pipeline.mirror import place_absorber, solve_mirror
-from observer.pipeline.reading.photos import SeenInPhotos
+from observer.pipeline.reading.photos import SeenInPhotos, evenly
 from observer.selection.solve_and_refuse import Reflector
 from observer.slopes.pose_modes import Photos
 
-#: Photos that are looked at for edges, evenly spread over the pass, and rows of the first solution: enough for what the
-#: edges are off by themselves, and for the shape of panels.
-_MOST_PHOTOS, _MOST_ROWS = 60, 60
+#: Rows of the first solution: enough, with the photos that are looked at for edges, for the shape of panels.
+_MOST_ROWS = 60
 #: Photos in which each stated edge is looked for in both directions: four show where it is to a millimetre.
 _CHECKED_PHOTOS = 8
 #: How far beside its prediction an edge is looked for: poses are good to a millimetre, panels to a few [px].
@@ -61,11 +62,17 @@ class PlacedPanels:
 
 
 def place_panels(
-    inputs: Inputs, cameras: Cameras, seen: SeenInPhotos, jobs: int | None, progress: Progress
+    inputs: Inputs,
+    cameras: Cameras,
+    seen: SeenInPhotos,
+    jobs: int | None,
+    progress: Progress,
+    at_hand: Mapping[str, Image] = MappingProxyType({}),
 ) -> PlacedPanels:
     """Refine poses, and find out how high the panels are, by the edges of the panels.
 
     jobs: Photos side by side.
+    at_hand: Photos that need not be read again, as their files store them.
     Returns: All as it was where edges were used as targets already, cameras move while they read a frame, the drawing
         has no gaps, or too little is seen.
     InputError: A photo cannot be read.
@@ -76,8 +83,7 @@ def place_panels(
         return unchanged
     usual = CornersSection()
     lattice = PanelLattice(collector, 1e-3 * usual.mounting_sigma_mm, 1e-3 * usual.corner_sigma_mm)
-    count = len(cameras.files)
-    chosen = np.unique(np.linspace(0, count - 1, min(count, _MOST_PHOTOS)).round().astype(np.intp))
+    chosen = evenly(len(cameras.files))
     ends, shape = EdgeEnds.of(lattice), np.zeros(2 * len(lattice.along_trough))
     # A real mirror has the shape of its slopes unless somebody says otherwise; what does not fit makes sigma larger.
     if inputs.shape_from_slopes is not False:
@@ -90,8 +96,14 @@ def place_panels(
     reader = replace(inputs.finder, encodings=seen.encodings)
     with progress.stage("edges of panels", chosen.size) as stage:
 
+        def image_of(number: int) -> Float32Array:
+            file = cameras.files[number]
+            stored = at_hand.get(file.name)
+            light = reader.read(file) if stored is None else reader.as_light(stored, file.name)
+            return np.asarray(light, dtype=np.float32)
+
         def one(number: int) -> tuple[Pieces, float]:
-            image = np.asarray(reader.read(cameras.files[number]), dtype=np.float32)
+            image = image_of(number)
             pieces = line_pieces(image, cameras.views[number], lattice, lattice.along_trough, _REACH_PX)
             stage.advance()
             return pieces, photo_noise(image)
@@ -101,7 +113,7 @@ def place_panels(
         some = chosen[np.unique(np.linspace(0, chosen.size - 1, _CHECKED_PHOTOS).round().astype(np.intp))].tolist()
         strange = strange_edges(
             stated_edges(
-                lambda k: np.asarray(reader.read(cameras.files[some[k]]), dtype=np.float32),
+                lambda k: image_of(some[k]),
                 [cameras.views[number] for number in some],
                 lattice,
             )

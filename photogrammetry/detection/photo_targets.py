@@ -351,7 +351,7 @@ def _flag_clipped(image_dn: npt.NDArray[np.generic], inside_dn: FloatArray, cont
     """Flag targets of which a side is at the largest number of the file."""
     flags = np.zeros(inside_dn.size, dtype=np.uint32)
     # Luminance of colours, or light of encoded numbers, is float32 in the file's depth.
-    is_deep = image_dn.dtype == np.uint16 or float(image_dn.max(initial=0)) > 255
+    is_deep = image_dn.dtype == np.uint16 or (image_dn.dtype != np.uint8 and float(image_dn.max(initial=0)) > 255)
     highest = 65535.0 if is_deep else 255.0
     flags[np.maximum(inside_dn, inside_dn - contrast_dn) > _CLIPPED_SHARE * highest] = SampleFlag.CLIPPED
     return flags

@@ -21,7 +21,7 @@ from heliogauge.images.thumbnails import make_thumbnail
 from heliogauge.results.thumbnails import MOST_THUMBNAILS
 from heliogauge.running.progress import Progress
 from heliogauge.running.threads import side_by_side
-from heliogauge.validate import FloatArray
+from heliogauge.validate import FloatArray, IntArray
 from observer.photo_edges.moved_edges import bearings_in_poses, edges_in_poses
 from observer.photo_edges.reflection_edges import ReflectionEdges, joined, reflection_edges
 from observer.photo_edges.tone import Tone, ToneEvidence, linear_light, numbers_for_the_eye
@@ -54,6 +54,9 @@ _MOST_IN_RUN = 125
 #: Photos that are read and measured together, and what their images may take [bytes]: each step is one operation on
 #: many numbers, and a step that follows itself takes half the time.
 _TOGETHER, _TOGETHER_BYTES = 16, 64_000_000
+#: Photos that are looked at twice at most: for edges of panels when all poses are adjusted. They are kept until then as
+#: far as they are no larger together than this [bytes].
+_TWICE, _KEPT_BYTES = 60, 160_000_000
 #: A photo in which fewer of the targets followed can be centred is searched as a whole.
 _LEAST_SHARE = 0.6
 #: Targets foreseen further than this beside a photo, in its longer sides, are not looked for there: 5 degrees of
@@ -113,8 +116,11 @@ class Finder:
 
     def read(self, file: Path) -> Image:
         """Return a photo whose numbers are proportional to light."""
-        image = read_luma(file)
-        return image if self.encodings is None else linear_light(image, self.encodings.tone_of(file.name))
+        return self.as_light(read_luma(file), file.name)
+
+    def as_light(self, image: Image, name: str) -> Image:
+        """Return a photo, as its file stores it, with numbers that are proportional to light."""
+        return image if self.encodings is None else linear_light(image, self.encodings.tone_of(name))
 
     def is_decoded(self, name: str) -> bool:
         """Return whether a photo's numbers were turned into light."""
@@ -177,6 +183,7 @@ class FirstLook:
     slices: A few rows of the mirror in all photos.
     encodings: How the photos are encoded; None where that is not known yet.
     by_list: Photos whose pose rests on the places of their dots, because too few codes are read.
+    kept: Some photos as their files store them, to be looked at again and then given up.
     """
 
     photos: tuple[str, ...]
@@ -187,6 +194,7 @@ class FirstLook:
     slices: Slices
     encodings: Encodings | None = None
     by_list: tuple[str, ...] = ()
+    kept: dict[str, Image] = field(default_factory=dict)
 
     @property
     def start(self) -> StartValues | None:
@@ -439,8 +447,10 @@ def look_first_at_each(
         finders = [replace(one, encodings=encodings) for one in finders]
     leader = finders[0]
     # Where several troughs share a flight nothing says how many photos show each.
-    tube_every = _tube_every(len(files), views, leader.expected) if len(finders) == 1 else 1
+    tube_every = tube_every_of(len(files), views, leader.expected) if len(finders) == 1 else 1
     parts = _runs_of(len(files)) if leader.follows else [range(k, k + 1) for k in range(len(files))]
+    wanted = set(evenly(len(files)).tolist()) if len(finders) == 1 else set()
+    kept: dict[str, Image] = {}
     # Of long flights some photos, evenly: a report shows no more.
     every = -(-len(files) // MOST_THUMBNAILS)
     with progress.stage("measure photos", len(files)) as stage:
@@ -452,7 +462,10 @@ def look_first_at_each(
             small: dict[str, bytes] = {}
             for number in parts[k]:
                 # Decoding drives all other code out of the processor's caches: several photos, then the rest.
-                images.append((number, leader.read(files[number])))
+                stored = read_luma(files[number])
+                if number in wanted and stored.nbytes <= _KEPT_BYTES / len(wanted):
+                    kept[files[number].name] = stored
+                images.append((number, leader.as_light(stored, files[number].name)))
                 if number % every == 0:
                     small[files[number].name] = make_thumbnail(images[-1][1])
                 is_full = len(images) >= min(_TOGETHER, _TOGETHER_BYTES / images[-1][1].nbytes)
@@ -470,9 +483,15 @@ def look_first_at_each(
         whole = [one for runs in found for one in (*runs[0].searched.light.values(), *runs[0].targets.values())]
         read = {name for one in whole for name in one.detections.names}
         refuse_mirrored_codes(read, [name for one in finders for name in one.known.names], leader.search.dictionary)
-    return [
+    looks = [
         _put_together(names, runs, own, encodings) for runs, own in zip(zip(*found, strict=True), slices, strict=True)
     ]
+    return [replace(one, kept=kept) for one in looks]
+
+
+def evenly(count: int) -> IntArray:
+    """Return numbers of photos, evenly spread over a pass, that are looked at twice."""
+    return np.unique(np.linspace(0, count - 1, min(count, _TWICE)).round().astype(np.intp))
 
 
 def _look_for_each(runs: Sequence[_Run], photos: Sequence[tuple[int, str, Image]]) -> None:
@@ -519,7 +538,7 @@ def _runs_of(count: int) -> list[range]:
     return runs
 
 
-def _tube_every(count: int, views: Sequence[View | None], expected: Expectation) -> int:
+def tube_every_of(count: int, views: Sequence[View | None], expected: Expectation) -> int:
     """Return in every how many photos each place of the tube is to be measured, so that enough of them show it.
 
     count: Photos of the flight.
