@@ -116,7 +116,7 @@ def run(measurement: ObserverMeasurement, options: Options | None = None, progre
     else:
         first = find_corners(survey.photo_files, finder, inputs.corners, jobs=options.jobs, progress=progress)
         listed = keep_placed(survey, first)
-    cameras = adjust_cameras(listed, inputs, options.jobs, progress)
+    listed, cameras = adjust_cameras(listed, inputs, options.jobs, progress)
     network = cameras.network
     with progress.stage("absorber"), showing(partial(network.measured.pictures, "no edge of the tube")):
         # Photos that are meant for it, where there are any, else all.

@@ -16,7 +16,13 @@ from observer.photo_edges.views import MovingView, View
 from observer.pipeline.inputs import Inputs
 from observer.pipeline.rolling_shutter import adjust_rolling, shutter_doubts, unstated_doubt
 from observer.pipeline.stated_camera import explained
-from observer.pipeline.target_list import CheckedList, refuse_loose_list
+from observer.pipeline.target_list import (
+    CheckedList,
+    contradicted_doubt,
+    contradicted_place,
+    refuse_loose_list,
+    without_places,
+)
 from observer.pipeline.tilts import LEAST_READINGS, Tilts
 from observer.shutter.readout import RowMotions
 from observer.slopes.pose_modes import Photos
@@ -68,13 +74,29 @@ class Cameras:
         return replace(self, photos=photos, views=views, motions=motions)
 
 
-def adjust_cameras(listed: CheckedList, inputs: Inputs, jobs: int | None, progress: Progress) -> Cameras:
+def adjust_cameras(
+    listed: CheckedList, inputs: Inputs, jobs: int | None, progress: Progress
+) -> tuple[CheckedList, Cameras]:
     """Adjust poses, targets and, where it is asked for, the camera and its readout.
 
     jobs: Photos side by side.
+    Returns: Without the listed places that contradict the others, one after the other, the worst first; a wrong one
+        pulls its neighbours.
     InputError: The list of targets is upside down.
     EstimationError: The photos do not hang together, or the trough's frame is free to turn.
     """
+    survey, out = listed.survey, list[str]()
+    cameras = _adjusted(listed, inputs, jobs, progress)
+    while (worst := contradicted_place(cameras.network, len(out))) is not None:
+        out.append(worst)
+        listed = replace(listed, survey=without_places(survey, out))
+        cameras = _adjusted(listed, inputs, jobs, progress)
+    refuse_loose_list(cameras.network, listed.survey, inputs.collector)
+    doubt = contradicted_doubt(survey, cameras.network, out)
+    return replace(listed, doubts=gather_doubts(listed.doubts, doubt)), cameras
+
+
+def _adjusted(listed: CheckedList, inputs: Inputs, jobs: int | None, progress: Progress) -> Cameras:
     first = listed.first
 
     def adjusted(measured: MeasuredPhotos | None) -> photogrammetry_pipeline.Result:
@@ -100,7 +122,6 @@ def adjust_cameras(listed: CheckedList, inputs: Inputs, jobs: int | None, progre
             network = rolled.network
             cameras = Cameras.of(network, listed.survey.photo_files).moving(rolled.motions)
             cameras = replace(cameras, doubts=shutter_doubts(rolled, shutter))
-    refuse_loose_list(network, listed.survey, inputs.collector)
     return cameras
 
 
@@ -113,7 +134,7 @@ def adjust_turning(
     Returns: Without the photos whose corners and reading contradict each other; cameras with the tied poses.
     EstimationError: The readings contradict how the collector turns in the photos.
     """
-    cameras = adjust_cameras(listed, inputs, jobs, progress)
+    listed, cameras = adjust_cameras(listed, inputs, jobs, progress)
     tilts = inputs.tilts
     if tilts is None:
         return listed, cameras
@@ -125,7 +146,7 @@ def adjust_turning(
         sigmas = {cameras.files[k].name: abs(float(turning.over_sigma[k])) for k in out}
         doubts.append(_left_out_doubt(sigmas))
         listed = _without(listed, sigmas)
-        cameras = adjust_cameras(listed, inputs, jobs, progress)
+        listed, cameras = adjust_cameras(listed, inputs, jobs, progress)
         turning = _compare(cameras, tilts)
     with progress.stage("tie to tilts"):
         names = [file.name for file in cameras.files]

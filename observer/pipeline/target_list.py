@@ -1,6 +1,6 @@
 """The list of targets beside what the photos show: known places, photos and entries left out, lists refused."""
 
-from collections.abc import Container, Mapping
+from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,6 +10,7 @@ from heliogauge.validate import FloatArray
 from observer.pipeline.inputs import AXES
 from observer.pipeline.reading.photos import Finder, FirstLook
 from observer.targets.list_checks import (
+    contradicted_target,
     exchanged_pairs,
     intersect,
     refuse_loose_frame,
@@ -214,15 +215,57 @@ def leave_out_strays(found: CheckedList, finder: Finder) -> CheckedList:
             "number mistyped?"
         )
         doubts.append(Doubt("targets_not_where_listed", text, {"targets_count": len(left)}))
-    kept = tuple(
+    renamed = tuple(
         one.model_copy(update={"target": swapped.get(one.target, one.target)})
         if isinstance(one, CoordinateSection)
         else one
         for one in survey.model.constraint
-        if not (isinstance(one, CoordinateSection) and one.target in left)
     )
-    survey = replace(survey, model=survey.model.model_copy(update={"constraint": kept}))
-    return CheckedList(survey, first, (*found.doubts, *doubts))
+    survey = replace(survey, model=survey.model.model_copy(update={"constraint": renamed}))
+    return CheckedList(without_places(survey, left), first, (*found.doubts, *doubts))
+
+
+def without_places(survey: PhotogrammetryMeasurement, targets: Container[str]) -> PhotogrammetryMeasurement:
+    """Return the network without the listed coordinates of some targets, which are measured like any other."""
+    kept = tuple(
+        one for one in survey.model.constraint if not (isinstance(one, CoordinateSection) and one.target in targets)
+    )
+    return replace(survey, model=survey.model.model_copy(update={"constraint": kept}))
+
+
+def contradicted_place(network: photogrammetry_pipeline.Result, n_out: int) -> str | None:
+    """Return the listed target that contradicts the others most; None where none does.
+
+    n_out: Targets that were left out before.
+    """
+    bundle = network.solved.bundle
+    residuals = dict(bundle.constraint_residuals)
+    listed = [one for one in bundle.problem.constraints if isinstance(one, constraints.Coordinate)]
+    over_sigma = np.array([residuals[one.name][0] for one in listed])
+    return contradicted_target([one.target for one in listed], over_sigma, n_out) if listed else None
+
+
+def contradicted_doubt(
+    survey: PhotogrammetryMeasurement, network: photogrammetry_pipeline.Result, out: Sequence[str]
+) -> Doubt | None:
+    """Say which listed places were left out, and where the photos show these targets.
+
+    survey: With their places.
+    network: As adjusted without them.
+    """
+    if not out:
+        return None
+    found, said = dict(zip(network.points.ids, network.points.xyz_m, strict=True)), []
+    for name in out:
+        own = [one for one in survey.model.constraint if isinstance(one, CoordinateSection) and one.target == name]
+        off_mm = {one.axis: 1e3 * float(found[name][AXES.index(one.axis)] - one.value_m) for one in own}
+        axis = max(off_mm, key=lambda axis: abs(off_mm[axis]))
+        said.append(f"target {name} ({off_mm[axis]:+.1f} mm in {axis})")
+    text = (
+        f"targets: the photos contradict the listed place of {', '.join(said)}; it was not used, all others agree. Has "
+        "one moved, or was a number mistyped? Mend the list, or make its cells empty"
+    )
+    return Doubt("targets_contradict_list", text, {"targets_count": len(out)})
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -4,9 +4,11 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from heliogauge.adjust.robust_scale import robust_scale
 from heliogauge.errors import EstimationError, InputError
 from heliogauge.geometry.rigid import skew
 from heliogauge.validate import BoolArray, FloatArray
+from observer.doubts.by_chance import contradicting_sigmas
 from observer.trough.collector import Collector
 
 #: Fewest targets that determine a frame.
@@ -81,6 +83,24 @@ def stray_targets(residual_px: FloatArray, sigma_px: FloatArray) -> BoolArray:
     left = far.size - int(np.count_nonzero(far))
     few = np.count_nonzero(far) <= _MOST_STRAYS * far.size and left > _FEWEST
     return np.asarray(far & few)
+
+
+def contradicted_target(names: Sequence[str], over_sigma: FloatArray, n_out: int = 0) -> str | None:
+    """Return the target whose listed coordinate contradicts the others most, where so much is not of chance.
+
+    names: Target of each listed coordinate.
+    over_sigma (n,): Residuals of the adjusted coordinates over their stated sigmas. Where all scatter by more than
+        stated that counts.
+    n_out: Targets that were left out before.
+    Returns: None where none does, or so many do that any may be right.
+    """
+    count = len(set(names)) + n_out
+    if n_out + 1 > _MOST_STRAYS * count or count - n_out - 1 <= _FEWEST:
+        return None
+    size = np.abs(over_sigma)
+    worst = int(np.argmax(size))
+    limit = contradicting_sigmas(size.size) * max(1.0, robust_scale(over_sigma))
+    return names[worst] if size[worst] > limit else None
 
 
 def intersect(eyes_m: FloatArray, lines: FloatArray) -> FloatArray | None:

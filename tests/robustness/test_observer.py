@@ -128,7 +128,7 @@ def adjusted(folder: Path) -> tuple[tuple[str, ...], str]:
     inputs = read_inputs(load_observer(folder), SilentProgress())
     first = look_first(inputs.survey.photo_files, inputs.finder, jobs=1, progress=SilentProgress())
     listed = check_list(inputs.survey, inputs.finder, inputs.targets_file, first)
-    cameras = adjust_cameras(listed, inputs, 1, SilentProgress())
+    _, cameras = adjust_cameras(listed, inputs, 1, SilentProgress())
     said = (*listed.doubts, *cameras.network.doubts, *cameras.doubts)
     return tuple(file.name for file in cameras.files), "\n".join(map(str, said))
 
