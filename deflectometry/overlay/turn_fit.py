@@ -26,7 +26,7 @@ _EVERY = 7
 _SHARPER = 0.5
 #: At twice the blur, a pixel eight blurs off an edge sees so little (or misses so little) of the source.
 _FLAT = 3e-5
-#: A square with fewer of its pixels far from an edge is not judged.
+#: Of the pixels that are used (every seventh far from an edge), so many in one square are more than a speck of dirt.
 _FEWEST = 5
 #: Steps for derivatives: a turn that moves the image by a tenth of a pixel or so, and a share of the blur.
 _STEP_RAD, _STEP_BLUR = 1e-5, 1e-4
@@ -173,7 +173,7 @@ def turn_in_view(facet: Facet, view: FacetView, source: Source, start_rad: Float
 
 
 def has_foreign_light(facet: Facet, one: ViewTurn, source: Source, slope_rad: float, blur_m: float) -> bool:
-    """Return whether a square of pixels that is far from every edge is bright where it should be dark, or vice versa.
+    """Return whether pixels of one square, far from every edge, are bright where they should be dark, or vice versa.
 
     Far is where a normal distribution of edges, of waves and blur, has less than `_FLAT`.
     slope_rad: RMS slope of the facet's waves.
@@ -186,9 +186,7 @@ def has_foreign_light(facet: Facet, one: ViewTurn, source: Source, slope_rad: fl
         return False
     dark, gain = one.state[2:4]
     off = (one.view.light_dn[deep] - dark) / gain - np.rint(share[deep])
-    number = one.view.squares[deep]
-    count = np.bincount(number)
-    return bool(np.any(np.abs(np.bincount(number, off))[count >= _FEWEST] > 0.5 * count[count >= _FEWEST]))
+    return bool(np.bincount(one.view.squares[deep], np.abs(off) > 0.5).max() >= _FEWEST)
 
 
 def residual_of_view(facet: Facet, one: ViewTurn, source: Source) -> Callable[[FloatArray, Source], FloatArray]:

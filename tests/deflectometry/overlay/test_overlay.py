@@ -188,7 +188,7 @@ def test_a_facet_partly_in_shade_is_named_and_spoils_no_other(drawn: Path, tmp_p
     result = run(load_overlay(folder))
     (doubt,) = [one for one in result.doubts if one.code == "light_left_out"]
     assert doubt.text.startswith("photo_2.png: the light in facet 11 is no image")
-    assert result.not_used == ["photo_2.png: contradicts the other photos", "", "", ""]
+    assert result.not_used == ["photo_2.png: light that is no image of the source, or a part in shade", "", "", ""]
     assert result.turns.wave_rad < SMALL.wave_sigma_rad
     errors = result.turns.turns_rad - np.array(json.loads((drawn / "truth.json").read_text())["turn_rad"])
     flat = errors.ravel()
