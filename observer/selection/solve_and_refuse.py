@@ -35,7 +35,7 @@ from observer.slopes.joint_solution import (
 )
 from observer.slopes.mirror_surface import at_points, beside_chord, heights, on_surface
 from observer.slopes.pose_modes import Photos, pose_derivatives, pose_scatter, reduce_to_modes
-from observer.slopes.row_likeness import row_likeness
+from observer.slopes.row_likeness import likeness_along, row_likeness
 from observer.slopes.row_spline import Roughness, RowGrid, TouchingLines, nodes_of
 from observer.slopes.shape_share import ShapeShare, find_shape_share
 from observer.slopes.slope_sums import AveragedSums, SlopeSums
@@ -128,7 +128,15 @@ class Reflector:
         """How well weighted sums of the slopes across are known, the absorber held."""
         held, alike = ~self.unknowns.is_place, self.alike
         each = tuple(
-            SlopeSums(self.lines, self.grid, one.roughness, self.errors.covariance_common, held, alike=alike)
+            SlopeSums(
+                self.lines,
+                self.grid,
+                one.roughness,
+                self.errors.covariance_common,
+                held,
+                alike=alike,
+                alike_along=likeness_along(self.y_m, one.roughness.along_length_m),
+            )
             for one in self.models
         )
         return AveragedSums(each, np.array([one.probability for one in self.models]), self.apart_rad)

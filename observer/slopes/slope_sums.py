@@ -29,8 +29,9 @@ class SlopeSums:
     prior: How slopes may vary.
     covariance_common (c, c): Covariance of the common unknowns, the slopes eliminated.
     free (c,): Those of them that are not held; by default all.
-    alike (r, r): Correlation between the slope errors of the rows' mirror (`observer.slopes.row_likeness`); by
+    alike (r, r): Correlation between the slope errors of the rows' mirror across (`observer.slopes.row_likeness`); by
         default none, which lets what lies between edges average out over rows.
+    alike_along (r, r): The same of those along the trough.
 
     With the normal matrix A of the slopes, their coupling C to the common unknowns and the covariance S of these, the
     covariance of all slopes is ``A^-1 + A^-1 C S C^T A^-1``; a sum needs one solution with A, not its inverse.
@@ -50,10 +51,12 @@ class SlopeSums:
         free: BoolArray | None = None,
         *,
         alike: FloatArray | None = None,
+        alike_along: FloatArray | None = None,
     ) -> None:
         self._lines, self._grid, self._prior = lines, grid, prior
         self._covariance, self._free = covariance_common, free
-        self._others = None if alike is None else alike - np.eye(grid.n_rows)
+        # Across, then along, as the unknowns of a node stand.
+        self._others = [None if one is None else one - np.eye(grid.n_rows) for one in (alike, alike_along)]
 
     def __call__(self, weights: FloatArray) -> FloatArray:
         """Return the covariance of sums.
@@ -100,13 +103,16 @@ class SlopeSums:
                 nodes[..., 0::2] = weights[some, first:last]
                 solved[some, first:last] = BandedFactor(root[first:last]).solve(nodes)
         own = weights.reshape(count, -1) @ solved[..., 0::2].reshape(count, -1).T
-        if self._others is not None:
+        if any(one is not None for one in self._others):
             flat = solved.reshape(count, -1)
-            pulled = np.empty((min(count, _AT_ONCE), *solved.shape[1:]))
+            pulled = np.zeros((min(count, _AT_ONCE), *solved.shape[1:]))
             for start in range(0, count, _AT_ONCE):
                 part, bands = spans[start : start + _AT_ONCE], self._system.bands
                 for place, (first, last) in enumerate(part):
-                    pulled[place] = self._others[:, first:last] @ _pulled(solved[start + place, first:last], bands)
+                    single = _pulled(solved[start + place, first:last], bands)
+                    for component, others in enumerate(self._others):
+                        if others is not None:
+                            pulled[place, :, component::2] = others[:, first:last] @ single[:, component::2]
                 # Ten at once: all solutions together are larger than the processor's cache.
                 own[:, start : start + len(part)] += flat @ pulled[: len(part)].reshape(len(part), -1).T
         return solved, np.asarray(0.5 * (own + own.T))

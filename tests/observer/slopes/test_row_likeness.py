@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from observer.slopes.row_likeness import row_likeness
+from observer.slopes.row_likeness import likeness_along, row_likeness
 from observer.slopes.row_spline import RowGrid
 
 Y_M = np.arange(150) * 0.02
@@ -39,6 +39,12 @@ def test_waves_along_the_trough_make_all_rows_one() -> None:
     slopes = np.broadcast_to(np.random.default_rng(4).normal(0, 1e-3, X_M.size), (Y_M.size, X_M.size))
     alike = row_likeness(slopes, np.ones(slopes.shape, dtype=bool), grid(), Y_M)
     assert alike.min() > 0.95
+
+
+def test_slopes_along_are_as_probably_those_of_one_mould_as_of_a_sheet_without_direction() -> None:
+    near, far = likeness_along(np.array([0.0, 0.3, 30.0]), 0.3)[0, 1:]
+    assert near == pytest.approx((1 + np.exp(-1)) / 2)
+    assert far == pytest.approx(0.5)
 
 
 def test_rows_are_alike_where_nothing_tells() -> None:

@@ -57,7 +57,10 @@ def _alone(lines: TouchingLines) -> TouchingLines:
 
 
 def test_slopes_that_rows_share_err_together() -> None:
-    """The scatter of sums over mirrors that are alike along the rows, seen with noise and solved row by row."""
+    """The scatter of sums over mirrors that are alike along the rows, seen with noise and solved row by row.
+
+    Slopes across and along are so over other lengths.
+    """
     rng = np.random.default_rng(11)
     grid, prior = small_grid(), Roughness(1e-3)
     # All rows see the same few places, as photos 0.4 m apart do.
@@ -69,8 +72,12 @@ def test_slopes_that_rows_share_err_together() -> None:
     for reach, band in enumerate(bands):
         first = np.arange(size - 2 * reach)
         precision[first, first + 2 * reach] = precision[first + 2 * reach, first] = band.ravel()[: first.size]
-    alike = np.exp(-np.abs(np.subtract.outer(np.arange(3), np.arange(3))) / 5.0)
-    of_rows = np.kron(alike, np.linalg.inv(precision))
+    apart_m = np.abs(np.subtract.outer(np.arange(3), np.arange(3)))
+    alike, alike_along = np.exp(-apart_m / 5.0), np.exp(-apart_m / 0.5)
+    of_node = np.linalg.inv(precision)
+    of_rows = np.kron(alike, of_node)
+    # What is across and what is along have nothing in common beforehand.
+    of_rows[1::2, 1::2] = np.kron(alike_along, of_node[1::2, 1::2])
     derivatives = assemble(lines, grid).derivatives().toarray()
     normal = derivatives.T @ derivatives + np.kron(np.eye(3), precision)
     # Errors are what the estimate lacks of the mirror, and what noise of unit variance makes.
@@ -80,7 +87,7 @@ def test_slopes_that_rows_share_err_together() -> None:
     weights = np.stack([np.ones((3, 20)), rng.normal(0, 1, (3, 20)), np.eye(3)[[1]].T * np.ones(20)])
     flat = np.zeros((3, 3 * size))
     flat[:, 0::2] = weights.reshape(3, -1)
-    sums = SlopeSums(lines, grid, prior, np.zeros((0, 0)), alike=alike)(weights)
+    sums = SlopeSums(lines, grid, prior, np.zeros((0, 0)), alike=alike, alike_along=alike_along)(weights)
     expected = flat @ whole @ flat.T
     np.testing.assert_allclose(sums, expected, rtol=1e-6, atol=1e-7 * np.abs(expected).max())
     apart = SlopeSums(lines, grid, prior, np.zeros((0, 0)))(weights)
