@@ -11,6 +11,7 @@ from heliogauge.adjust.robust_scale import robust_scale
 from heliogauge.errors import EstimationError
 from heliogauge.validate import BoolArray, FloatArray, IntArray
 from observer.photo_edges.reflection_edges import ReflectionEdges, design_misfit
+from observer.selection.contradicted import contradicted_edges
 from observer.selection.edge_refusal import EdgeFate, curves_of, first_fate, has_shadows, is_alone
 from observer.selection.edge_scatter import scatter_along
 from observer.selection.shadows import confirmed_edges, pulled_curves
@@ -251,6 +252,8 @@ def solve_reflector(
         fate[turned] = np.where(fits, int(EdgeFate.USED), int(EdgeFate.WRONG_STEP))[turned]
         told = either & (predicted < _EITHER_KNOWN_RAD**2)
         fate[either] = np.where(fits & told, int(EdgeFate.USED), int(EdgeFate.EITHER))[either]
+        if allowance == 0.0:
+            fate[_contradicted(lines, fate == EdgeFate.USED, factor, errors.common, grid, roughness)] = EdgeFate.BESIDE
         whole, change = _next_surface(present, errors, _near_edges(used, grid), roughness, expected, grid)
         present = replace(whole, height_m=none[..., 0]) if shaped is False else whole
     usable, unknowns = fate == EdgeFate.USED, nominal.unknowns
@@ -337,6 +340,26 @@ def solve_reflector(
         shadows,
         share,
     )
+
+
+def _contradicted(
+    lines: TouchingLines,
+    which: BoolArray,
+    factor: float,
+    common: FloatArray,
+    grid: RowGrid,
+    roughness: Roughness,
+) -> IntArray:
+    """Return the numbers of edges that the others of their row contradict, where the solution follows them.
+
+    which (m,): Those that are looked at.
+    factor: By what their sigmas are larger.
+    common (c,): What rows have in common, as found.
+    """
+    some = np.flatnonzero(which & np.isfinite(lines.misfit_rad))
+    own = _apart(lines.chosen(some), common)
+    own = replace(own, sigma_rad=factor * own.sigma_rad)
+    return some[contradicted_edges(own, grid, replace(roughness, alike=None), _REJECT_TIMES)]
 
 
 def _estimate_shape(
@@ -474,17 +497,18 @@ class _Nominal:
     def bent(self, bend_per_m: FloatArray) -> "_Nominal":
         """Return the same edges on a mirror that bends beside the design, by so much at each edge (m,) [1/m].
 
-        Only what poses and edges do to angles hangs on that.
+        Only what poses and places of edges do to angles hangs on that.
         """
         other = copy(self)
         # What was found without the bend.
-        for name in ("known_rad", "unknowns", "scatter_square"):
+        for name in ("known_rad", "unknowns", "scatter_square", "_beside_poses"):
             other.__dict__.pop(name, None)
         other._bend(bend_per_m)
         return other
 
     def _bend(self, bend_per_m: FloatArray | float) -> None:
         focal = self._expected.collector.focal_length_m
+        self._bend_per_m = bend_per_m
         self.across_rad_per_m = change_across(self.sights, self._found, focal, bend_per_m)
         self.sigma_rad = np.hypot(self.across_rad_per_m * self.edges.sigma_x_m, _MODEL_RAD)
         self._by_pose = pose_derivatives(
@@ -533,6 +557,7 @@ class _Nominal:
             self.sights,
             self._found,
             self._expected,
+            bend_per_m=self._bend_per_m,
             outward_rad=self._outward_rad,
             panels=self._photos.panels,
         )

@@ -64,12 +64,32 @@ class BandedFactor:
         With the blocks L_i of the root on the diagonal and M_i below them, ``T_i = L_i^-1`` and ``H_i = M_i T_i`` the
         block of the inverse is ``Z_i = T_i^T T_i + H_i^T Z_(i+1) H_i``, from the last one on.
         """
+        return np.swapaxes(self._inverse()[0], 0, 1)
+
+    def inverse_bands(self) -> FloatArray:
+        """Return the inverses as far from the diagonal as the matrices reach.
+
+        Returns (r, n, w + 1): Columns from the diagonal downwards: ``Z[j + i, j]`` at ``[:, j, i]``.
+
+        Beside the block Z_i on the diagonal stands ``-H_i^T Z_(i+1)``.
+        """
+        blocks, carried = self._inverse()
+        width = blocks.shape[-1]
+        beside = np.zeros_like(blocks)
+        beside[:-1] = -np.swapaxes(carried, 2, 3) @ blocks[1:]
+        both = np.concatenate([blocks, beside], axis=3)
+        bands = np.stack([both[:, :, q, q : q + width + 1] for q in range(width)], axis=2)
+        rows, size = self.root.shape[:2]
+        return np.swapaxes(bands, 0, 1).reshape(rows, -1, width + 1)[:, :size]
+
+    def _inverse(self) -> tuple[FloatArray, FloatArray]:
+        """Return the blocks Z_i, shape (b, r, w, w), and H_i, shape (b - 1, r, w, w), of `inverse_blocks`."""
         turned, below = self._blocks()
         carried = below @ turned[:-1]
         blocks = np.swapaxes(turned, 2, 3) @ turned
         for i in range(len(blocks) - 2, -1, -1):
             blocks[i] += np.swapaxes(carried[i], 1, 2) @ (blocks[i + 1] @ carried[i])
-        return np.swapaxes(blocks, 0, 1)
+        return blocks, carried
 
     def _blocks(self) -> tuple[FloatArray, FloatArray]:
         """Return the inverses of the roots' blocks on the diagonal, and the blocks below, shape (b, r, w, w)."""

@@ -198,18 +198,21 @@ def beside_poses(
     found: Misfit,
     expected: Expectation,
     *,
+    bend_per_m: FloatArray | float = 0.0,
     outward_rad: float = 0.0,
     panels: PanelPlaces | None = None,
 ) -> BesidePoses:
     """Collect what moves touching lines of sight besides the poses of their photos.
 
     found: Misfits and derivatives of these, with the design's slopes.
+    bend_per_m (m,): Curvature across that the mirror has beside the design: an edge that lies outward stands where the
+        slope is another one [1/m].
     outward_rad: How far all edges may lie outward together beside what blur does, 1 sigma, as where it is open how the
         photos are encoded [rad].
     """
     path, m = expected.absorber, edges.photo.size
     n_stations = path.n if np.diagonal(path.covariance_m2).any() else 0
-    outward, unit = _outward(edges, sights, found, expected.collector.focal_length_m)
+    outward, unit = _outward(edges, sights, found, expected.collector.focal_length_m, bend_per_m)
     place = _place(found, sights, expected) if n_stations else (np.zeros((m, 0), dtype=np.intp), np.zeros((m, 0)))
     tube = _tube(found, sights, expected, outward, float(np.hypot(_OUTWARD * unit, outward_rad)))
     lifted = _lift_panels(sights, found, expected, None if panels is None else panels.lean_sigma)
@@ -305,14 +308,16 @@ def _lift_panels(sights: Sights, found: Misfit, expected: Expectation, lean_unit
     return _Lifted(np.column_stack([own, collector.n_panels + own]), both, 2 * collector.n_panels)
 
 
-def _outward(edges: ReflectionEdges, sights: Sights, found: Misfit, focal_m: float) -> tuple[FloatArray, float]:
+def _outward(
+    edges: ReflectionEdges, sights: Sights, found: Misfit, focal_m: float, bend_per_m: FloatArray | float
+) -> tuple[FloatArray, float]:
     """Return the change of the misfits where edges lie outward by one radian at the camera, and the usual noise [rad].
 
     Outward is towards the brighter side.
     """
     looks = looks_rad_per_m(sights.points_m, sights.eyes_m, focal_m)
     unit = float(np.median(edges.sigma_x_m * looks)) if edges.photo.size else 0.0
-    return change_across(sights, found, focal_m) * np.sign(edges.contrast) / looks, unit
+    return change_across(sights, found, focal_m, bend_per_m) * np.sign(edges.contrast) / looks, unit
 
 
 def _place(found: Misfit, sights: Sights, expected: Expectation) -> tuple[IntArray, FloatArray]:

@@ -25,7 +25,8 @@ class SmoothMirror:
 def test_edges_nine_standard_deviations_off_are_refused_and_the_others_are_not() -> None:
     """A limit of eight instead of four keeps them all, one of two refuses 2 % of the good ones.
 
-    A third of its displacement an edge takes over into the mirror: what remains of nine is six.
+    A third of its displacement an edge takes over into the mirror: what remains of nine is six, of which 0.83 are
+    beyond four of the sigmas of an edge that has no part in the solution, and 0.98 of what it is off the others.
     """
     rng = np.random.default_rng(0)
     scene = short_scene(SmoothMirror(), photos=80, rows=24)
@@ -41,5 +42,5 @@ def test_edges_nine_standard_deviations_off_are_refused_and_the_others_are_not()
     found = solve_reflector(edges, photos, scene.truth, 0.02, Roughness(1e-3, 2e-3), shaped=False)
     beside = found.fate == EdgeFate.BESIDE
     assert np.count_nonzero(displaced) > 50
-    assert np.mean(beside[displaced]) > 0.6
+    assert np.mean(beside[displaced]) > 0.9
     assert np.mean(beside[~displaced]) < 0.005

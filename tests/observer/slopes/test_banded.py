@@ -40,6 +40,15 @@ def test_blocks_of_the_inverse(systems: tuple[np.ndarray, np.ndarray]) -> None:
         np.testing.assert_allclose(blocks[:, i, :own, :own], inverse[:, some, some], rtol=1e-10, atol=1e-14)
 
 
+def test_bands_of_the_inverse(systems: tuple[np.ndarray, np.ndarray]) -> None:
+    bands, dense = systems
+    found, inverse = factorise(bands).inverse_bands(), np.linalg.inv(dense)
+    assert found.shape == bands.shape
+    for i in range(bands.shape[2]):
+        true = np.diagonal(inverse, -i, axis1=1, axis2=2)
+        np.testing.assert_allclose(found[:, : true.shape[1], i], true, rtol=1e-10, atol=1e-14)
+
+
 def test_a_matrix_that_is_not_positive_definite_is_refused() -> None:
     bands = np.ones((2, 4, 3))
     bands[:, :, 0] = 6.0

@@ -5,13 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from heliogauge.geometry.rigid import looking_at
+from observer.photo_edges.outward_edges import moved_outward
 from observer.photo_edges.reflection_edges import ReflectionEdges, design_misfit
 from observer.photo_edges.views import View
 from observer.planning.photo_network import Believed
 from observer.planning.simulated_edges import EdgeNoise, measured_edges, true_edges
 from observer.planning.simulated_flight import Evaluation, simulate
 from observer.product.slope_map import angle_maps
-from observer.selection.solve_and_refuse import Reflector, solve_reflector
+from observer.selection.solve_and_refuse import Reflector, _Nominal, solve_reflector
 from observer.slopes.common_unknowns import CommonUnknowns, beside_poses, common_unknowns, glass_widening_rad
 from observer.slopes.pose_modes import CameraModes, Photos
 from observer.slopes.row_spline import Roughness
@@ -19,7 +21,7 @@ from observer.trough.absorber_path import AbsorberPath
 from observer.trough.collector import Collector, ls2
 from observer.trough.expectation import Expectation
 from observer.trough.glass import glass_beside_tube, turned_rad
-from observer.trough.observation_equation import Misfit, Sights
+from observer.trough.observation_equation import Misfit, Sights, misfit
 from observer.trough.typical_mirror import TypicalMirror
 from tests.observer.absorber.test_absorber_glass import distance_within
 from tests.observer.simulated_trough import believed_with_errors, short_scene, short_trough
@@ -91,6 +93,30 @@ def test_edges_that_all_lie_outward_look_like_a_wider_tube() -> None:
     shift = effect(unknowns, np.where(np.arange(len(unknowns.covariance)) == unknowns.radius + 1, 1.0, 0.0))
     np.testing.assert_allclose(shift, outward)
     assert np.all(np.sign(outward) == -np.sign(found.d_angle_d_radius))
+
+
+def test_an_edge_that_lies_outward_stands_where_a_bent_mirror_has_another_slope() -> None:
+    """0.02 / m beside the design change by half what a displacement does."""
+    edges, _ = some_edges(np.random.default_rng(2))
+    where, bend, by_rad, focal = expected(np.zeros((34, 34))), 0.02, 1e-6, LS2.focal_length_m
+    poses = [looking_at(np.array([x, 0.3, 15.0]), np.zeros(3), np.array([0.0, 1.0, 0.0])) for x in (-0.8, 0.0, 0.9)]
+    photos = Photos(tuple(poses), 1e-8 * np.eye(18))
+
+    def missed_by(displacement_rad: float) -> np.ndarray:
+        points = moved_outward(edges, np.full(3, displacement_rad), photos.eyes_m, focal).points_m
+        slopes = points[:, 0] / (2 * focal) + bend * (points[:, 0] - edges.points_m[:, 0]), np.zeros(edges.row.size)
+        sights = Sights(points, photos.eyes_m[edges.photo], edges.side)
+        return misfit(sights, slopes, where.absorber, LS2.absorber_diameter_m / 2).angle_rad
+
+    change = (missed_by(by_rad) - missed_by(-by_rad)) / (2 * by_rad)
+    design = _Nominal(edges, photos, where, 0.0)
+    bent = design.bent(np.full(edges.row.size, bend))
+    found, plain = (
+        np.where(one.index == one.radius + 1, one.derivative, 0.0).sum(axis=1) / one.units[1]
+        for one in (bent.unknowns, design.unknowns)
+    )
+    np.testing.assert_allclose(found, change, rtol=1e-4)
+    assert np.median(np.abs(plain / change - 1)) > 0.3
 
 
 def half_width_m(axis: np.ndarray, direction: float) -> float:

@@ -1,0 +1,60 @@
+"""Edges that the others of their row contradict although nothing is left of them."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from observer.selection.contradicted import contradicted_edges, deletion_residuals
+from observer.slopes.joint_solution import solve_jointly
+from observer.slopes.mirror_surface import at_points
+from observer.slopes.row_spline import Roughness, RowGrid, TouchingLines
+
+X_M = np.linspace(-1.0, 1.0, 60)
+ROUGH = Roughness(1e-3, 2e-3, order=3)
+SIGMA_RAD = 5e-5
+
+
+def lines_of(row: np.ndarray, x_m: np.ndarray, slope_rad: np.ndarray) -> TouchingLines:
+    """Return lines that say each slope to `SIGMA_RAD`."""
+    by_x, by_y, sigma = (np.full(x_m.size, one) for one in (2.0, 0.05, SIGMA_RAD))
+    index, by_common = np.zeros((x_m.size, 0), dtype=np.intp), np.zeros((x_m.size, 0))
+    return TouchingLines(row, x_m, -2.0 * slope_rad, by_x, by_y, sigma, index, by_common)
+
+
+@pytest.mark.parametrize("order", [2, 3])
+def test_deletion_residuals_are_those_of_solutions_without_the_edge(order: int) -> None:
+    rng = np.random.default_rng(0)
+    grid = RowGrid(X_M, np.arange(59) != 29, 2)
+    row, x = rng.integers(0, 2, 40), rng.uniform(-0.99, 0.99, 40)
+    lines = lines_of(row, x, 1e-3 * np.sin(4 * x) + rng.normal(0, SIGMA_RAD, 40))
+    rough = replace(ROUGH, order=order)
+    found = deletion_residuals(lines, grid, rough)
+    for k in range(0, 40, 5):
+        off, left = (_misfit_of(lines, k, grid, rough, with_it=one) for one in (False, True))
+        # What is left is off (1 - h), and the sigma of what it is off is sigma / sqrt(1 - h).
+        assert found[k] == pytest.approx(np.sign(off) * np.sqrt(off * left) / SIGMA_RAD, rel=1e-5)
+
+
+def _misfit_of(lines: TouchingLines, k: int, grid: RowGrid, rough: Roughness, *, with_it: bool) -> float:
+    """Return by how much the slopes that lines say, with or without one of them, miss that one [rad]."""
+    some, own = lines.chosen((np.arange(lines.row.size) != k) | with_it), lines.chosen(np.array([k]))
+    slopes = solve_jointly(some, grid, rough, np.zeros((0, 0)), with_shares=None).slopes
+    s_x, s_y = at_points(slopes, own.row, own.x_m, grid)[0]
+    return float((own.misfit_rad + own.d_slope_x * s_x + own.d_slope_y * s_y)[0])
+
+
+def test_an_edge_that_is_alone_at_its_place_is_refused_where_the_others_say_otherwise() -> None:
+    """What is left of it is less than its sigma; its neighbours are not refused in its place."""
+    rng = np.random.default_rng(1)
+    grid = RowGrid(X_M, np.ones(59, dtype=bool), 1)
+    x = np.concatenate([np.arange(-0.9, 0.7, 0.05), [0.85]])
+    slope = 1e-3 * np.sin(4 * x) + rng.normal(0, SIGMA_RAD / 2, x.size)
+    right = lines_of(np.zeros(x.size, dtype=int), x, slope)
+    slope[-1] -= 9e-3
+    wrong = lines_of(np.zeros(x.size, dtype=int), x, slope)
+    together = solve_jointly(wrong, grid, ROUGH, np.zeros((0, 0)), with_shares=None)
+    there = at_points(together.slopes, wrong.row, wrong.x_m, grid)[-1, 0]
+    assert abs(there - slope[-1]) < SIGMA_RAD
+    assert np.flatnonzero(contradicted_edges(wrong, grid, ROUGH, 4.0)).tolist() == [x.size - 1]
+    assert not contradicted_edges(right, grid, ROUGH, 4.0).any()
