@@ -12,6 +12,10 @@ Here the whole profile is compared with what it consists of, each part with the 
 unknowns with priors, relative to what is seen beyond the receiver), blurred by the lens and the pixel, for a few rows
 together. The axis and the blur are what remains (variable projection, Gauss-Newton).
 
+Where targets in the photo tell how its edges are blurred (`photogrammetry.centers.edge_shape`), that blur is held, what
+the walls throw back is that of sky, ground and mirror by the laws of reflection (`observer.photo_edges.thrown_light`),
+and amplitudes are mostly those of the whole photo.
+
 Rays across a concentric tube keep their distance b from the axis (Bouguer), so that glass leaves the metal's edges
 where they are.
 """
@@ -25,7 +29,9 @@ import numpy as np
 from heliogauge.adjust.chi_square import chi_square_cdf
 from heliogauge.validate import FloatArray, IntArray
 from observer.photo_edges.rectify import PixelSamples
+from observer.photo_edges.thrown_light import face_reflectances, thrown_light
 from observer.trough.collector import Collector, GlassTube
+from photogrammetry.centers import EdgeShape
 
 #: Rows that are taken together.
 ROWS_TOGETHER = 16
@@ -44,6 +50,16 @@ _METAL_DEGREE, _METAL_MEAN, _METAL_SIGMA = 4, 0.25, 0.12
 _SLOPE_SIGMA, _BEND_SIGMA, _SCALE_M = 0.1, 0.05, 0.02
 #: What both walls throw back beside the metal, mean and standard deviation: 0.17 of what is around, dark or bright.
 _THROWN_MEAN, _THROWN_SIGMA = 0.05, 0.07
+#: The same beside what the laws of reflection say, which need edges whose shape is known: walls throw back the horizon,
+#: a step of a tenth of the metal's edge, near that edge, and a blur that is not as assumed looks the same.
+_REST_SIGMA = 0.03
+#: Light from the sky, the ground and the mirror, relative to what is beyond the receiver: means, and one sigma.
+_AROUND, _AROUND_SIGMA = (1.0, 0.5, 1.0), 0.4
+#: Rows of a photo show much the same: this part of the variance of amplitudes is each group's own. Each for itself, a
+#: tube along the pixels has as many amplitudes as pixels across. From 0.1 to 0.5 heights differ by a tenth of a
+#: millimetre. All of it where the shape of edges is not known, or amplitudes take up together what the blur lacks, and
+#: of a bare tube, which has few of them.
+_OWN_SHARE = 0.3
 #: Light that leaves the wall of the glass beyond its inner face comes from the side.
 _WALL_MEAN, _WALL_SIGMA = 0.7, 0.3
 #: The tube's reflection in the prism: how dark, and the slope errors of the mirror that displace it [rad].
@@ -55,6 +71,8 @@ _GLASS_OFF_M, _RADIUS_SIGMA_M = 4e-3, 1e-3
 #: Blur of the lens, start and prior [px].
 _BLUR_PX, _BLUR_SIGMA_PX = 0.5, 0.2
 _LEAST_BLUR_PX, _MOST_BLUR_PX = 0.2, 3.0
+#: As well as targets tell it [px].
+_TOLD_SIGMA_PX = 1e-3
 #: What a pixel may be off relative to the background, beside which amplitudes are held against their priors. What
 #: residuals say of it goes into standard deviations alone: noise does not make priors better.
 _NOISE = 0.02
@@ -90,6 +108,7 @@ class Sighting(NamedTuple):
     distance_m: How far it is from the axis, across the tube [m].
     pixel_m: What a pixel covers there [m].
     axis_m: Where the axis is expected, x and z [m].
+    edges: How edges are blurred across the tube; None: a Gaussian, its width from the tube itself.
     """
 
     eye_x_m: float
@@ -98,6 +117,14 @@ class Sighting(NamedTuple):
     pixel_m: float
     axis_m: tuple[float, float]
     eye_z_m: float
+    edges: EdgeShape | None = None
+
+    @property
+    def down(self) -> tuple[float, float]:
+        """Direction of the line of sight through the axis, x and z."""
+        to_x, to_z = self.axis_m[0] - self.eye_x_m, self.axis_m[1] - self.eye_z_m
+        length = float(np.hypot(to_x, to_z))
+        return to_x / length, to_z / length
 
 
 def find_axis(
@@ -200,31 +227,51 @@ def _fit(profiles: _Profiles, sighting: Sighting, collector: Collector) -> _Fit:
     parts = _Parts.of_view(sighting, collector, reach + _BLUR_REACH * _MOST_BLUR_PX * sighting.pixel_m)
     first, blurred = parts.blurring(sighting.pixel_m, reach)
     groups = len(profiles.number)
-    middle, blur, scatter = np.zeros(groups), _BLUR_PX, 1.0
+    told = sighting.edges
+    start, sigma_px = (_BLUR_PX, _BLUR_SIGMA_PX) if told is None else (told.blur_px, _TOLD_SIGMA_PX)
+    mixed, own_share = (0.0 if told is None else told.mixed), 1.0
+    if told is not None and collector.glass is not None:
+        own_share = _OWN_SHARE
+    middle, blur, scatter = np.zeros(groups), start, 1.0
     weight = profiles.number / _NOISE**2
     spare = np.maximum(np.count_nonzero(profiles.number, axis=1) - 0.5 * len(parts.mean), 1.0)
+    each, shared = own_share * parts.sigma**2, (1 - own_share) * parts.sigma**2
+    one = np.eye(len(parts.mean))
     for _ in range(_ROUNDS):
-        table = blurred(blur)
+        table = blurred(blur, mixed)
         place = (profiles.beside_m - middle[:, None] + parts.far_m) / _STEP_M - first
         basis = _between(table, place)
         weighted = np.swapaxes(basis * weight[..., None], 1, 2)
         normal = weighted @ basis
-        np.einsum("gpp->gp", normal)[...] += 1 / parts.sigma**2
-        cofactor = np.linalg.inv(normal)
+        cofactor = np.linalg.inv(normal + np.diag(1 / each))
         left = profiles.light - basis @ parts.mean
-        step = cofactor @ (weighted @ left[..., None])
-        amplitude = parts.mean + step[..., 0]
-        residual = left - (basis @ step)[..., 0]
+        right = (weighted @ left[..., None])[..., 0]
+        # What all groups share, once the own parts of amplitudes are eliminated.
+        unexplained = one - normal @ cofactor
+        common_cofactor = np.linalg.solve(one + shared[:, None] * (unexplained @ normal).sum(axis=0), np.diag(shared))
+        common = common_cofactor @ np.einsum("gpq,gq->p", unexplained, right)
+        step = common + np.einsum("gpq,gq->gp", cofactor, right - normal @ common)
+        amplitude = parts.mean + step
+        residual = left - np.einsum("gkp,gp->gk", basis, step)
         # How the profile changes with the axis and with the blur, less what amplitudes take of that.
         along = np.stack(_changes(amplitude @ table.T, blur * sighting.pixel_m**2, place), axis=2)
-        own = along - basis @ (cofactor @ (weighted @ along))
-        (known, pull) = (np.einsum("gk,gkc,gkc->gc", weight, along, one) for one in (own, residual[..., None]))
-        information = np.maximum(known[:, 0], 1e-12)
-        moved = np.clip(pull[:, 0] / information, -most, most)
-        prior = (scatter / _BLUR_SIGMA_PX) ** 2
-        wider = float((pull[:, 1].sum() + (_BLUR_PX - blur) * prior) / (known[:, 1].sum() + prior))
+        crossed = weighted @ along
+        own = along - basis @ (cofactor @ crossed)
+        known = np.einsum("gk,gkc,gkd->gcd", weight, own, along)
+        pull = np.einsum("gk,gkc,gk->gc", weight, along, residual)
+        taken = unexplained @ crossed
+        taken = np.vstack([taken[..., 0], taken[..., 1].sum(axis=0)])
+        prior = (scatter / sigma_px) ** 2
+        information = -taken @ common_cofactor @ taken.T
+        information[:-1, :-1] += np.diag(np.maximum(known[:, 0, 0], 1e-12))
+        information[:-1, -1] += known[:, 0, 1]
+        information[-1, :-1] += known[:, 0, 1]
+        information[-1, -1] += known[:, 1, 1].sum() + prior
+        inverse = np.linalg.inv(information)
+        moves = inverse @ np.append(pull[:, 0], pull[:, 1].sum() + (start - blur) * prior)
+        moved, wider = np.clip(moves[:-1], -most, most), float(moves[-1])
         middle = middle + moved
-        blur = float(np.clip(blur + np.clip(wider, -0.2, 0.2), _LEAST_BLUR_PX, _MOST_BLUR_PX))
+        blur = float(np.clip(blur + np.clip(wider, -0.2, 0.2), min(_LEAST_BLUR_PX, start), _MOST_BLUR_PX))
         squares = np.sum(weight * residual**2, axis=1)
         # What the model lacks is largest where a support or a cable stands, and errs in all groups without showing
         # there: by the scatter of the other groups alone the tube of a drawn LS-2 was 2 mm too low at a stated 0.3.
@@ -233,7 +280,7 @@ def _fit(profiles: _Profiles, sighting: Sighting, collector: Collector) -> _Fit:
             break
     # A group that is worse than all together says so of itself.
     other = _by_chance(squares / scatter**2, spare) < _CHANCE
-    sigma = np.where(other, np.sqrt(squares / spare), scatter) / np.sqrt(information)
+    sigma = np.where(other, np.sqrt(squares / spare), scatter) * np.sqrt(np.maximum(np.diag(inverse)[:-1], 0.0))
     return _Fit(middle, sigma, amplitude[:, -1] * _RADIUS_SIGMA_M)
 
 
@@ -321,9 +368,15 @@ class _Behind(NamedTuple):
         dark, less, more = (
             within * light.passed * _darkness(miss + way * moved, radius, outer) for way in (0.0, -1.0, 1.0)
         )
+        of_both: list[_Part] = []
+        thrown_mean, thrown_sigma = _THROWN_MEAN, _THROWN_SIGMA
+        if sighting.edges is not None:
+            thrown_mean, thrown_sigma = 0.0, _REST_SIGMA
+            thrown = thrown_light(collector, glass, sighting.down, sighting.axis_m[1], beside)
+            of_both = [(one, mean, _AROUND_SIGMA) for two, mean in zip(thrown, _AROUND, strict=True) for one in two]
         of_sides = [
-            (within, _THROWN_MEAN, _THROWN_SIGMA),
-            (within * (far - radius) / (inner - radius), 0.0, _THROWN_SIGMA),
+            (within, thrown_mean, thrown_sigma),
+            (within * (far - radius) / (inner - radius), 0.0, thrown_sigma),
             (wall, _WALL_MEAN, _WALL_SIGMA),
             (-dark, _DARK_MEAN, _DARK_SIGMA),
             ((less - more) / 2, 0.0, 1.0),
@@ -331,7 +384,7 @@ class _Behind(NamedTuple):
         # The glass beside the metal moves its own edges.
         rim = -np.gradient(clear + wall * _WALL_MEAN, _STEP_M) * (far > (radius + inner) / 2)
         beside_metal = float(np.interp(radius, beside, light.passed)) + _THROWN_MEAN
-        return cls(clear, of_sides, [(rim * _GLASS_OFF_M, 0.0, 1.0)], beside_metal)
+        return cls(clear, of_sides, [(rim * _GLASS_OFF_M, 0.0, 1.0), *of_both], beside_metal)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -369,8 +422,8 @@ class _Parts:
         mean, sigma = np.array([[m, s] for _, m, s in parts]).T
         return cls(np.array([one for one, _, _ in parts]), mean, sigma, steps * _STEP_M)
 
-    def blurring(self, pixel_m: float, reach_m: float) -> tuple[int, Callable[[float], FloatArray]]:
-        """Return what shows the parts as a pixel and a lens of some blur [px] do, shape (n, p).
+    def blurring(self, pixel_m: float, reach_m: float) -> tuple[int, Callable[[float, float], FloatArray]]:
+        """Return what shows the parts as a pixel does and edges of some blur [px] and mixing, shape (n, p).
 
         reach_m: Only places up to this distance from the axis are needed; the first one's number is returned before.
         """
@@ -379,8 +432,9 @@ class _Parts:
         frequency = np.fft.rfftfreq(count, _STEP_M)
         through_pixel = np.fft.rfft(self.table, axis=1) * np.sinc(frequency * pixel_m)
 
-        def blurred(blur_px: float) -> FloatArray:
+        def blurred(blur_px: float, mixed: float) -> FloatArray:
             passed = np.exp(-2 * (np.pi * frequency * blur_px * pixel_m) ** 2)
+            passed *= 1 - mixed * (1 - np.cos(2 * np.pi * frequency * pixel_m))
             shown = np.fft.irfft(through_pixel * passed, count, axis=1)
             return np.ascontiguousarray(shown[:, first : count - first].T)
 
@@ -408,10 +462,7 @@ def through_glass(glass: GlassTube, beside_m: FloatArray) -> GlassLight:
     passed, turned = np.ones(beside_m.shape), np.zeros(beside_m.shape)
     for radius, way in ((glass.outer_diameter_m / 2, -1.0), (glass.inner_diameter_m / 2, 1.0)):
         sine = np.clip(beside_m / radius, -1, 1)
-        before, behind = np.sqrt(1 - sine**2), np.sqrt(glass.index**2 - sine**2)
-        across = (before - behind) / (before + behind)
-        along = (glass.index**2 * before - behind) / (glass.index**2 * before + behind)
-        passed *= (1 - 0.5 * (across**2 + along**2)) ** 2
+        passed *= (1 - face_reflectances(sine, glass.index)) ** 2
         turned += 2 * way * (np.arcsin(sine) - np.arcsin(sine / glass.index))
     return GlassLight(np.where(np.abs(beside_m) < glass.inner_diameter_m / 2, passed, 0.0), turned)
 
@@ -431,9 +482,7 @@ def _miss_of_reflection(
     sighting: Sighting, collector: Collector, beside_m: FloatArray, turned_rad: FloatArray
 ) -> FloatArray:
     """Return how far from the axis lines of sight pass after the mirror behind the tube; infinite beside the mirror."""
-    axis_x, axis_z = sighting.axis_m
-    down = np.array([axis_x - sighting.eye_x_m, axis_z - sighting.eye_z_m])
-    to_x, to_z = down / np.hypot(*down)
+    (axis_x, axis_z), (to_x, to_z) = sighting.axis_m, sighting.down
     # Towards larger x, where lines that pass the axis there are turned to.
     way_x = to_x * np.cos(turned_rad) - to_z * np.sin(turned_rad)
     way_z = to_z * np.cos(turned_rad) + to_x * np.sin(turned_rad)

@@ -9,6 +9,7 @@ import numpy.typing as npt
 from heliogauge.camera.model import Camera
 from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.validate import Float32Array, FloatArray
+from photogrammetry.centers import EdgeShape
 
 AnyImage = npt.NDArray[np.uint8] | npt.NDArray[np.uint16] | Float32Array
 
@@ -122,8 +123,10 @@ class Shot:
     """A photo with its view.
 
     image (height, width): The photo, grey [DN].
+    edges: How its edges are blurred across the trough; None where no targets say so.
     """
 
     image: AnyImage
     number: int
     view: View
+    edges: EdgeShape | None = None

@@ -1,7 +1,7 @@
 """Centres of round targets with covariance, to hundredths of a pixel.
 
 `measure_center` fits a blurred disc to the pixels around an `Ellipse`, `measure_centers` many of a photo at once;
-`light_centers` are those of dots of a few pixels.
+`light_centers` are those of dots of a few pixels. `edge_shape` says how edges are blurred.
 """
 
 from typing import TYPE_CHECKING
@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING
 from heliogauge.faces import lazy_face
 
 if TYPE_CHECKING:
+    from photogrammetry.centers.blurred_edges import EdgeShape as EdgeShape
+    from photogrammetry.centers.blurred_edges import edge_shape as edge_shape
     from photogrammetry.centers.ellipse import Ellipse as Ellipse
     from photogrammetry.centers.ellipse import NamedEllipses as NamedEllipses
     from photogrammetry.centers.ellipse import eccentricity_px as eccentricity_px

@@ -24,7 +24,7 @@ from heliogauge.running.threads import side_by_side
 from heliogauge.validate import FloatArray, IntArray
 from observer.photo_edges.moved_edges import bearings_in_poses, edges_in_poses
 from observer.photo_edges.reflection_edges import ReflectionEdges, joined, reflection_edges
-from observer.photo_edges.tone import Tone, ToneEvidence, linear_light, numbers_for_the_eye
+from observer.photo_edges.tone import Tone, ToneEvidence, full_scale, linear_light, numbers_for_the_eye
 from observer.photo_edges.tube_bearings import Bearings, tube_bearings
 from observer.photo_edges.views import Shot, View
 from observer.pipeline.reading.photo_poses import PlacedPhoto, place_photo
@@ -40,6 +40,7 @@ from observer.pipeline.reading.tone import (
 )
 from observer.product.pictures import Slices, empty_slices
 from observer.trough.expectation import Expectation
+from photogrammetry.centers import edge_shape
 from photogrammetry.detection import TargetSearch, measure_at
 from photogrammetry.keys import PhotogrammetryMeasurement, TargetsSection, UncodedSection
 from photogrammetry.matching import KnownTargets, Track, agrees_with_list, follow, provisional_pose, start_following
@@ -68,6 +69,8 @@ _PHOTOS_OF_TUBE = 100
 #: With a camera that moves so far between provisional and adjusted pose another part of the mirror may show the tube:
 #: the photo is looked at again [m].
 _FAR_M = 0.25
+#: Points so far on both sides of the tube say which way is across it in a photo [m].
+_ACROSS_M = 0.05
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -285,7 +288,7 @@ class _Run:
         """Find what photos show, step by step: what works on all of them in turn stays in the processor's caches."""
         expected = self.finder.expected
         known = [
-            (one.name, Shot(one.image, one.number, View(one.camera, pose)))
+            (one.name, _shot(one.image, one.number, View(one.camera, pose), self.targets.get(one.name), expected))
             for one, pose in photos
             if one.camera is not None and pose is not None
         ]
@@ -648,7 +651,8 @@ def look_again(
     slices = first.slices.of_photos(order)
 
     def one(number: int) -> tuple[ReflectionEdges, Bearings]:
-        shot = Shot(finder.read(files[number]), number, views[number])
+        targets = first.targets[place[files[number].name]] if first.targets else None
+        shot = _shot(finder.read(files[number]), number, views[number], targets, expected)
         slices.take([shot], expected.collector)
         stage.advance()
         return reflection_edges([shot], expected)[0], tube_bearings([shot], expected)[0]
@@ -663,6 +667,20 @@ def look_again(
     moved = edges_in_poses(joined(everything), before, views, expected)
     placed, encodings = between_encodings(moved, files, views, encodings, expected)
     return SeenInPhotos(placed, bearings_in_poses(together, before, views, expected), slices, encodings)
+
+
+def _shot(image: Image, number: int, view: View, targets: OnePhoto | None, expected: Expectation) -> Shot:
+    """Return a photo with its view, and with how its edges are blurred across the trough as its targets tell."""
+    if targets is None:
+        return Shot(image, number, view)
+    axis, middle = expected.absorber, float(np.mean(expected.y_m))
+    x, z = (float(one) for one in axis.at(np.array(middle)))
+    ends = view.project(np.array([[x - _ACROSS_M, middle, z], [x + _ACROSS_M, middle, z]]))
+    centers = np.concatenate([targets.detections.pixels_px, targets.dots.pixels_px])
+    ellipses = np.concatenate([targets.ellipses_px2, targets.dot_ellipses_px2])
+    good = np.concatenate([targets.detections.usable, targets.dots.usable])
+    edges = edge_shape(image, centers[good], ellipses[good], ends[1] - ends[0], full_scale(image))
+    return Shot(image, number, view, edges)
 
 
 def _distance_m(first: RigidTransform, second: RigidTransform) -> float:
