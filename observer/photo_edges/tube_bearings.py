@@ -17,7 +17,7 @@ from heliogauge.geometry.surfaces import Quadric, quadric
 from heliogauge.validate import BoolArray, FloatArray, IntArray
 from observer.photo_edges.edges import Edges, find_edges
 from observer.photo_edges.rectify import Strip, pixel_samples, rectified_strip
-from observer.photo_edges.tube_profile import BEYOND_PX, ROWS_TOGETHER, Sighting, find_axis
+from observer.photo_edges.tube_profile import BEYOND_PX, Sighting, find_axis
 from observer.photo_edges.views import Shot
 from observer.trough.expectation import Expectation
 from observer.trough.glass import turned_rad
@@ -98,11 +98,10 @@ def bearing(x_m: FloatArray, z_m: FloatArray, eyes_m: FloatArray) -> FloatArray:
     return np.arctan2(x_m - eyes_m[:, 0], eyes_m[:, 2] - z_m)
 
 
-def tube_bearings(shots: Sequence[Shot], expected: Expectation, every: int = 1) -> list[Bearings]:
+def tube_bearings(shots: Sequence[Shot], expected: Expectation) -> list[Bearings]:
     """Find the tube itself in photos.
 
     expected: Collector, where the tube should be, and rows along the trough.
-    every: Each group of rows is measured in one of so many photos that follow each other.
     Returns: Of each photo one for each row in which both edges were found, away from known supports.
 
     Step by step for all photos, as `observer.photo_edges.reflection_edges.reflection_edges`.
@@ -111,7 +110,7 @@ def tube_bearings(shots: Sequence[Shot], expected: Expectation, every: int = 1) 
     lookouts = _lookouts(shots, expected)
     seen = [one for one in lookouts if one is not None]
     strips = [_strip(one, plane, expected) for one in seen]
-    bearings = iter(_bearings(seen, strips, plane, expected, every))
+    bearings = iter(_bearings(seen, strips, plane, expected))
     return [_nothing() if one is None else next(bearings) for one in lookouts]
 
 
@@ -166,7 +165,7 @@ def _strip(seen: _Lookout, plane: Quadric, expected: Expectation) -> Strip:
 
 
 def _bearings(
-    seen: Sequence[_Lookout], strips: Sequence[Strip], plane: Quadric, expected: Expectation, every: int
+    seen: Sequence[_Lookout], strips: Sequence[Strip], plane: Quadric, expected: Expectation
 ) -> list[Bearings]:
     """Pair the edges that are the tube's, and say under what angle its axis is seen; those of all photos together."""
     if not seen:
@@ -183,8 +182,6 @@ def _bearings(
     beside = (_BESIDE_PX * pixels_rad + _BESIDE_M / distances)[which[first]]
     middle = 0.5 * (angles[first] + angles[second])
     chosen = _continuous(lined.row[first], middle, _strength(found, first, second), beside)
-    numbers = np.array([one.shot.number for one in seen], dtype=np.intp)
-    chosen = chosen[_in_turn(found.row[first[chosen]], numbers[which[first[chosen]]], every)]
     first, second, angle = first[chosen], second[chosen], middle[chosen]
     which, row = which[first], found.row[first]
     height, distance, y = heights[which], distances[which], expected.y_m[row]
@@ -202,9 +199,10 @@ def _bearings(
     # Something dark in the glass beside one edge makes the tube look wider, and moves the bisector by half of that.
     too_wide = np.abs(wide - 2 * radius) - _WIDER_PX * distance * pixels_rad[which]
     pulled = PULLED_SHARE * np.maximum(too_wide, 0) / distance
+    photo = np.array([one.shot.number for one in seen], dtype=np.intp)[which]
     to_reflection = np.array([one.to_reflection_rad for one in seen])[which]
     bearings = Bearings(
-        numbers[which],
+        photo,
         y,
         angle,
         sigma,
@@ -239,11 +237,6 @@ def _by_profile(
     found = find_axis(samples, row, y_m[row], angle_rad, sighting, collector)
     each = found.sigma_rad * np.sqrt(np.maximum(found.rows / ROWS_ALIKE, 1.0))
     return found.angle_rad, each, 2 * found.radius_m
-
-
-def _in_turn(row: IntArray, photo: IntArray, every: int) -> BoolArray:
-    """Return which rows of photos belong to a group whose turn it is."""
-    return np.asarray((row // ROWS_TOGETHER + photo) % every == 0)
 
 
 def _angle_to_reflection(eyes_m: FloatArray, expected: Expectation) -> FloatArray:

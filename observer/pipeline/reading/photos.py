@@ -21,7 +21,7 @@ from heliogauge.images.thumbnails import make_thumbnail
 from heliogauge.results.thumbnails import MOST_THUMBNAILS
 from heliogauge.running.progress import Progress
 from heliogauge.running.threads import side_by_side
-from heliogauge.validate import FloatArray, IntArray
+from heliogauge.validate import IntArray
 from observer.photo_edges.moved_edges import bearings_in_poses, edges_in_poses
 from observer.photo_edges.reflection_edges import ReflectionEdges, joined, reflection_edges
 from observer.photo_edges.tone import Tone, ToneEvidence, full_scale, linear_light, numbers_for_the_eye
@@ -63,9 +63,6 @@ _LEAST_SHARE = 0.6
 #: Targets foreseen further than this beside a photo, in its longer sides, are not looked for there: 5 degrees of
 #: the next trough's turn move its rims by 0.2 m, a fiftieth of what a photo shows.
 _BESIDE_SHARE = 0.1
-#: So many photos of each place of the tube suffice. Of more of them each shows only some groups of rows: what a photo's
-#: pose puts the tube aside, some 0.1 px, all rows have in common, beside 0.02 px of a quarter of them.
-_PHOTOS_OF_TUBE = 100
 #: With a camera that moves so far between provisional and adjusted pose another part of the mirror may show the tube:
 #: the photo is looked at again [m].
 _FAR_M = 0.25
@@ -228,8 +225,6 @@ class _Run:
 
     finder: Finder
     slices: Slices
-    #: Each place of the tube itself is measured in every so many photos.
-    tube_every: int = 1
     track: Track | None = None
     #: Photos whose targets wait to be centred together, and where they are.
     waiting: list[tuple[_Photo, Track]] = field(default_factory=list)
@@ -296,7 +291,7 @@ class _Run:
         self.slices.take(shots, expected.collector)
         self.poses.update(zip(names, [shot.view.cam_from_frame for shot in shots], strict=True))
         self.edges.update(zip(names, reflection_edges(shots, expected), strict=True))
-        self.bearings.update(zip(names, tube_bearings(shots, expected, self.tube_every), strict=True))
+        self.bearings.update(zip(names, tube_bearings(shots, expected), strict=True))
 
     def _searched(self, photo: _Photo) -> RigidTransform | None:
         name, camera, finder = photo.name, photo.camera, self.finder
@@ -443,14 +438,11 @@ def look_first_at_each(
     if not leader.measures_alone:
         return [FirstLook(names, (), {}, {}, {}, own, leader.encodings) for own in slices]
     searched: dict[str, OnePhoto] = {}
-    views: list[View | None] = []
     with progress.stage("look how photos are encoded"):
         # One flight, one camera: the first trough that shows it decides.
-        encodings = _find_encodings(files, finders, searched, views)
+        encodings = _find_encodings(files, finders, searched)
         finders = [replace(one, encodings=encodings) for one in finders]
     leader = finders[0]
-    # Where several troughs share a flight nothing says how many photos show each.
-    tube_every = tube_every_of(len(files), views, leader.expected) if len(finders) == 1 else 1
     parts = _runs_of(len(files)) if leader.follows else [range(k, k + 1) for k in range(len(files))]
     wanted = set(evenly(len(files)).tolist()) if len(finders) == 1 else set()
     kept: dict[str, Image] = {}
@@ -460,7 +452,7 @@ def look_first_at_each(
 
         def one_run(k: int) -> list[_Run]:
             both = _Searched(dict(searched), {})
-            own = [_Run(finder, part, tube_every, searched=both) for finder, part in zip(finders, slices, strict=True)]
+            own = [_Run(finder, part, searched=both) for finder, part in zip(finders, slices, strict=True)]
             images: list[tuple[int, Image]] = []
             small: dict[str, bytes] = {}
             for number in parts[k]:
@@ -541,24 +533,6 @@ def _runs_of(count: int) -> list[range]:
     return runs
 
 
-def tube_every_of(count: int, views: Sequence[View | None], expected: Expectation) -> int:
-    """Return in every how many photos each place of the tube is to be measured, so that enough of them show it.
-
-    count: Photos of the flight.
-    views: Cameras of some of them, evenly spread; None for those whose targets determine no pose.
-    """
-    if not views:
-        return 1
-    axis = np.stack([*expected.absorber.at(expected.y_m), expected.y_m], axis=1)[:, [0, 2, 1]]
-    shown = [0.0 if one is None else _share_inside(one.project(axis), one.camera) for one in views]
-    return max(1, int(count * np.mean(shown)) // _PHOTOS_OF_TUBE)
-
-
-def _share_inside(pixels: FloatArray, camera: Camera) -> float:
-    size = np.array([camera.width_px, camera.height_px])
-    return float(np.mean(((pixels >= 0) & (pixels < size)).all(axis=1)))
-
-
 def _put_together(
     names: tuple[str, ...], runs: Sequence[_Run], slices: Slices, encodings: Encodings | None
 ) -> FirstLook:
@@ -572,12 +546,11 @@ def _put_together(
 
 
 def _find_encodings(
-    files: Sequence[Path], finders: Sequence[Finder], searched: dict[str, OnePhoto], views: list[View | None]
+    files: Sequence[Path], finders: Sequence[Finder], searched: dict[str, OnePhoto]
 ) -> Encodings | None:
     """Return how photos are encoded, from those whose targets determine the pose; None where no camera is known.
 
     searched: What is found in photos that need no decoding is put down here.
-    views: Cameras of the photos looked at, too; None for those whose targets determine no pose.
     """
     leader = finders[0]
     if leader.encodings is not None or not leader.camera_of:
@@ -591,11 +564,9 @@ def _find_encodings(
             one, pose, _ = finder.placed(image, found, finder.camera_of[name])
             if pose is not None:
                 sample, stated = Sample(image, View(finder.camera_of[name], pose)), finder.section.diameter_mm
-                views.append(sample.view)
                 size_m = None if stated is None else 1e-3 * stated
                 sizes = sizes_of(sample, one, finder.known, finder.search, size_m)
                 return look_at_tone(sample, finder.expected, sizes)
-        views.append(None)
         return None
 
     found = find_encodings(files, evidence_of)

@@ -118,22 +118,6 @@ def test_tubes_of_several_photos_at_once_are_those_of_each_alone() -> None:
     assert tube_bearings([], EXPECTED) == []
 
 
-def test_rows_in_turn_are_measured_as_all_of_them_are() -> None:
-    """Each group of 16 rows is measured in one of two photos that follow each other."""
-    taken = []
-    for number, x in enumerate((2.5, 2.4)):
-        pose = looking(np.array([x, 0.1, 6.0]), np.array([0.0, 0.0, 1.49]))
-        image = drawn_tube(View(CAMERA, pose), lambda y: (np.zeros_like(y), np.full_like(y, 1.49)), 0.035)
-        taken.append(Shot(image, number, View(CAMERA, pose)))
-    whole, parts = tube_bearings(taken, EXPECTED), tube_bearings(taken, EXPECTED, 2)
-    rows = [np.rint((one.y_m - ROWS_M[0]) / 0.02).astype(int) for one in parts]
-    assert [set(one // 16 % 2) for one in rows] == [{0}, {1}]
-    for every, some in zip(whole, parts, strict=True):
-        same = np.isin(every.y_m, some.y_m)
-        assert np.count_nonzero(same) == some.y_m.size >= 25
-        np.testing.assert_array_less(np.abs(every.angle_rad[same] - some.angle_rad), some.sigma_rad)
-
-
 def test_edges_of_a_strip_are_those_of_a_plain_search() -> None:
     rng = np.random.default_rng(0)
     x = np.arange(120) * 6.3e-3
