@@ -196,6 +196,8 @@ def panel_columns(
         "rest_slope_rad": shapes.rest_rad,
         **({} if reflector is None else _height_columns(reflector, tilts.tilt_rad.size)),
         "measured_share": tilts.measured_share,
+        "sigma_unmeasured_theta_r_rad": tilts.sigma_unmeasured_rad,
+        "sigma_unmeasured_theta_ra_rad": to_tube.sigma_unmeasured_rad,
     }
 
 

@@ -20,6 +20,7 @@ from heliogauge.slopes.map import SlopeMap
 from heliogauge.slopes.mounts import LEAST_SHARE, moves_of_mounts
 from heliogauge.validate import FloatArray, IntArray
 from observer.photo_edges.reflection_edges import design_misfit
+from observer.product.unmeasured_part import unmeasured_variances
 from observer.trough.absorber_path import AbsorberPath
 from observer.trough.collector import Collector
 
@@ -39,6 +40,8 @@ class PanelTilts:
         measured [rad].
     sigma_rad (k,): Its standard deviation [rad].
     measured_share (k,): How much of the panel has a value.
+    sigma_unmeasured_rad (k,): What of the standard deviation is for the rest, which two measurements that cover the
+        same nodes have in common; None where it is not known apart [rad].
     """
 
     centre_x_m: FloatArray
@@ -46,6 +49,7 @@ class PanelTilts:
     tilt_rad: FloatArray
     sigma_rad: FloatArray
     measured_share: FloatArray
+    sigma_unmeasured_rad: FloatArray | None = None
 
 
 def target_plane_edges(across_m: FloatArray, focal_length_m: float, radius_m: float) -> tuple[FloatArray, FloatArray]:
@@ -102,7 +106,8 @@ def panel_tilts(
     slope_map: The mirror; gives nodes and uncertainty.
     sigma_rad (k,): Standard deviation of each panel's mean as `panels.csv` has it; by default that of the map for
         theta_r [rad].
-    Returns: Means with their sigma: noise of the nodes, and what the map has in common.
+    Returns: Means with their sigma: noise of the nodes, what the map has in common, and what was not measured of the
+        panel.
     """
     x, y = np.meshgrid(slope_map.x_m, slope_map.y_m)
     panel = collector.panel_index(x, y)
@@ -112,6 +117,7 @@ def panel_tilts(
     columns, rows = collector.panel_edges_x_m, collector.panel_edges_y_m
     count = (len(columns) - 1) * (len(rows) - 1)
     tilt, sigma, share = np.full(count, np.nan), np.full(count, np.nan), np.zeros(count)
+    wanted, weights = np.zeros((2, *panel.shape))
     for number in range(count):
         own = (panel == number) & used
         share[number] = np.count_nonzero(own) / max(int(np.count_nonzero(panel == number)), 1)
@@ -124,8 +130,14 @@ def panel_tilts(
         noise = slope_map.noise_correlation * np.sum((turn * slope_map.sigma_random_x)[own] ** 2) / own.sum() ** 2
         together = np.sum(slope_map.common.of_sum(x[own], y[own], turn[own] / own.sum())[:, 0] ** 2)
         sigma[number] = np.sqrt(noise + together)
+        wanted[panel == number] = 1 / np.count_nonzero(panel == number)
+        weights[own] = 1 / np.count_nonzero(own)
+    unmeasured = None
+    if sigma_rad is None:
+        unmeasured = np.sqrt(unmeasured_variances(angle_rad, panel, used, wanted, weights))
+        sigma = np.hypot(sigma, unmeasured)
     centre_x, centre_y = np.meshgrid((columns[:-1] + columns[1:]) / 2, (rows[:-1] + rows[1:]) / 2)
-    return PanelTilts(centre_x.ravel(), centre_y.ravel(), tilt, sigma, share)
+    return PanelTilts(centre_x.ravel(), centre_y.ravel(), tilt, sigma, share, unmeasured)
 
 
 class MountMoves(NamedTuple):

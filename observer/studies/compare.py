@@ -307,16 +307,26 @@ def _several_modules(folder: Path) -> str:
 def read_panels(folder: Path, collector: Collector) -> PanelState:
     """Read what a result says of its panels."""
     found, _ = read_arrays(folder / ANGLES, ("x", "y", "theta_r", "theta_ra"))
-    sigmas = _numbers(folder / "panels.csv", ("sigma_mean_theta_r_rad", "sigma_mean_theta_ra_rad"))
+    sigmas = {name: _sigma_of_measured(folder / "panels.csv", name) for name in ("theta_r", "theta_ra")}
     return PanelState(
         x_m=found["x"],
         y_m=found["y"],
         theta_r_rad=found["theta_r"].astype(np.float64),
         theta_ra_rad=found["theta_ra"].astype(np.float64),
         panel=collector.panel_index(*np.meshgrid(found["x"], found["y"])),
-        sigma_theta_r_rad=sigmas["sigma_mean_theta_r_rad"],
-        sigma_theta_ra_rad=sigmas["sigma_mean_theta_ra_rad"],
+        sigma_theta_r_rad=sigmas["theta_r"],
+        sigma_theta_ra_rad=sigmas["theta_ra"],
     )
+
+
+def _sigma_of_measured(path: Path, angle: str) -> FloatArray:
+    """Return the sigma of the mean of what was measured of each panel: both results are compared at the same nodes."""
+    mean, unmeasured = f"sigma_mean_{angle}_rad", f"sigma_unmeasured_{angle}_rad"
+    sigma = _numbers(path, (mean,))[mean]
+    # Results of before had no such share.
+    if unmeasured not in read_table_csv(path, (mean,)):
+        return sigma
+    return np.sqrt(np.maximum(sigma**2 - _numbers(path, (unmeasured,))[unmeasured] ** 2, 0.0))
 
 
 def _with_own_labels(found: Sequence[OneOrientation]) -> tuple[OneOrientation, ...]:
