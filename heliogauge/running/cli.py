@@ -236,7 +236,11 @@ def check(
     quiet: Quiet = False,
     verbose: Verbose = False,
 ) -> None:
-    """Say all that can be found wrong with a measurement folder before measuring; nothing is written."""
+    """Say what can be found wrong with a measurement folder before measuring; nothing is written.
+
+    Keys, files and tables, every photo's file, and what is quickly seen in some photos. What only the evaluation shows
+    (wrong dimensions of mirror or absorber, a camera that is off by a few per cent, targets that moved) measure says.
+    """
     from heliogauge.running.check import check_folder
     from heliogauge.running.terminal import terminal_progress
 

@@ -31,18 +31,18 @@ _OTHER_SIZE, _SIZE_TIMES_SCATTER, _FEWEST_SIZES = 0.02, 6.0, 4
 _FARTHEST_TIMES = 100.0
 
 
-def refuse_impossible_cameras(eyes_m: FloatArray, collector: Collector) -> None:
+def refuse_impossible_cameras(eyes_m: FloatArray, listed_m: FloatArray, collector: Collector) -> None:
     """Refuse cameras that are where none can see the mirror: the list of targets is mirrored, or in other units.
 
     eyes_m (n, 3): The cameras in the trough's frame [m].
+    listed_m (m, 3): Targets with listed coordinates [m].
     InputError: Most cameras are behind the mirror, or extremely far away.
     """
     height = float(np.median(eyes_m[:, 2]))
     if height < collector.rim_height_m:
         raise InputError(
             f"targets: with the listed coordinates the cameras are behind the mirror (median z = {height:.2f} m): the "
-            "list is mirrored. x must go across the aperture, y along the trough and z to the absorber, right-handed: "
-            "change the sign of x_m or of y_m for all targets"
+            f"list is mirrored. {_why_mirrored(listed_m, collector)}"
         )
     largest = max(collector.aperture_width_m, collector.length_m, collector.focal_length_m)
     distance = float(np.median(np.linalg.norm(eyes_m, axis=1)))
@@ -51,6 +51,25 @@ def refuse_impossible_cameras(eyes_m: FloatArray, collector: Collector) -> None:
             f"targets: with the listed coordinates the cameras are {distance:.0f} m away from a collector of "
             f"{largest:g} m; are the coordinates in metres?"
         )
+
+
+def _why_mirrored(listed_m: FloatArray, collector: Collector) -> str:
+    """Say whether columns or a sign make a list mirrored, by how it spreads beside the collector."""
+    x, y = np.ptp(listed_m[:, :2], axis=0) if len(listed_m) else np.zeros(2)
+    aperture, length = collector.aperture_width_m, collector.length_m
+    right = "x must go across the aperture, y along the trough and z to the absorber, right-handed"
+    if min(x, y) > 0:
+        as_listed = abs(np.log(x / aperture)) + abs(np.log(y / length))
+        exchanged = abs(np.log(y / aperture)) + abs(np.log(x / length))
+        if exchanged < as_listed:
+            return (
+                f"Its columns x_m and y_m seem exchanged: it spreads over {x:.2f} m in x and {y:.2f} m in y, the "
+                f"collector over {aperture:g} m across and {length:g} m along. {right}: exchange the two columns"
+            )
+    return (
+        f"{right}: change the sign of x_m or of y_m for all targets. Choose the one that is wrong: the other one turns "
+        "the result by 180 degrees about z, so that panels are numbered from the opposite corner"
+    )
 
 
 def overexposure_doubt(clipped_share: float) -> Doubt | None:
@@ -106,9 +125,10 @@ def scatter_doubt(image_sigma_factor: float, residual_rms_px: float, focal_px: f
     return Doubt(
         "image_points_scatter",
         f"the targets' image points scatter by {residual_rms_px:.2f} px, {image_sigma_factor:.1f} times what the edges "
-        "of the targets let expect, and the stated camera is not to blame; sigmas rest on the scatter, and slopes may "
-        f"be off by {1e3 * slope_rad:.2f} mrad together. Did targets or the trough move between photos, did zoom or "
-        "focus change, or did the camera fly fast with a rolling shutter?",
+        "of the targets let expect, and no other camera was found that fits better; sigmas rest on the scatter, and "
+        f"slopes may be off by {1e3 * slope_rad:.2f} mrad together. Did targets or the trough move between photos, did "
+        "zoom or focus change, were photos scaled after focal_px was found (it scales with them), or did the camera fly "
+        "fast with a rolling shutter?",
         {"image_sigma_factor": image_sigma_factor, "image_residual_rms_px": residual_rms_px, "slope_rad": slope_rad},
         Severity.SERIOUS if slope_rad > _WANTED_RAD else Severity.DOUBT,
     )

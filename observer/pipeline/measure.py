@@ -24,6 +24,7 @@ from observer.pipeline.reading.photos import FirstLook, SeenInPhotos, look_again
 from observer.pipeline.result import Result
 from observer.pipeline.stated_camera import blamed
 from observer.pipeline.target_list import check_list, keep_placed
+from observer.pipeline.unknown_camera import start_unknown_camera
 from observer.product.panel_alignment import panel_tilts
 from observer.product.pictures import Overlay, draw_overlay
 from observer.selection.edge_refusal import EdgeFate
@@ -68,7 +69,7 @@ def run(measurement: ObserverMeasurement, options: Options | None = None, progre
         The photos do not hang together, or too little of the reflection is seen.
     """
     options, progress = options or Options(), progress or SilentProgress()
-    inputs = read_inputs(measurement, progress)
+    inputs = start_unknown_camera(read_inputs(measurement, progress), options.jobs, progress)
     files = inputs.survey.photo_files
     if inputs.corners is None:
         first = look_first(files, inputs.finder, jobs=options.jobs, progress=progress)
@@ -89,18 +90,19 @@ def evaluate(inputs: Inputs, first: FirstLook, options: Options, progress: Progr
     else:
         listed = keep_placed(inputs.survey, first)
     listed, cameras = adjust_turning(listed, inputs, options.jobs, progress)
-    refuse_impossible_cameras(cameras.photos.eyes_m, inputs.collector)
+    refuse_impossible_cameras(cameras.photos.eyes_m, inputs.finder.known.points_m, inputs.collector)
     seen = look_again(cameras.files, cameras.views, inputs.finder, listed.first, jobs=options.jobs, progress=progress)
     kept = listed.first.kept
     panels = place_panels(inputs, cameras, seen, options.jobs, progress, kept)
     kept.clear()
     cameras, seen = panels.cameras, panels.seen
     shown = partial(cameras.network.measured.pictures, "too little is seen of the absorber")
-    with progress.stage("absorber"), blamed(cameras.network), showing(shown):
+    blame = partial(blamed, cameras.network, listed.survey, listed.first)
+    with progress.stage("absorber"), blame(), showing(shown):
         placed = place_absorber(inputs, seen, cameras.photos)
-    with progress.stage("slopes"), blamed(cameras.network), showing(shown):
+    with progress.stage("slopes"), blame(), showing(shown):
         mirror = solve_mirror(inputs, seen, cameras.photos, placed)
-    with progress.stage("intercept factor"):
+    with progress.stage("intercept factor"), blame():
         tilts = panel_tilts(mirror.angles.theta_ra_rad, mirror.angles.to_tube, inputs.collector)
         intercept = evaluate_intercept(
             inputs.light, mirror.slope_map, mirror.absorber, inputs.collector, tilts, mirror.reflector.sums

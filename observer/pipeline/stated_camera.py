@@ -165,16 +165,19 @@ def explained() -> Iterator[None]:
 
 
 @contextmanager
-def blamed(network: photogrammetry_pipeline.Result) -> Iterator[None]:
-    """Say with an error what the adjustment of cameras and targets had to say, which is often its cause.
+def blamed(
+    network: photogrammetry_pipeline.Result, survey: PhotogrammetryMeasurement, first: FirstLook
+) -> Iterator[None]:
+    """Say with an error what cameras and targets have to say, which is often its cause.
 
+    first: What was found in the photos.
     Returns: While what rests on the network is computed.
     EstimationError: What was raised, with the first doubt.
     """
     try:
         yield
     except EstimationError as error:
-        doubts = gather_doubts(_scatter_of(network), network.doubts)
+        doubts = gather_doubts(stated_camera_doubt(network, survey, first), network.doubts)
         if not doubts:
             raise
         raise EstimationError(f"{error}; before that: {doubts[0]}") from error

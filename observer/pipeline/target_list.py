@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from heliogauge.camera.model import Camera
 from heliogauge.doubts import Doubt, Severity
 from heliogauge.validate import FloatArray
 from observer.pipeline.inputs import AXES
@@ -18,6 +19,7 @@ from observer.targets.list_checks import (
     refuse_upside_down,
     stray_targets,
 )
+from observer.targets.list_focal import FocalOfList, focal_of_list, refuse_other_focal
 from observer.trough.collector import Collector
 from photogrammetry import pipeline as photogrammetry_pipeline
 from photogrammetry.bundle import constraints
@@ -54,6 +56,8 @@ def check_list(survey: PhotogrammetryMeasurement, finder: Finder, file: str, fir
     found = leave_out_lines(sized.survey, sized.first, finder.known)
     found = replace(found, doubts=(*sized.doubts, *found.doubts))
     refuse_strange_list(found.survey, found.first, file)
+    for camera in dict.fromkeys(finder.camera_of.values()):
+        refuse_other_focal(focal_of_photos(found.first, finder, camera), camera)
     found = leave_out_strays(found, finder)
     count = len(first.by_list)
     if not count:
@@ -64,6 +68,22 @@ def check_list(survey: PhotogrammetryMeasurement, finder: Finder, file: str, fir
     )
     note = Doubt("photos_placed_by_list", text, {"photos_count": count}, Severity.NOTE)
     return replace(found, doubts=(*found.doubts, note))
+
+
+def focal_of_photos(first: FirstLook, finder: Finder, camera: Camera) -> FocalOfList | None:
+    """Return the focal length that a camera's photos of the listed targets show by themselves.
+
+    camera: One of the finder's; where it has none, a guess with the photos' size.
+    """
+    place = {name: number for number, name in enumerate(finder.known.names)}
+    photos = []
+    for one in first.targets:
+        table = one.detections
+        if finder.camera_of.get(table.photo, camera) is camera:
+            rows = [k for k, name in enumerate(table.names) if name in place and table.usable[k]]
+            own = [place[table.names[k]] for k in rows]
+            photos.append((finder.known.points_m[own], table.pixels_px[rows]))
+    return focal_of_list(photos, camera)
 
 
 def keep_placed(survey: PhotogrammetryMeasurement, first: FirstLook) -> CheckedList:

@@ -69,7 +69,7 @@ def run_on_photos(
         first = find_corners(files, inputs.finder, inputs.corners, jobs=options.jobs, progress=progress)
         listed = keep_placed(inputs.survey, first)
     listed, cameras = adjust_turning(listed, inputs, options.jobs, progress)
-    refuse_impossible_cameras(cameras.photos.eyes_m, inputs.collector)
+    refuse_impossible_cameras(cameras.photos.eyes_m, inputs.finder.known.points_m, inputs.collector)
     seen = look_again(cameras.files, cameras.views, inputs.finder, listed.first, jobs=options.jobs, progress=progress)
     with progress.stage("absorber"):
         placed = place_absorber(inputs, seen, cameras.photos)

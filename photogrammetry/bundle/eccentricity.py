@@ -104,7 +104,9 @@ def _row(jacobian: FloatArray, i: int, j: int) -> FloatArray:
 def _discs(normal: FloatArray, right: FloatArray, rays: np.ndarray, *, least_photos: int = _LEAST_PHOTOS) -> Discs:
     n = len(rays)
     shapes, known = np.zeros((n, 3, 3)), np.zeros(n, dtype=np.bool_)
-    seen = np.nonzero(rays >= least_photos)[0]
+    # A network that fell apart has targets before no camera.
+    finite = np.isfinite(normal).all(axis=(1, 2)) & np.isfinite(right).all(axis=1)
+    seen = np.nonzero((rays >= least_photos) & finite)[0]
     # The least of all solutions where a photo's equations repeat another one's.
     values = (np.linalg.pinv(normal[seen], rcond=1e-10, hermitian=True) @ right[seen, :, None])[..., 0]
     xx, yy, zz, xy, xz, yz = values.T

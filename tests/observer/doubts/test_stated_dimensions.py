@@ -78,11 +78,14 @@ def test_width_length_and_origin_by_name():
 
 def test_cameras_where_none_can_be():
     above = np.array([[-2.0, 0.0, 12.0], [0.0, 0.1, 12.0], [2.0, 0.0, 12.0]])
-    refuse_impossible_cameras(above, ls2())
-    with pytest.raises(InputError, match=r"behind the mirror .* the list is mirrored"):
-        refuse_impossible_cameras(above * [1.0, 1.0, -1.0], ls2())
+    rims = np.array([[x, y, 0.9] for x in (-2.6, 2.6) for y in (-3.8, 0.0, 3.8)])
+    refuse_impossible_cameras(above, rims, ls2())
+    with pytest.raises(InputError, match=r"the list is mirrored. x must .* turns the result by 180 degrees"):
+        refuse_impossible_cameras(above * [1.0, 1.0, -1.0], rims * [1.0, -1.0, 1.0], ls2())
+    with pytest.raises(InputError, match=r"columns x_m and y_m seem exchanged: it spreads over 7.60 m in x and 5.20 m"):
+        refuse_impossible_cameras(above * [1.0, 1.0, -1.0], rims[:, [1, 0, 2]], ls2())
     with pytest.raises(InputError, match=r"12\d{3} m away .* are the coordinates in metres"):
-        refuse_impossible_cameras(1000 * above, ls2())
+        refuse_impossible_cameras(1000 * above, rims, ls2())
 
 
 def test_overexposed_only_beyond_a_glint():

@@ -1,0 +1,53 @@
+"""The focal length from images of targets in one plane, of cameras that are known."""
+
+import numpy as np
+import pytest
+
+from heliogauge.camera.distortion import BrownDistortion
+from heliogauge.camera.model import Camera
+from heliogauge.errors import InputError
+from heliogauge.geometry.rigid import RigidTransform, rotation_from_vector
+from observer.targets.list_focal import focal_of_list, refuse_other_focal
+
+CAMERA = Camera(940, 940, 1750.0, 1750.0, 469.5, 469.5, 0.0, BrownDistortion())
+RIMS = np.array([[x, y, 1.21] for x in (-3.06, 3.06) for y in np.linspace(-3.28, 3.28, 6)])
+
+
+def photos(
+    turns_rad: list[float], places: np.ndarray = RIMS, noise_px: float = 0.02
+) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Photos from 13 m over the rims, the camera turned about y as it flies across."""
+    rng = np.random.default_rng(0)
+    shown = []
+    for turn in turns_rad:
+        down = np.diag([1.0, -1.0, -1.0]) @ rotation_from_vector(np.array([0.0, turn, 0.0]))
+        pose = RigidTransform(down, np.array([0.1, -0.1, 14.0]))
+        shown.append((places, CAMERA.project(pose.apply(places)) + noise_px * rng.standard_normal((len(places), 2))))
+    return shown
+
+
+def test_it_is_that_of_the_camera_whatever_is_stated() -> None:
+    stated = Camera(940, 940, 3500.0, 3500.0, 469.5, 469.5, 0.0, BrownDistortion())
+    found = focal_of_list(photos([-0.25, -0.15, 0.1, 0.2]), stated)
+    assert found is not None
+    assert found.focal_px == pytest.approx(1750, rel=0.01)
+    assert abs(found.focal_px - 1750) < 5 * found.sigma_px
+    with pytest.raises(InputError, match=r"focal_px = 3500 does not fit: .* 0.50 times as much, in 4 photos"):
+        refuse_other_focal(found, stated)
+    # A few per cent are left to the adjustment, which says them with their sigma.
+    refuse_other_focal(found, Camera(940, 940, 1840.0, 1840.0, 469.5, 469.5, 0.0, BrownDistortion()))
+
+
+def test_exchanged_targets_do_not_change_it() -> None:
+    shown = [(places[[1, 0, *range(2, 12)]], pixels) for places, pixels in photos([-0.25, -0.15, 0.1, 0.2])]
+    found = focal_of_list(shown, CAMERA)
+    assert found is not None
+    assert found.focal_px == pytest.approx(1750, rel=0.01)
+
+
+def test_what_does_not_show_it_gives_none() -> None:
+    assert focal_of_list(photos([0.0, 0.0, 0.0, 0.0], noise_px=0.2), CAMERA) is None
+    assert focal_of_list(photos([-0.2, 0.2]), CAMERA) is None
+    deep = RIMS + np.array([0.0, 0.0, 0.3]) * (np.arange(12) % 2)[:, None]
+    assert focal_of_list(photos([-0.25, -0.15, 0.1, 0.2], deep), CAMERA) is None
+    refuse_other_focal(None, CAMERA)
