@@ -15,6 +15,7 @@ import zlib
 from collections import Counter, deque
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
@@ -104,6 +105,29 @@ def read_channel(path: Path, channel: str) -> Image:
     if image.ndim == 2 or image.shape[2] < 3:
         return _grey(image)
     return np.ascontiguousarray(image[..., _CHANNELS[channel]])
+
+
+@contextmanager
+def naming_all_unreadable(files: Sequence[Path]) -> Iterator[None]:
+    """Name all photographs that cannot be read where one of them ends the work, not the first alone.
+
+    files: The photographs that the work reads.
+    Returns: While they are read.
+    InputError: What was raised; for a photograph that cannot be read with the others like it.
+    """
+    try:
+        yield
+    except InputError as error:
+        faults = []
+        for file in files:
+            try:
+                read_luma(file)
+            except InputError as own:
+                faults.append(str(own))
+        if str(error) not in faults:
+            raise
+        count = f"{len(faults)} of {len(files)} photos cannot be read"
+        raise InputError("; ".join([*faults, f"{count}: mend or remove them, the others may do without"])) from error
 
 
 def read_luma(path: Path) -> Image:

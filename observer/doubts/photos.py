@@ -127,8 +127,8 @@ def scatter_doubt(image_sigma_factor: float, residual_rms_px: float, focal_px: f
         f"the targets' image points scatter by {residual_rms_px:.2f} px, {image_sigma_factor:.1f} times what the edges "
         "of the targets let expect, and no other camera was found that fits better; sigmas rest on the scatter, and "
         f"slopes may be off by {1e3 * slope_rad:.2f} mrad together. Did targets or the trough move between photos, did "
-        "zoom or focus change, were photos scaled after focal_px was found (it scales with them), or did the camera fly "
-        "fast with a rolling shutter?",
+        "zoom or focus change, were photos scaled (focal_px scales with them), or did the camera fly fast with a "
+        "rolling shutter?",
         {"image_sigma_factor": image_sigma_factor, "image_residual_rms_px": residual_rms_px, "slope_rad": slope_rad},
         Severity.SERIOUS if slope_rad > _WANTED_RAD else Severity.DOUBT,
     )

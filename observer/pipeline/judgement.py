@@ -30,6 +30,18 @@ from observer.slopes.shape_share import shape_doubt
 from observer.trough.collector import Collector
 from observer.trough.visibility import beyond_tube_doubt, coverage_doubt, seeable_shares
 
+#: Findings that a wrong number makes by itself: with that one named, what they advise (another sigma of panels, that
+#: the surface follows its slopes, another diameter) would hide it.
+_EXPLAINED_BY = {
+    "focal_length_contradicts_photos": {
+        "panel_heights_contradict_reflection",
+        "surface_shape_contradicts_reflection",
+        "surface_shape_undecided",
+    },
+    "glass_not_stated": {"absorber_diameter_contradicts_reflection", "absorber_diameter_contradicts_photos"},
+    "absorber_diameter_contradicts_reflection": {"absorber_diameter_contradicts_photos"},
+}
+
 #: A place, and two beside it across the optical axis, small against any distance [m].
 _SMALL_STEPS = (np.zeros(3), np.array([0.01, 0.0, 0.0]), np.array([0.0, 0.01, 0.0]))
 
@@ -55,7 +67,7 @@ def judge(
     with_sizes = not is_camera_wrong(camera) and sparse is None
     usual_sigma = float(np.median(slope_map.sigma_slope()[0][slope_map.valid]))
     own_sigma = np.sqrt(reflector.errors.random[..., 0, 0][slope_map.valid])
-    return gather_doubts(
+    found = gather_doubts(
         inputs.doubts,
         listed.doubts,
         camera,
@@ -82,6 +94,14 @@ def judge(
         unchecked_doubt(reflector.fate),
         halves_doubt(reflector.halves, usual_sigma, inputs.n_modules),
     )
+    return without_consequences(found)
+
+
+def without_consequences(doubts: tuple[Doubt, ...]) -> tuple[Doubt, ...]:
+    """Leave out doubts that another one explains."""
+    codes = {one.code for one in doubts}
+    explained = {code for cause in codes for code in _EXPLAINED_BY.get(cause, ())}
+    return tuple(one for one in doubts if one.code not in explained)
 
 
 def _is_mixed(encodings: Encodings) -> bool:

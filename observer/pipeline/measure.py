@@ -8,7 +8,7 @@ import numpy as np
 from heliogauge.doubts import gather_doubts
 from heliogauge.errors import showing
 from heliogauge.geometry.rigid import RigidTransform
-from heliogauge.images.photos import read_luma
+from heliogauge.images.photos import naming_all_unreadable, read_luma
 from heliogauge.running.progress import Progress, SilentProgress
 from observer.doubts.photos import refuse_impossible_cameras
 from observer.keys import ObserverMeasurement
@@ -18,7 +18,7 @@ from observer.pipeline.corners import find_corners
 from observer.pipeline.inputs import Inputs, read_inputs
 from observer.pipeline.intercept import evaluate_intercept
 from observer.pipeline.judgement import judge
-from observer.pipeline.mirror import SolvedMirror, place_absorber, refine_poses, solve_mirror
+from observer.pipeline.mirror import SolvedMirror, asking_for_diameter, place_absorber, refine_poses, solve_mirror
 from observer.pipeline.panels import place_panels
 from observer.pipeline.reading.photos import FirstLook, SeenInPhotos, look_again, look_first
 from observer.pipeline.result import Result
@@ -71,10 +71,11 @@ def run(measurement: ObserverMeasurement, options: Options | None = None, progre
     options, progress = options or Options(), progress or SilentProgress()
     inputs = start_unknown_camera(read_inputs(measurement, progress), options.jobs, progress)
     files = inputs.survey.photo_files
-    if inputs.corners is None:
-        first = look_first(files, inputs.finder, jobs=options.jobs, progress=progress)
-    else:
-        first = find_corners(files, inputs.finder, inputs.corners, jobs=options.jobs, progress=progress)
+    with naming_all_unreadable(files):
+        if inputs.corners is None:
+            first = look_first(files, inputs.finder, jobs=options.jobs, progress=progress)
+        else:
+            first = find_corners(files, inputs.finder, inputs.corners, jobs=options.jobs, progress=progress)
     return evaluate(inputs, first, options, progress)
 
 
@@ -98,7 +99,7 @@ def evaluate(inputs: Inputs, first: FirstLook, options: Options, progress: Progr
     cameras, seen = panels.cameras, panels.seen
     shown = partial(cameras.network.measured.pictures, "too little is seen of the absorber")
     blame = partial(blamed, cameras.network, listed.survey, listed.first)
-    with progress.stage("absorber"), blame(), showing(shown):
+    with progress.stage("absorber"), blame(), showing(shown), asking_for_diameter(inputs, cameras):
         placed = place_absorber(inputs, seen, cameras.photos)
     with progress.stage("slopes"), blame(), showing(shown):
         mirror = solve_mirror(inputs, seen, cameras.photos, placed)

@@ -1,5 +1,7 @@
 """Where the absorber is, then the mirror's slopes and the absorber together; poses as the reflection refines them."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -8,9 +10,12 @@ from heliogauge.errors import EstimationError
 from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.slopes.map import SlopeMap
 from heliogauge.validate import FloatArray
+from observer.absorber.other_diameter import other_diameter_m
 from observer.absorber.position import AbsorberSolution, solve_absorber
 from observer.absorber.product import absorber_doubts
 from observer.doubts.photos import sparse_doubt
+from observer.photo_edges.views import Shot
+from observer.pipeline.cameras import Cameras
 from observer.pipeline.inputs import Inputs
 from observer.pipeline.reading.photos import SeenInPhotos
 from observer.product.slope_map import AngleMaps, angle_maps, known_theta_r, slope_map_of, slopes_to_tube
@@ -18,6 +23,9 @@ from observer.selection.solve_and_refuse import Reflector, solve_reflector
 from observer.slopes.pose_modes import Photos
 from observer.trough.absorber_path import AbsorberPath
 from observer.trough.visibility import Visibility, visibility
+
+#: Photos that are searched for a tube of another diameter, evenly over the flight.
+_MOST_ASKED = 12
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -77,6 +85,33 @@ def place_absorber(inputs: Inputs, seen: SeenInPhotos, photos: Photos) -> Placed
     is_design = inputs.absorber_source == "design"
     doubts = tuple(absorber_doubts(path, solution, inputs.collector, is_design=is_design))
     return PlacedAbsorber(path, solution, doubts)
+
+
+@contextmanager
+def asking_for_diameter(inputs: Inputs, cameras: Cameras) -> Iterator[None]:
+    """Say where an absorber is not found whether it would be with another diameter than stated.
+
+    cameras: Photos with adjusted poses.
+    Returns: While its place is measured.
+    EstimationError: What was raised, or that the stated diameter is wrong.
+    """
+    try:
+        yield
+    except EstimationError as error:
+        if inputs.absorber_source != "photos":
+            raise
+        every = -(-len(cameras.files) // _MOST_ASKED)
+        numbered = list(enumerate(zip(cameras.files, cameras.views, strict=True)))[::every]
+        shots = [Shot(inputs.finder.read(file), number, view) for number, (file, view) in numbered]
+        seen = other_diameter_m(shots, inputs.finder.expected)
+        if seen is None:
+            raise
+        stated = inputs.collector.absorber_diameter_m
+        raise EstimationError(
+            f"absorber: collector.absorber_diameter_mm = {1e3 * stated:g} mm does not fit: the tube is not found with "
+            f"it, and in many rows with another one: it looks {1e3 * seen:.0f} mm thick, within some 3 mm; it is the "
+            "diameter of the metal tube, without the glass"
+        ) from error
 
 
 def solve_mirror(inputs: Inputs, seen: SeenInPhotos, photos: Photos, placed: PlacedAbsorber) -> SolvedMirror:

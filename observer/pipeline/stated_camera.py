@@ -177,7 +177,10 @@ def blamed(
     try:
         yield
     except EstimationError as error:
-        doubts = gather_doubts(stated_camera_doubt(network, survey, first), network.doubts)
+        camera = stated_camera_doubt(network, survey, first)
+        if is_camera_wrong(camera):
+            raise EstimationError(f"{camera}; so {error}") from error
+        doubts = gather_doubts(camera, network.doubts)
         if not doubts:
             raise
         raise EstimationError(f"{error}; before that: {doubts[0]}") from error

@@ -310,11 +310,12 @@ def _unused_values(unused: Sequence[LeftOut]) -> Iterator[Doubt]:
 
 
 def _unturned(bundle: BundleResult) -> Iterator[Doubt]:
-    """Yield cameras that calibrate themselves and were always held the same way."""
+    """Yield cameras whose principal point is estimated and that were always held the same way."""
     cameras = bundle.problem.cameras
     for place, model in enumerate(cameras):
         own = bundle.state.rotations[bundle.problem.camera_index == place]
-        if "focal_px" in model.free and len(own) and (roll := _roll_range_rad(own)) < _LEAST_ROLL_RAD:
+        is_free = not {"center_x_px", "center_y_px"}.isdisjoint(model.free)
+        if is_free and len(own) and (roll := _roll_range_rad(own)) < _LEAST_ROLL_RAD:
             whose = "" if len(cameras) == 1 else f" {model.name}"
             yield Doubt(
                 "camera_never_turned",

@@ -10,7 +10,15 @@ import pytest
 import tifffile
 
 from heliogauge.errors import InputError
-from heliogauge.images.photos import orientation_tag, read_channel, read_frames, read_image, read_luma, write_image
+from heliogauge.images.photos import (
+    naming_all_unreadable,
+    orientation_tag,
+    read_channel,
+    read_frames,
+    read_image,
+    read_luma,
+    write_image,
+)
 from heliogauge.running.progress import SilentProgress
 
 
@@ -290,3 +298,19 @@ def test_one_colour(tmp_path: Path) -> None:
     assert np.array_equal(read_channel(tmp_path / "colour.png", "luminance"), read_image(tmp_path / "colour.png"))
     with pytest.raises(InputError, match="channel"):
         read_channel(tmp_path / "colour.png", "infrared")
+
+
+def test_all_unreadable_photos_are_named_at_once(tmp_path: Path, rng: np.random.Generator) -> None:
+    files = [tmp_path / f"{name}.jpg" for name in "abc"]
+    whole = encoded(".jpg", picture(rng, 40, 60))
+    for file, content in zip(files, (whole, b"", whole[:-2]), strict=True):
+        file.write_bytes(content)
+    with (
+        pytest.raises(InputError, match=r"b\.jpg: the file is empty.*c\.jpg: the JPEG file is cut off.*2 of 3 photos"),
+        naming_all_unreadable(files),
+    ):
+        for file in files:
+            read_luma(file)
+    # What is no fault of a photo stays what it is.
+    with pytest.raises(InputError, match=r"^targets: none$"), naming_all_unreadable(files):
+        raise InputError("targets: none")

@@ -8,6 +8,7 @@ import pytest
 from heliogauge.camera.model import Camera
 from heliogauge.errors import EstimationError
 from heliogauge.geometry.rigid import RigidTransform
+from observer.absorber.other_diameter import other_diameter_m
 from observer.absorber.position import AbsorberSolution, StationFate, bearing_derivatives, sag_of_tube_m, solve_absorber
 from observer.photo_edges.edges import Edges
 from observer.photo_edges.tube_bearings import Bearings, bearing, paired_edges, tube_bearings
@@ -319,3 +320,14 @@ def test_photos_whose_camera_is_no_higher_than_the_tube_give_nothing() -> None:
     image = np.zeros((CAMERA.height_px, CAMERA.width_px), dtype=np.uint8)
     expected = Expectation(SHORT, AbsorberPath.straight(0.0, 1.49, 0.8), ROWS_M)
     assert tube_bearings([Shot(image, 0, View(CAMERA, pose))], expected)[0].y_m.size == 0
+
+
+@pytest.mark.parametrize("stated_m", [0.050, 0.070, 0.090])
+def test_a_tube_that_is_not_found_is_found_with_another_diameter(stated_m: float) -> None:
+    shots = []
+    for number, pose in enumerate(photos_at([-2.5, 2.0]).poses):
+        view = View(CAMERA, pose)
+        shots.append(Shot(drawn_tube(view, line(0.01, 0.0), RADIUS_M), number, view))
+    expected = Expectation(replace(SHORT, absorber_diameter_m=stated_m), AbsorberPath.straight(0.0, 1.49, 0.8), ROWS_M)
+    found = other_diameter_m(shots, expected)
+    assert found == (None if stated_m == 0.070 else pytest.approx(0.070, abs=0.003))
