@@ -119,7 +119,9 @@ def _pixels(
 ) -> tuple[FloatArray, FloatArray, BoolArray]:
     """Return brightness, distance outside the outline [px] and use of the pixels around each disc, shapes (k, n)."""
     height, width = image.shape
-    radii = np.sqrt(np.abs(np.linalg.det(ellipses_px2))) ** 0.5
+    # Corners have no ellipse: NaN, which a determinant warns of.
+    (xx, xy), (_, yy) = np.moveaxis(ellipses_px2, 0, 2)
+    radii = np.sqrt(np.sqrt(np.abs(xx * yy - xy * xy)))
     large = np.isfinite(centers_px).all(axis=1) & (radii >= _LEAST_RADIUS_PX)
     reach = int(np.ceil(np.max(radii[large], initial=0.0) * REACH * 1.3)) + 1
     middle = np.rint(np.where(large[:, None], centers_px, -1)).astype(np.intp)

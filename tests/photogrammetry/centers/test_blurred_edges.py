@@ -60,3 +60,10 @@ def test_no_discs_or_small_ones_say_nothing() -> None:
     image, centers, ellipses = discs(np.random.default_rng(4), 0.5, 0.0)
     assert edge_shape(image, centers, 0.1 * ellipses, ALONG) is None
     assert edge_shape(image, centers[:0], ellipses[:0], ALONG) is None
+
+
+@pytest.mark.filterwarnings("error")
+def test_corners_have_no_ellipse_and_do_not_count() -> None:
+    image, centers, ellipses = discs(np.random.default_rng(5), 0.5, 0.0)
+    with_corners = np.concatenate([centers, centers[:3]]), np.concatenate([ellipses, np.full((3, 2, 2), np.nan)])
+    assert found(image, *with_corners) == found(image, centers, ellipses)
