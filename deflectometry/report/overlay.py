@@ -92,7 +92,7 @@ def photos(folder: Path, words: str) -> PhotoView:
 
 def turns(folder: Path) -> TableView:
     """Return the turn of each facet against its design."""
-    columns = read_table_csv(folder / TURNS_FILE, ("facet", "photos", "not_used"))
+    columns = read_table_csv(folder / TURNS_FILE, ("facet", "photos"))
     shown = [TableColumn("facet", columns["facet"])]
     for axis in "xy":
         values, sigmas = (
@@ -105,7 +105,9 @@ def turns(folder: Path) -> TableView:
         ]
         shown.append(TableColumn(f"turn in {axis}", texts, values))
     shown.append(TableColumn("seen in", columns["photos"]))
-    shown.append(TableColumn("not used", columns["not_used"]))
+    # Results of before it was said have no such column.
+    if "not_used" in columns:
+        shown.append(TableColumn("not used", columns["not_used"]))
     return TableView("Turns against the design", tuple(shown))
 
 

@@ -51,7 +51,7 @@ def turn_advice(gain_ratio: FloatArray, sigma_gain_ratio: FloatArray, sure: Bool
     """
     with np.errstate(invalid="ignore"):
         loses = gain_ratio < -_SURE * sigma_gain_ratio
-        too_small = ~is_worth(gain_ratio + _SURE * sigma_gain_ratio)
+        too_small = np.isfinite(sigma_gain_ratio) & ~is_worth(gain_ratio + _SURE * sigma_gain_ratio)
     kinds = [
         (np.isnan(gain_ratio), TurnAdvice.UNKNOWN),
         (sure & is_worth(gain_ratio), TurnAdvice.TURN),

@@ -2,6 +2,7 @@
 
 import csv
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -36,6 +37,17 @@ def measured(folder, result, tmp_path_factory):
     results = tmp_path_factory.mktemp("results")
     result.write(results)
     return read_trough_truth(folder), results
+
+
+@pytest.mark.slow
+def test_absorber_diameter_wrong_by_a_hundredth_is_named(folder, tmp_path):
+    shutil.copytree(folder, tmp_path / "other")
+    toml = tmp_path / "other" / "measurement.toml"
+    toml.write_text(toml.read_text().replace("absorber_diameter_mm = 70.0", "absorber_diameter_mm = 70.7"))
+    found = run(load_observer(tmp_path / "other"))
+    wrong = [one for one in found.doubts if "does not fit" in one.text]
+    assert [one.code for one in wrong] == ["absorber_diameter_contradicts_reflection"]
+    assert abs(wrong[0].numbers["seen_m"] - 0.070) < 3 * wrong[0].numbers["sigma_seen_m"]
 
 
 @pytest.mark.slow

@@ -16,16 +16,17 @@ def test_the_limit_is_a_share_of_the_panels_own_light():
 
 
 def test_each_panel_gets_one_advice():
-    gain = np.array([1e-2, 1e-5, 1e-2, -1e-3, np.nan, 1e-6, -1e-6])
-    sigma = np.array([1e-3, 1e-6, 1e-2, 1e-4, np.nan, 1e-6, 1e-4])
-    sure = np.array([True, True, False, False, False, False, False])
+    gain = np.array([1e-2, 1e-5, 1e-2, -1e-3, np.nan, 1e-6, -1e-6, 1e-6])
+    sigma = np.array([1e-3, 1e-6, 1e-2, 1e-4, np.nan, 1e-6, 1e-4, np.nan])
+    sure = np.array([True, True, False, False, False, False, False, False])
     assert turn_advice(gain, sigma, sure) == (
         TurnAdvice.TURN,
         TurnAdvice.NOT_WORTH,
         TurnAdvice.NOT_SURE,
         TurnAdvice.LOSES,
         TurnAdvice.UNKNOWN,
-        # Far from sure, yet whatever it is, it is not worth a turn (1e-3 of a seventh of the light).
+        # Far from sure, yet whatever it is, it is not worth a turn (1e-3 of an eighth of the light).
         TurnAdvice.NOT_WORTH,
+        TurnAdvice.NOT_SURE,
         TurnAdvice.NOT_SURE,
     )
