@@ -134,7 +134,7 @@ def panel_tilts(
         weights[own] = 1 / np.count_nonzero(own)
     unmeasured = None
     if sigma_rad is None:
-        unmeasured = np.sqrt(unmeasured_variances(angle_rad, panel, used, wanted, weights))
+        unmeasured = np.sqrt(unmeasured_variances(angle_rad, panel, used, wanted, weights, count))
         sigma = np.hypot(sigma, unmeasured)
     centre_x, centre_y = np.meshgrid((columns[:-1] + columns[1:]) / 2, (rows[:-1] + rows[1:]) / 2)
     return PanelTilts(centre_x.ravel(), centre_y.ravel(), tilt, sigma, share, unmeasured)

@@ -61,7 +61,7 @@ def panel_shapes(slope_map: SlopeMap, collector: Collector) -> PanelShapes:
         rest[number] = np.sqrt(np.mean(left**2))
     # The design has one curvature everywhere.
     error = slope_map.slope_x - slope_map.design_slope_x
-    sigma = np.sqrt(sigma**2 + unmeasured_variances(error, panel, slope_map.valid, wanted, used))
+    sigma = np.sqrt(sigma**2 + unmeasured_variances(error, panel, slope_map.valid, wanted, used, count))
     # The curvature is 1 / (2 f).
     sigma *= 2 * focal**2
     return PanelShapes(focal, sigma, rest)

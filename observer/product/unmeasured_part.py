@@ -58,20 +58,21 @@ class Variogram:
 
 
 def unmeasured_variances(
-    values: FloatArray, panel: IntArray, measured: BoolArray, wanted: FloatArray, used: FloatArray
+    values: FloatArray, panel: IntArray, measured: BoolArray, wanted: FloatArray, used: FloatArray, count: int
 ) -> FloatArray:
-    """Return the variance of each panel's number because a part of it was not measured, shape (k,).
+    """Return the variance of each panel's number because a part of it was not measured, shape (count,).
 
     Shapes: values, panel, measured, wanted, used (ny, nx).
     values: At nodes of equal distances; of those that were not measured none counts.
     panel: Number of the panel of each node, -1 beside all.
     wanted, used: Weights by which values of all nodes of a panel make its number, and of the measured ones.
+    count: Number of panels, of which some may have no node.
     """
     variogram = Variogram.of(values, panel, measured)
     return np.array(
         [
             variogram.variance(np.where(panel == number, used - wanted, 0.0)[_box(panel == number)])
-            for number in range(int(panel.max(initial=-1)) + 1)
+            for number in range(count)
         ]
     )
 

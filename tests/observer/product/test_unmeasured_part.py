@@ -38,7 +38,7 @@ def test_errors_are_what_their_sigma_says(is_curvature: bool) -> None:
             for weights, own in ((wanted, number == PANEL), (used, (number == PANEL) & measured)):
                 beside = X[own] - X[own].mean()
                 weights[own] = beside / (beside @ beside) if is_curvature else 1 / own.sum()
-        variance = unmeasured_variances(values, PANEL, measured, wanted, used)
+        variance = unmeasured_variances(values, PANEL, measured, wanted, used, 16)
         error = np.bincount(PANEL.ravel(), ((used - wanted) * values).ravel())
         whole = np.bincount(PANEL.ravel(), (~measured).ravel()) == 0
         np.testing.assert_allclose(variance[whole], 0, atol=1e-20)
@@ -60,3 +60,16 @@ def test_variogram_by_hand() -> None:
     np.testing.assert_allclose(near[39:59, 39], 0.5 * lag[39:59] ** 2, atol=1e-9)
     # No pair is farther apart: in proportion.
     assert near[78, 39] == pytest.approx(0.5 * 19**2 * 39 / 19)
+
+
+def test_panels_without_nodes_have_no_variance() -> None:
+    rng = np.random.default_rng(5)
+    values, measured, panel = drawn(rng), masked(rng), np.where(PANEL < 14, PANEL, -1)
+    wanted, used = np.zeros((2, *PANEL.shape))
+    for number in range(14):
+        wanted[panel == number] = 1 / np.count_nonzero(panel == number)
+        used[(panel == number) & measured] = 1 / np.count_nonzero((panel == number) & measured)
+    variance = unmeasured_variances(values, panel, measured, wanted, used, 16)
+    assert variance.shape == (16,)
+    assert variance[13] > 0
+    np.testing.assert_array_equal(variance[14:], 0)
