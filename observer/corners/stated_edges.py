@@ -17,6 +17,8 @@ _REACHES_PX = (6.0, 24.0)
 _BESIDE = 4.0
 #: With less than this share of its pieces in photos in one place an edge is not seen.
 _LEAST_SHARE = 0.5
+#: Fewer of its lines in photos say nothing of an edge: any one may be hidden, or be another line.
+_FEWEST_LINES = 3
 
 
 class StatedEdge(NamedTuple):
@@ -50,7 +52,7 @@ class StatedEdge(NamedTuple):
 def stated_edges(
     read: Callable[[int], Float32Array], views: Sequence[View], lattice: PanelLattice
 ) -> tuple[StatedEdge, ...]:
-    """Return each entry that some photo should show, beside where photos show it.
+    """Return each entry that at least three lines in photos should show, beside where photos show it.
 
     read: Returns a photo by its number.
     views: Camera and pose of each photo.
@@ -66,13 +68,16 @@ def stated_edges(
 
 
 def strange_edges(edges: Sequence[StatedEdge]) -> tuple[StatedEdge, ...]:
-    """Return those that are elsewhere than stated, and joints that are not seen while most others are.
+    """Return those that are elsewhere than stated, and joints that are not seen while most others of their axis are.
 
-    A rim that is not seen may have a background as bright as the mirror.
+    Joints along one axis may be closed. A rim that is not seen may have a background as bright as the mirror.
     """
-    joints = [one for one in edges if not one.is_rim]
-    others_seen = sum(one.is_seen for one in joints) > len(joints) / 2
-    return tuple(one for one in edges if one.is_beside or (others_seen and not one.is_rim and not one.is_seen))
+    mostly_seen = [
+        np.mean([one.is_seen for one in edges if one.axis == axis and not one.is_rim] or 0) for axis in (0, 1)
+    ]
+    return tuple(
+        one for one in edges if one.is_beside or not (one.is_seen or one.is_rim or mostly_seen[one.axis] <= 0.5)
+    )
 
 
 def _looked_for(
@@ -92,7 +97,7 @@ def _looked_for(
     for axis, number in dict.fromkeys((line.axis, line.number) for line in lines):
         own = [k for k, line in enumerate(lines) if (line.axis, line.number) == (axis, number)]
         shown = sum(int(np.count_nonzero(pieces[own])) for _, pieces in looked)
-        if not shown:
+        if shown < _FEWEST_LINES:
             continue
         beside = np.array(
             [

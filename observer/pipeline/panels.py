@@ -111,14 +111,9 @@ def place_panels(
         pieces, noise = zip(*side_by_side(one, chosen.tolist(), jobs), strict=True)
         looked = lines_in(pieces, lattice.along_trough, noise)
         some = chosen[np.unique(np.linspace(0, chosen.size - 1, _CHECKED_PHOTOS).round().astype(np.intp))].tolist()
-        strange = strange_edges(
-            stated_edges(
-                lambda k: image_of(some[k]),
-                [cameras.views[number] for number in some],
-                lattice,
-            )
-        )
-    doubts = tuple(_stated_doubts(strange, lattice))
+        stated = stated_edges(lambda k: image_of(some[k]), [cameras.views[number] for number in some], lattice)
+    strange = strange_edges(stated)
+    doubts = tuple(stated_doubts(stated, lattice))
     # What is found near the place of an edge that is elsewhere is another thing.
     wrong = {one.number for one in strange if one.axis == 0}
     kept = np.array([line.number not in wrong for line in lattice.along_trough])
@@ -193,25 +188,45 @@ def _shape_of(reflector: Reflector, ends: EdgeEnds, inputs: Inputs) -> FloatArra
     return np.asarray(found.sum(axis=1) / ends.sides)
 
 
-def _stated_doubts(strange: Sequence[StatedEdge], lattice: PanelLattice) -> Iterator[Doubt]:
+def stated_doubts(edges: Sequence[StatedEdge], lattice: PanelLattice) -> Iterator[Doubt]:
     """Yield a doubt for each key whose entries the photos show elsewhere, or do not show."""
+    strange = strange_edges(edges)
     for axis, name in enumerate("xy"):
-        own, stated_m = [one for one in strange if one.axis == axis], lattice.edges_m[axis]
-        if not own:
-            continue
-        said = [
-            f"entry {one.number + 1} ({stated_m[one.number]:g} m) "
-            + (f"is at {round(stated_m[one.number] + one.beside_m, 3) + 0.0:.3f} m" if one.is_seen else "is not seen")
-            for one in own
-        ]
-        text = (
-            f"collector.panel_edges_{name}_m: in the photos {', '.join(said)}; mend these, until then slopes beside "
-            "them are wrong by far more than their sigma"
+        seen = [one for one in edges if one.axis == axis and one.is_seen]
+        joints = [one for one in strange if one.axis == axis and not one.is_rim]
+        rims = [one for one in strange if one.axis == axis and one.is_rim]
+        key, stated_m = f"collector.panel_edges_{name}_m", lattice.edges_m[axis]
+        all_shifted = (
+            len(seen) > 1 and all(one.is_beside for one in seen) and len({one.beside_m > 0 for one in seen}) == 1
         )
-        if len(own) == stated_m.size and all(one.is_seen for one in own):
-            text += "; all of them: are the list's targets given from the vertex in the middle of the length?"
-        largest = max((abs(one.beside_m) for one in own if one.is_seen), default=0.0)
-        yield Doubt("stated_panel_edges_wrong", text, {"entries_count": len(own), "largest_m": largest})
+        if joints:
+            text = (
+                f"{key}: in the photos {_places(joints, stated_m)}; mend these, until then slopes beside them are "
+                "wrong by far more than their sigma"
+            )
+            if all_shifted:
+                text += (
+                    "; all that are seen, to the same side: are the list's targets given from the vertex in the middle "
+                    "of the length?"
+                )
+            largest = max((abs(one.beside_m) for one in joints if one.is_seen), default=0.0)
+            yield Doubt("stated_panel_edges_wrong", text, {"entries_count": len(joints), "largest_m": largest})
+        if rims:
+            text = (
+                f"{key}: in the photos what looks like the rim of the mirror, {_places(rims, stated_m)}; is that the "
+                "rim, or a frame around it?"
+            )
+            largest = max(abs(one.beside_m) for one in rims)
+            yield Doubt("stated_rims_beside", text, {"entries_count": len(rims), "largest_m": largest}, Severity.NOTE)
+
+
+def _places(edges: Sequence[StatedEdge], stated_m: FloatArray) -> str:
+    """Say where entries are in photos."""
+    return ", ".join(
+        f"entry {one.number + 1} ({stated_m[one.number]:g} m) "
+        + (f"is at {round(stated_m[one.number] + one.beside_m, 3) + 0.0:.3f} m" if one.is_seen else "is not seen")
+        for one in edges
+    )
 
 
 def _beside_doubt(placed: PlacedByEdges, ends: EdgeEnds, lattice: PanelLattice) -> Doubt | None:

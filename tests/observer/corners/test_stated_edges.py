@@ -4,11 +4,13 @@ import numpy as np
 import pytest
 
 from heliogauge.camera.model import Camera
+from heliogauge.doubts import Severity
 from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.validate import Float32Array, FloatArray
 from observer.corners.lattice import PanelLattice
 from observer.corners.stated_edges import StatedEdge, stated_edges, strange_edges
 from observer.photo_edges.views import View
+from observer.pipeline.panels import stated_doubts
 from observer.trough.collector import Collector
 
 X_M, Y_M = np.array([-2.5, -1.3, 0.0, 1.3, 2.5]), np.array([-2.4, -0.8, 0.9, 2.4])
@@ -72,3 +74,41 @@ def test_joint_that_is_not_there_is_named(photos: list[Float32Array]) -> None:
     # With hardly any joint seen the photos may be too coarse to show them.
     bare = [np.where(one > 100, 150, one).astype(np.float32) for one in photos]
     assert not [one for one in strange_edges(found(bare, X_M, Y_M)) if not one.is_rim]
+
+
+def test_an_edge_of_which_two_lines_are_shown_is_not_judged(photos: list[Float32Array]) -> None:
+    # In one photo a joint along the trough has a line in each of two panels.
+    lattice = PanelLattice(Collector(5.0, 4.8, 1.49, 0.07, None, X_M, np.array([-2.4, 0.2, 2.4]), 0.01), 3e-3, 1e-3)
+    assert not [one for one in stated_edges(photos.__getitem__, views()[:1], lattice) if one.axis == 0]
+    assert [one for one in stated_edges(photos.__getitem__, views()[:2], lattice) if one.axis == 0]
+
+
+def edge(axis: int, number: int, beside_m: float, *, is_rim: bool = False) -> StatedEdge:
+    return StatedEdge(axis, number, beside_m, 0.0 if np.isnan(beside_m) else 1.0, 0.01, is_rim)
+
+
+def said(edges: list[StatedEdge]) -> list[tuple[str, Severity, bool]]:
+    lattice = PanelLattice(Collector(5.0, 4.8, 1.49, 0.07, None, X_M, Y_M, 0.01), 3e-3, 1e-3)
+    return [(one.code, one.severity, "from the vertex" in one.text) for one in stated_doubts(edges, lattice)]
+
+
+def test_closed_joints_along_one_axis_are_not_named() -> None:
+    seen, closed = [edge(0, number, 0.0) for number in (1, 2, 3)], [edge(1, number, np.nan) for number in (1, 2)]
+    assert said([*seen, *closed]) == []
+    assert said([*seen, *closed, *(edge(1, number, 0.0) for number in (3, 4, 5))]) != []
+
+
+def test_steps_beside_rims_are_a_note_as_they_may_be_a_frame() -> None:
+    joints = [edge(0, number, 0.0) for number in (1, 2, 3)]
+    frame = [edge(0, 0, -0.06, is_rim=True), edge(0, 4, 0.06, is_rim=True)]
+    assert said([*joints, *frame]) == [("stated_rims_beside", Severity.NOTE, False)]
+
+
+def test_all_that_are_seen_to_one_side_ask_for_the_origin_of_the_list() -> None:
+    # Entry 3 is behind the receiver in all photos.
+    shifted = [edge(0, 1, 0.02), edge(0, 3, 0.02)]
+    named = ("stated_panel_edges_wrong", Severity.DOUBT)
+    assert said(shifted) == [(*named, True)]
+    assert said([*shifted, edge(0, 0, np.nan, is_rim=True)]) == [(*named, True)]
+    assert said([edge(0, 1, 0.02), edge(0, 3, -0.02)]) == [(*named, False)]
+    assert said([*shifted, edge(0, 2, 0.0)]) == [(*named, False)]
