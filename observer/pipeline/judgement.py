@@ -24,7 +24,7 @@ from observer.pipeline.reading.tone import Encodings
 from observer.pipeline.stated_camera import is_camera_wrong, stated_camera_doubt
 from observer.pipeline.target_list import CheckedList
 from observer.product.longitudinal import incidence_doubt
-from observer.selection.edge_refusal import unchecked_doubt
+from observer.selection.edge_refusal import unchecked_doubt, undecided_doubt
 from observer.slopes.edge_gaps import gaps_doubt
 from observer.slopes.shape_share import shape_doubt
 from observer.trough.collector import Collector
@@ -92,6 +92,7 @@ def judge(
         incidence_doubt(slope_map, eyes, inputs.collector, along_rad),
         shape_doubt(reflector.shape, inputs.shape_from_slopes, usual_sigma),
         unchecked_doubt(reflector.fate),
+        undecided_doubt(reflector.fate),
         halves_doubt(reflector.halves, usual_sigma, inputs.n_modules),
     )
     return without_consequences(found)

@@ -7,45 +7,126 @@ over the sigma of that difference (the deletion residual: Belsley, Kuh and Welsc
 """
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
-from heliogauge.validate import BoolArray, FloatArray
-from observer.slopes.row_spline import Roughness, RowGrid, TouchingLines, assemble, nodes_of
+from heliogauge.validate import BoolArray, FloatArray, IntArray
+from observer.slopes.row_spline import Roughness, RowGrid, TouchingLines, assemble, nodes_of, prior_bands
 
 #: What is left of the variance of an edge that nothing else predicts: rounding.
 _LEAST_FREEDOM = 1e-9
+#: The false ones are fewer than this share of the edges of a row and panel: a cluster in the middle parts the true
+#: ones in two, and either part has to be more than it.
+_MOST_REFUSED = 1 / 3
 
 
-def contradicted_edges(lines: TouchingLines, grid: RowGrid, roughness: Roughness, times: float) -> BoolArray:
-    """Return which edges the others of their row contradict, shape (m,).
+class Contradicted(NamedTuple):
+    """Edges that contradict others.
+
+    refused (m,): Few, which all others of their row and panel contradict.
+    undecided (m,): All of a row and panel where too many would have to be refused to tell the false ones.
+    """
+
+    refused: BoolArray
+    undecided: BoolArray
+
+
+def contradicted_edges(lines: TouchingLines, grid: RowGrid, roughness: Roughness, times: float) -> Contradicted:
+    """Tell which edges the others of their row and panel contradict.
 
     lines: Edges as observations with their noise, what rows have in common taken off their misfits.
     roughness: How slopes may vary along a row.
     times: Standard deviations beyond which an edge is contradicted.
 
-    A wrong edge pulls its neighbours' prediction, too. So of each row and panel only the worst is refused before the
-    row is solved again without it (data snooping: Baarda 1968), until none is left.
+    Where one is, the fewest are refused that leave the others in agreement: chi-square of those that are kept plus
+    ``times^2`` for each refused one is least. One by one, the worst first, true edges beside a cluster of false ones
+    would go, each after the other: five false ones had 18 of 20 true ones refused. So what is left out is a run of
+    neighbours, as long as it takes.
     """
-    before, _ = nodes_of(grid, lines.x_m)
-    piece = np.cumsum(np.concatenate([[0], ~grid.joined]))[before]
-    kept, rows = np.ones(lines.row.size, dtype=bool), np.arange(grid.n_rows)
-    while rows.size:
-        number = np.full(grid.n_rows, -1)
-        number[rows] = np.arange(rows.size)
-        some = np.flatnonzero(kept & (number[lines.row] >= 0))
-        own = replace(lines.chosen(some), row=number[lines.row[some]])
-        off = deletion_residuals(own, RowGrid(grid.x_m, grid.joined, rows.size), roughness)
-        size = np.abs(off)
-        order = np.lexsort((-size, piece[some], own.row))
-        is_first = np.ones(order.size, dtype=bool)
-        place = np.stack([own.row, piece[some]])[:, order]
-        is_first[1:] = (np.diff(place) != 0).any(axis=0)
-        worst = order[is_first]
-        out = some[worst[size[worst] > times]]
-        kept[out] = False
-        rows = np.unique(lines.row[out])
-    return ~kept
+    before, share = nodes_of(grid, lines.x_m)
+    panel = np.concatenate([[0], np.cumsum(~grid.joined)])
+    place = lines.row * (panel[-1] + 1) + panel[before + (share > 0.5)]
+    suspect = np.abs(deletion_residuals(lines, grid, roughness)) > times
+    refused, undecided = np.zeros((2, suspect.size), dtype=bool)
+    prior = _prior_covariance(grid, roughness) if suspect.any() else None
+    for one in np.unique(place[suspect]):
+        own = np.flatnonzero(place == one)
+        own = own[np.argsort(lines.x_m[own], kind="stable")]
+        some = replace(lines.chosen(own), row=np.zeros(own.size, dtype=np.intp))
+        by_slopes = assemble(some, RowGrid(grid.x_m, grid.joined, 1)).derivatives()
+        covariance = by_slopes @ (by_slopes @ prior).T + np.eye(own.size)
+        out = _fewest_refused(some.misfit_rad / some.sigma_rad, np.asarray(covariance), times)
+        if np.count_nonzero(out) < _MOST_REFUSED * own.size:
+            refused[own] = out
+        else:
+            undecided[own] = True
+    return Contradicted(refused, undecided)
+
+
+def _fewest_refused(values: FloatArray, covariance: FloatArray, times: float) -> BoolArray:
+    """Return which values to leave out, so that chi-square of the others and ``times^2`` for each of them is least.
+
+    Shapes: values (m,), covariance (m, m), result (m,).
+
+    By turns the run is left out that lowers that sum most, and each value is taken back that the kept ones predict:
+    the sum only falls, to a minimum. That from runs is one for clusters, that from single values for scattered ones.
+    """
+
+    def cost(kept: BoolArray) -> float:
+        chi_square = values[kept] @ np.linalg.solve(covariance[np.ix_(kept, kept)], values[kept])
+        return float(chi_square + times**2 * np.count_nonzero(~kept))
+
+    longest = max(1, int(_MOST_REFUSED * values.size))
+    return ~min((_agreeing(values, covariance, times, one) for one in (1, longest)), key=cost)
+
+
+def _agreeing(values: FloatArray, covariance: FloatArray, times: float, longest: int) -> BoolArray:
+    """Return which values agree when runs of at most so many are left out at once."""
+    kept = np.ones(values.size, dtype=bool)
+    while True:
+        some = np.flatnonzero(kept)
+        run = _worst_run(values[some], covariance[np.ix_(some, some)], times, longest)
+        if run.size == 0:
+            return kept
+        kept[some[run]] = False
+        while not kept.all():
+            some, out = np.flatnonzero(kept), np.flatnonzero(~kept)
+            by_others = np.linalg.solve(covariance[np.ix_(some, some)], covariance[np.ix_(some, out)])
+            variance = covariance[out, out] - (covariance[np.ix_(some, out)] * by_others).sum(axis=0)
+            off = np.abs(values[out] - values[some] @ by_others) / np.sqrt(variance)
+            if off.min() >= times:
+                break
+            kept[out[off.argmin()]] = True
+
+
+def _worst_run(values: FloatArray, covariance: FloatArray, times: float, longest: int) -> IntArray:
+    """Return the numbers of neighbours whose absence lowers chi-square by most more than ``times^2`` for each, if any.
+
+    longest: They are at most so many.
+
+    Leaving out K lowers it by ``l' P^-1 l``, with P the block of the precision of K, and l of precision times values.
+    """
+    precision = np.linalg.inv(covariance)
+    left = precision @ values
+    best, run = 0.0, np.zeros(0, dtype=np.intp)
+    for first in range(values.size):
+        part = slice(first, min(first + longest, values.size))
+        root = np.linalg.cholesky(precision[part, part])
+        gain = np.cumsum(np.square(np.linalg.solve(root, left[part])) - times**2)
+        if gain.max() > best:
+            best, run = float(gain.max()), np.arange(first, first + int(gain.argmax()) + 1)
+    return run
+
+
+def _prior_covariance(grid: RowGrid, roughness: Roughness) -> FloatArray:
+    """Return the covariance of the slopes of a row before any edge, in the order (s_x, s_y) of its nodes [rad^2]."""
+    bands, n = prior_bands(grid, roughness), grid.x_m.size
+    covariance = np.zeros((n, 2, n, 2))
+    for way in range(2):
+        precision = sum(np.diag(band[: n - reach, way], -reach) for reach, band in enumerate(bands))
+        covariance[:, way, :, way] = np.linalg.inv(precision + np.tril(precision, -1).T)
+    return covariance.reshape(2 * n, 2 * n)
 
 
 def deletion_residuals(lines: TouchingLines, grid: RowGrid, roughness: Roughness) -> FloatArray:

@@ -47,6 +47,7 @@ class EdgeFate(IntEnum):
     ONE_SIDED = 6
     EITHER = 7
     LESSER_STEP = 8
+    UNDECIDED = 9
 
     @property
     def code(self) -> str:
@@ -63,6 +64,7 @@ FATE_TEXTS = {
     EdgeFate.UNEVEN: "brightness beside it changes, as where a shadow ends",
     EdgeFate.EITHER: "may be the tube's other edge or the rim of its glass: edges of the other side do not confirm it",
     EdgeFate.LESSER_STEP: "a larger step the same way stands beside it: the rim of the glass, or what it throws back",
+    EdgeFate.UNDECIDED: "edges of its row and panel contradict each other, and too many of them to tell the false ones",
     EdgeFate.ONE_SIDED: "not confirmed by the tube's other edge, where shadows are about",
 }
 
@@ -230,4 +232,21 @@ def unchecked_doubt(fate: IntArray) -> Doubt | None:
         "refused. Photos nearer to each other confirm them; or turn the trough so that a bright, clear sky is around "
         "the tube",
         {"wrong_step_share": wrong, "one_sided_share": lonely},
+    )
+
+
+def undecided_doubt(fate: IntArray) -> Doubt | None:
+    """Say that edges contradict each other and nothing tells which are false.
+
+    Shapes: fate (m,).
+    """
+    share = _share(fate == EdgeFate.UNDECIDED, fate)
+    if share == 0:
+        return None
+    return Doubt(
+        "edges_contradict",
+        f"{100 * share:.2g} % of the edges in the reflection are of rows of a panel where at least a third of them "
+        "contradict the others: nothing tells a cloud or a thing on the ground from a dent there, and these places are "
+        "given as not measured. More photos, or a clear sky around the tube, decide",
+        {"undecided_share": share},
     )

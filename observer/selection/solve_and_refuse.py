@@ -218,7 +218,7 @@ def solve_reflector(
             "collector's dimensions and the targets right?"
         )
     is_bold, wrong = fate == EdgeFate.USED, fate == EdgeFate.WRONG_STEP
-    either = fate == EdgeFate.EITHER
+    by_brightness, either = fate.copy(), fate == EdgeFate.EITHER
     none = np.zeros((grid.n_rows, grid.x_m.size, 2))
     present = whole = _Surface(none, none[..., 0])
     scatter = scatter_along(edges, is_bold, expected.y_m)
@@ -253,7 +253,8 @@ def solve_reflector(
         told = either & (predicted < _EITHER_KNOWN_RAD**2)
         fate[either] = np.where(fits & told, int(EdgeFate.USED), int(EdgeFate.EITHER))[either]
         if allowance == 0.0:
-            fate[_contradicted(lines, fate == EdgeFate.USED, factor, errors.common, grid, roughness)] = EdgeFate.BESIDE
+            own = replace(_apart(lines, errors.common), sigma_rad=factor * lines.sigma_rad)
+            fate = _refuse_contradicted(own, fate, by_brightness, grid, replace(roughness, alike=None))
         whole, change = _next_surface(present, errors, _near_edges(used, grid), roughness, expected, grid)
         present = replace(whole, height_m=none[..., 0]) if shaped is False else whole
     usable, unknowns = fate == EdgeFate.USED, nominal.unknowns
@@ -342,24 +343,22 @@ def solve_reflector(
     )
 
 
-def _contradicted(
-    lines: TouchingLines,
-    which: BoolArray,
-    factor: float,
-    common: FloatArray,
-    grid: RowGrid,
-    roughness: Roughness,
+def _refuse_contradicted(
+    lines: TouchingLines, fate: IntArray, by_brightness: IntArray, grid: RowGrid, roughness: Roughness
 ) -> IntArray:
-    """Return the numbers of edges that the others of their row contradict, where the solution follows them.
+    """Return fates after edges were refused that the others of their row contradict, where the solution follows them.
 
-    which (m,): Those that are looked at.
-    factor: By what their sigmas are larger.
-    common (c,): What rows have in common, as found.
+    lines: Edges with their noise, what rows have in common taken off their misfits.
+    by_brightness (m,): Fates before edges were compared; what was refused then is so for the same reason.
     """
-    some = np.flatnonzero(which & np.isfinite(lines.misfit_rad))
-    own = _apart(lines.chosen(some), common)
-    own = replace(own, sigma_rad=factor * own.sigma_rad)
-    return some[contradicted_edges(own, grid, replace(roughness, alike=None), _REJECT_TIMES)]
+    fate = fate.copy()
+    some = np.flatnonzero((fate == EdgeFate.USED) & np.isfinite(lines.misfit_rad))
+    found = contradicted_edges(lines.chosen(some), grid, roughness, _REJECT_TIMES)
+    refused = some[found.refused]
+    first = by_brightness[refused]
+    fate[refused] = np.where(first == EdgeFate.USED, int(EdgeFate.BESIDE), first)
+    fate[some[found.undecided]] = EdgeFate.UNDECIDED
+    return fate
 
 
 def _estimate_shape(

@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 from observer.selection.contradicted import contradicted_edges, deletion_residuals
+from observer.selection.edge_refusal import EdgeFate, undecided_doubt
+from observer.selection.solve_and_refuse import _refuse_contradicted
 from observer.slopes.joint_solution import solve_jointly
 from observer.slopes.mirror_surface import at_points
 from observer.slopes.row_spline import Roughness, RowGrid, TouchingLines
@@ -56,5 +58,58 @@ def test_an_edge_that_is_alone_at_its_place_is_refused_where_the_others_say_othe
     together = solve_jointly(wrong, grid, ROUGH, np.zeros((0, 0)), with_shares=None)
     there = at_points(together.slopes, wrong.row, wrong.x_m, grid)[-1, 0]
     assert abs(there - slope[-1]) < SIGMA_RAD
-    assert np.flatnonzero(contradicted_edges(wrong, grid, ROUGH, 4.0)).tolist() == [x.size - 1]
-    assert not contradicted_edges(right, grid, ROUGH, 4.0).any()
+    assert np.flatnonzero(contradicted_edges(wrong, grid, ROUGH, 4.0).refused).tolist() == [x.size - 1]
+    assert not np.any(contradicted_edges(right, grid, ROUGH, 4.0))
+
+
+def _with_false_ones(n: int, false: np.ndarray, off_rad: float) -> TouchingLines:
+    """Return lines that n evenly spaced true edges say on two panels of 1 m, and after them those of false ones."""
+    x = np.concatenate([np.linspace(-0.98, 0.98, n), false])
+    slope = 1e-3 * np.sin(4 * x) + np.random.default_rng(2).normal(0, SIGMA_RAD / 2, x.size)
+    slope[n:] += off_rad
+    return lines_of(np.zeros(x.size, dtype=int), x, slope)
+
+
+@pytest.mark.parametrize("order", [2, 3])
+@pytest.mark.parametrize(("n", "n_false", "off_rad"), [(32, 3, 3e-3), (64, 5, 3e-3), (64, 5, 12e-3), (64, 5, -12e-3)])
+def test_false_edges_side_by_side_are_refused_and_no_true_one(n: int, n_false: int, off_rad: float, order: int) -> None:
+    lines = _with_false_ones(n, np.linspace(0.4, 0.45, n_false), off_rad)
+    grid, rough = RowGrid(X_M, np.arange(59) != 29, 1), Roughness(2.3e-4, 2e-3, order=order)
+    found = contradicted_edges(lines, grid, rough, 4.0)
+    assert np.flatnonzero(found.refused).tolist() == list(range(n, n + n_false))
+    assert not found.undecided.any()
+
+
+def test_true_edges_between_false_ones_are_kept() -> None:
+    """To leave out all of a stretch would lower chi-square as much as to leave out its two ends."""
+    lines = _with_false_ones(64, np.array([0.3, 0.3, 0.5]), 12e-3)
+    grid = RowGrid(X_M, np.arange(59) != 29, 1)
+    found = contradicted_edges(lines, grid, Roughness(2.3e-4, 2e-3), 4.0)
+    assert np.flatnonzero(found.refused).tolist() == [64, 65, 66]
+
+
+def test_where_a_third_of_the_edges_contradict_the_others_none_of_the_panel_is_believed() -> None:
+    lines = _with_false_ones(32, np.linspace(0.4, 0.45, 8), 3e-3)
+    found = contradicted_edges(lines, RowGrid(X_M, np.arange(59) != 29, 1), Roughness(2.3e-4, 2e-3), 4.0)
+    assert not found.refused.any()
+    np.testing.assert_array_equal(found.undecided, lines.x_m > 0)
+
+
+def test_refused_edges_keep_the_reason_they_had_before_and_undecided_ones_are_doubted() -> None:
+    grid, rough = RowGrid(X_M, np.arange(59) != 29, 1), Roughness(2.3e-4, 2e-3)
+    lines = _with_false_ones(64, np.linspace(0.4, 0.45, 3), 3e-3)
+    used = np.full(67, int(EdgeFate.USED))
+    first = used.copy()
+    first[64:66] = EdgeFate.WRONG_STEP, EdgeFate.EITHER
+    fate = _refuse_contradicted(lines, used, first, grid, rough)
+    assert fate[64:].tolist() == [EdgeFate.WRONG_STEP, EdgeFate.EITHER, EdgeFate.BESIDE]
+    assert (fate[:64] == EdgeFate.USED).all()
+    assert undecided_doubt(fate) is None
+
+    lines = _with_false_ones(32, np.linspace(0.4, 0.45, 8), 3e-3)
+    used = np.full(40, int(EdgeFate.USED))
+    fate = _refuse_contradicted(lines, used, used, grid, rough)
+    np.testing.assert_array_equal(fate == EdgeFate.UNDECIDED, lines.x_m > 0)
+    doubt = undecided_doubt(fate)
+    assert doubt is not None
+    assert doubt.numbers["undecided_share"] == pytest.approx(24 / 40)
