@@ -68,7 +68,8 @@ class StationFate(IntEnum):
 
 STATION_TEXTS = {
     StationFate.MEASURED: "",
-    StationFate.HIDDEN: "fewer than two photos show both edges of the tube here: behind a support or beyond the photo",
+    StationFate.HIDDEN: "fewer than two photos show both edges of the tube here and tell where: behind a support, "
+    "beyond the photo, or as bright as what is beside it",
     StationFate.ONE_SIDE: "seen from one side only: its place along the line of sight is uncertain by more than 10 mm",
 }
 

@@ -190,12 +190,13 @@ def _bearings(
     shared, ends = np.empty(len(seen)), np.searchsorted(which, np.arange(len(seen) + 1))
     for k, one in enumerate(seen):
         own = slice(ends[k], ends[k + 1])
-        angle[own], sigma[own], between_edges = _by_profile(one, plane, expected, row[own], angle[own])
+        angle[own], sigma[own], common, between_edges = _by_profile(one, plane, expected, row[own], angle[own])
         # As the steepest places are apart, a bare tube tells whether it is in glass that nobody stated.
         if collector.glass is not None:
             wide[own] = between_edges
         turned = 2 * turned_rad(collector, 1 + _NEAR_PX * one.distance_m * one.pixel_rad / radius)
-        shared[k] = _SHARED_PX * one.pixel_rad * max(1.0, turned / one.to_reflection_rad) ** _NEAR_POWER
+        behind = _SHARED_PX * one.pixel_rad * max(1.0, turned / one.to_reflection_rad) ** _NEAR_POWER
+        shared[k] = np.hypot(behind, common)
     # Something dark in the glass beside one edge makes the tube look wider, and moves the bisector by half of that.
     too_wide = np.abs(wide - 2 * radius) - _WIDER_PX * distance * pixels_rad[which]
     pulled = PULLED_SHARE * np.maximum(too_wide, 0) / distance
@@ -217,15 +218,15 @@ def _bearings(
 
 def _by_profile(
     seen: _Lookout, plane: Quadric, expected: Expectation, row: IntArray, angle_rad: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return angle and sigma of the tube's axis [rad], and how thick the tube looks [m], of each row.
+) -> tuple[FloatArray, FloatArray, float, FloatArray]:
+    """Return angle and sigma of the tube's axis [rad], what the photo's have in common, and how thick it looks [m].
 
     Standard deviations are those whose mean over a group, `ROWS_ALIKE` rows counted as one, is the group's.
     """
     collector, y_m = expected.collector, expected.y_m
     pixel_m, slant = seen.distance_m * seen.pixel_rad, seen.distance_m / seen.height_m
     if row.size == 0:
-        return angle_rad, np.zeros(0), np.zeros(0)
+        return angle_rad, np.zeros(0), 0.0, np.zeros(0)
     middle = float(np.mean(expected.absorber.x_m))
     reach = SEARCH_M + (collector.receiver_diameter_m / 2 + (BEYOND_PX + 1) * pixel_m) * slant
     x = np.arange(middle - reach, middle + reach, pixel_m * slant)
@@ -236,7 +237,7 @@ def _by_profile(
     sighting = Sighting(float(eye[0]), seen.height_m, seen.distance_m, pixel_m, axis, float(eye[2]), seen.shot.edges)
     found = find_axis(samples, row, y_m[row], angle_rad, sighting, collector)
     each = found.sigma_rad * np.sqrt(np.maximum(found.rows / ROWS_ALIKE, 1.0))
-    return found.angle_rad, each, 2 * found.radius_m
+    return found.angle_rad, each, found.shared_rad, 2 * found.radius_m
 
 
 def _angle_to_reflection(eyes_m: FloatArray, expected: Expectation) -> FloatArray:

@@ -12,9 +12,9 @@ Here the whole profile is compared with what it consists of, each part with the 
 unknowns with priors, relative to what is seen beyond the receiver), blurred by the lens and the pixel, for a few rows
 together. The axis and the blur are what remains (variable projection, Gauss-Newton).
 
-Where targets in the photo tell how its edges are blurred (`photogrammetry.centers.edge_shape`), that blur is held, what
-the walls throw back is that of sky, ground and mirror by the laws of reflection (`observer.photo_edges.thrown_light`),
-and amplitudes are mostly those of the whole photo.
+Where targets in the photo tell how its edges are blurred (`photogrammetry.centers.edge_shape`), that is the blur, as
+far as their scatter and the tube's other place leave it; what the walls throw back is that of sky, ground and mirror by
+the laws of reflection (`observer.photo_edges.thrown_light`), and amplitudes are mostly those of the whole photo.
 
 Rays across a concentric tube keep their distance b from the axis (Bouguer), so that glass leaves the metal's edges
 where they are.
@@ -71,11 +71,17 @@ _GLASS_OFF_M, _RADIUS_SIGMA_M = 4e-3, 1e-3
 #: Blur of the lens, start and prior [px].
 _BLUR_PX, _BLUR_SIGMA_PX = 0.5, 0.2
 _LEAST_BLUR_PX, _MOST_BLUR_PX = 0.2, 3.0
-#: As well as targets tell it [px].
-_TOLD_SIGMA_PX = 1e-3
+#: Where targets tell it, they stand at the mirror's rims and the tube in the middle of the photo. A lens that shows 0.6
+#: of the contrast in the middle and 0.5 at the rims, at a quarter of a period per pixel, blurs with 0.64 and 0.75 px
+#: there; half of the difference, as a standard deviation. Focus adds less: from 12 to 13.5 m, with an aperture of 2 mm,
+#: pixels of 0.25 mrad and a lens focused at either, a disc of 0.07 px, 0.02 as a standard deviation [px].
+_PLACE_SIGMA_PX = 0.05
 #: What a pixel may be off relative to the background, beside which amplitudes are held against their priors. What
 #: residuals say of it goes into standard deviations alone: noise does not make priors better.
 _NOISE = 0.02
+#: Less information on an axis than this is rounding: a standard deviation of a kilometre [1/m^2]; and how exact, at
+#: least, variances are that tell something.
+_NOTHING_KNOWN, _ROUNDING = 1e-6, 1e-6
 #: Where chance makes residuals as large as those of a group less often than this, they are its own.
 _CHANCE = 1e-3
 #: Rounds of the fit, until no axis and no blur moves by more than this; each is some ten times nearer than the one
@@ -88,14 +94,19 @@ _FURTHEST_PX = 1.5
 class TubeByProfile(NamedTuple):
     """Where the axis is seen, for each row.
 
-    angle_rad (m,): Angle across the trough; NaN where it was not found, or the photo shows nothing beyond it [rad].
-    sigma_rad (m,): Standard deviation of the group of rows that a row belongs to [rad].
+    angle_rad (m,): Angle across the trough; NaN where it was not found: further away than `_FURTHEST_PX`, nothing shown
+        beyond it, or brightness that does not change with the axis [rad].
+    sigma_rad (m,): Standard deviation of the group of rows that a row belongs to, by which groups scatter; infinite
+        where it was not found [rad].
+    shared_rad: Standard deviation of what all rows have in common, by the blur and by brightnesses that they share
+        [rad].
     radius_m (m,): Radius of the metal as its edges are apart [m].
     rows (m,): How many rows the group has.
     """
 
     angle_rad: FloatArray
     sigma_rad: FloatArray
+    shared_rad: float
     radius_m: FloatArray
     rows: IntArray
 
@@ -144,16 +155,17 @@ def find_axis(
     angle_rad: Under which angle the middle between the edges is seen [rad].
     """
     if row.size == 0:
-        return TubeByProfile(np.zeros(0), np.zeros(0), np.zeros(0), np.zeros(0, dtype=np.intp))
+        return TubeByProfile(np.zeros(0), np.zeros(0), 0.0, np.zeros(0), np.zeros(0, dtype=np.intp))
     _, group = np.unique(row // ROWS_TOGETHER, return_inverse=True)
     start = _straight(group, y_m, angle_rad)
     profiles = _profiles(samples, row, group, start, sighting, collector)
     fit = _fit(profiles, sighting, collector)
     angle = start + (fit.middle_m / sighting.distance_m)[group]
-    good = (np.abs(fit.middle_m) < _FURTHEST_PX * sighting.pixel_m) & profiles.number.any(axis=1)
+    good = (np.abs(fit.middle_m) < _FURTHEST_PX * sighting.pixel_m) & np.isfinite(fit.sigma_m)
     return TubeByProfile(
         np.where(good[group], angle, np.nan),
         (fit.sigma_m / sighting.distance_m)[group],
+        fit.shared_m / sighting.distance_m,
         (collector.absorber_diameter_m / 2 + fit.wider_m)[group],
         np.bincount(group)[group],
     )
@@ -213,10 +225,14 @@ def _profiles(
 
 
 class _Fit(NamedTuple):
-    """Axis beside where it is expected, its standard deviation, how much wider the metal is, of each group [m]."""
+    """Axis of each group beside where it is expected, and how much wider the metal is [m].
+
+    sigma_m, shared_m: Standard deviations of what is each group's own, and of what all have in common [m].
+    """
 
     middle_m: FloatArray
     sigma_m: FloatArray
+    shared_m: float
     wider_m: FloatArray
 
 
@@ -228,7 +244,7 @@ def _fit(profiles: _Profiles, sighting: Sighting, collector: Collector) -> _Fit:
     first, blurred = parts.blurring(sighting.pixel_m, reach)
     groups = len(profiles.number)
     told = sighting.edges
-    start, sigma_px = (_BLUR_PX, _BLUR_SIGMA_PX) if told is None else (told.blur_px, _TOLD_SIGMA_PX)
+    start, sigma_px = (_BLUR_PX, _BLUR_SIGMA_PX) if told is None else (told.blur_px, _told_sigma_px(told))
     mixed, own_share = (0.0 if told is None else told.mixed), 1.0
     if told is not None and collector.glass is not None:
         own_share = _OWN_SHARE
@@ -263,7 +279,7 @@ def _fit(profiles: _Profiles, sighting: Sighting, collector: Collector) -> _Fit:
         taken = np.vstack([taken[..., 0], taken[..., 1].sum(axis=0)])
         prior = (scatter / sigma_px) ** 2
         information = -taken @ common_cofactor @ taken.T
-        information[:-1, :-1] += np.diag(np.maximum(known[:, 0, 0], 1e-12))
+        information[:-1, :-1] += np.diag(np.maximum(known[:, 0, 0], _NOTHING_KNOWN))
         information[:-1, -1] += known[:, 0, 1]
         information[-1, :-1] += known[:, 0, 1]
         information[-1, -1] += known[:, 1, 1].sum() + prior
@@ -280,8 +296,29 @@ def _fit(profiles: _Profiles, sighting: Sighting, collector: Collector) -> _Fit:
             break
     # A group that is worse than all together says so of itself.
     other = _by_chance(squares / scatter**2, spare) < _CHANCE
-    sigma = np.where(other, np.sqrt(squares / spare), scatter) * np.sqrt(np.maximum(np.diag(inverse)[:-1], 0.0))
-    return _Fit(middle, sigma, amplitude[:, -1] * _RADIUS_SIGMA_M)
+    apart, in_common = _own_and_shared(known[:, 0, 0], np.asarray(inverse[:-1, :-1], dtype=np.float64))
+    sigma = np.where(other, np.sqrt(squares / spare), scatter) * apart
+    return _Fit(middle, sigma, scatter * in_common, amplitude[:, -1] * _RADIUS_SIGMA_M)
+
+
+def _own_and_shared(information: FloatArray, covariance: FloatArray) -> tuple[FloatArray, float]:
+    """Return by how much groups scatter (g,), and what their mean has besides, as standard deviations.
+
+    information (g,): What each group tells of its own axis if all that groups share is given.
+    covariance (g, g): Of all axes; larger than the inverse of that. Where it is not, it is rounding: infinite.
+    """
+    told = (information > _NOTHING_KNOWN) & (np.diag(covariance) * information > 1 - _ROUNDING)
+    weight = np.where(told, information, 0.0)
+    total = max(float(weight.sum()), _NOTHING_KNOWN)
+    mean = float(weight @ covariance @ weight) / total**2 - 1 / total
+    own = 1 / np.sqrt(np.maximum(information, _NOTHING_KNOWN))
+    return np.where(told, own, np.inf), float(np.sqrt(max(mean, 0.0)))
+
+
+def _told_sigma_px(told: EdgeShape) -> float:
+    """Return how well the Gaussian part of the blur is told for the tube's place [px]."""
+    variance_px2 = np.hypot(told.scatter_px2, 2 * told.width_px * _PLACE_SIGMA_PX)
+    return float(np.sqrt(told.blur_px**2 + variance_px2) - told.blur_px)
 
 
 def _changes(profiles: FloatArray, blur_m2: float, place: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -35,10 +35,18 @@ class EdgeShape(NamedTuple):
     blur_px: Standard deviation of a Gaussian [px].
     mixed: Share of each pixel that its neighbours before and after it replace, one half each: mosaics of colours filled
         in, noise smoothed; below 0 where a camera sharpens.
+    scatter_px2: Standard deviation of the blur's variance at single targets, their noise included: as much as it may
+        differ at another place in the photo [px^2].
     """
 
     blur_px: float
     mixed: float
+    scatter_px2: float
+
+    @property
+    def width_px(self) -> float:
+        """Standard deviation of both together; 0 where a camera sharpens more than the lens blurs [px]."""
+        return float(np.sqrt(max(self.blur_px**2 + self.mixed, 0.0)))
 
 
 def edge_shape(
@@ -96,18 +104,22 @@ def edge_shape(
         weighted = np.swapaxes(own * weight[..., None], 1, 2)
         right = weighted @ np.concatenate([by_shape, residual[..., None]], axis=2)
         solved = np.linalg.solve(weighted @ own + np.eye(3), right)
-        known = np.einsum("kn,knc,knd->cd", weight, by_shape, by_shape)
-        known -= np.einsum("kpc,kpd->cd", right[..., :2], solved[..., :2])
-        pull = np.einsum("kn,knc,kn->c", weight, by_shape, residual)
-        pull -= np.einsum("kpc,kp->c", right[..., :2], solved[..., 2])
-        move = np.linalg.solve(known + np.diag(precision), pull + precision * (start - shape))
+        known = np.einsum("kn,knc,knd->kcd", weight, by_shape, by_shape)
+        known -= np.einsum("kpc,kpd->kcd", right[..., :2], solved[..., :2])
+        pull = np.einsum("kn,knc,kn->kc", weight, by_shape, residual)
+        pull -= np.einsum("kpc,kp->kc", right[..., :2], solved[..., 2])
+        move = np.linalg.solve(known.sum(axis=0) + np.diag(precision), pull.sum(axis=0) + precision * (start - shape))
         move = np.clip(shape + np.clip(move, -0.2, 0.2), [_LEAST_PX, -_MOST_MIXED], [_MOST_PX, _MOST_MIXED]) - shape
         each = solved[..., 2] - solved[..., :2] @ move
         inside, step = inside + step * each[:, 0], step * (1 + np.clip(each[:, 1], -0.5, 0.5))
         shape, shift = shape + move, shift + np.clip(each[:, 2], -0.5, 0.5)
         if np.abs(move).max() < _SETTLED:
             break
-    return EdgeShape(float(shape[0]), float(shape[1]))
+    # What each disc would change the blur by, weighted by what it knows of it; at least half of them are not refused.
+    telling = known[:, 0, 0] > 0
+    of_blur, count = known[telling, 0, 0], np.count_nonzero(telling)
+    scatter = np.sqrt(np.sum(pull[telling, 0] ** 2 / of_blur) / of_blur.sum() * count / (count - 1))
+    return EdgeShape(float(shape[0]), float(shape[1]), float(2 * shape[0] * scatter))
 
 
 def _pixels(

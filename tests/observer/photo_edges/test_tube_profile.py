@@ -16,6 +16,7 @@ from observer.photo_edges.rectify import PixelSamples, pixel_samples
 from observer.photo_edges.tube_profile import Sighting, TubeByProfile, find_axis, through_glass
 from observer.photo_edges.views import View
 from observer.trough import ls2
+from photogrammetry.centers import EdgeShape
 from tests.observer.drawn_tube import looking
 
 DESIGN = ls2()
@@ -85,10 +86,15 @@ def sampled(
     return PixelSamples((150 * values).astype(np.float32), x.astype(np.float32))
 
 
-def found(samples: PixelSamples, start_px: float = 0.2) -> TubeByProfile:
+def found(samples: PixelSamples, start_px: float = 0.2, *, edges: EdgeShape | None = None) -> TubeByProfile:
     rows = np.arange(ROWS)
     start = np.full(ROWS, ANGLE_RAD + start_px * PIXEL_M / DISTANCE_M)
-    return find_axis(samples, rows, 0.02 * rows, start, SIGHTING, DESIGN)
+    return find_axis(samples, rows, 0.02 * rows, start, SIGHTING._replace(edges=edges), DESIGN)
+
+
+def told(blur_px: float) -> EdgeShape:
+    """Return a blur that targets tell to 0.01 px."""
+    return EdgeShape(blur_px, 0.0, 2 * blur_px * 0.01)
 
 
 def off_px(samples: PixelSamples) -> float:
@@ -106,6 +112,33 @@ def test_light_on_the_glass_does_not_move_the_axis(
     samples = drawn(rng, np.zeros(ROWS), thrown=thrown, metal_slope=metal_slope, blur_px=blur_px)
     # Within twice the error that all rows of a photo are taken to share; edges would be off by up to 0.1 px.
     assert abs(off_px(samples)) < 2 * SHARED_PX
+
+
+@pytest.mark.parametrize("wrong_px", [-0.1, 0.0, 0.1])
+@pytest.mark.parametrize("blur_px", [0.35, 0.6, 0.9])
+@pytest.mark.parametrize(
+    ("thrown", "metal_slope"), [((0.05, 0.05), 0.0), ((0.0, 0.12), 0.0), ((0.12, 0.0), 0.05), ((0.02, 0.02), -0.06)]
+)
+def test_a_blur_that_targets_tell_moves_the_axis_within_its_sigma(
+    thrown: tuple[float, float], metal_slope: float, blur_px: float, wrong_px: float
+) -> None:
+    """A lens that blurs the tube by a tenth of a pixel more or less than the targets; held, it is 0.036 px."""
+    samples = drawn(np.random.default_rng(1), np.zeros(ROWS), thrown=thrown, metal_slope=metal_slope, blur_px=blur_px)
+    one = found(samples, edges=told(blur_px + wrong_px))
+    bias = float(np.mean(one.angle_rad - ANGLE_RAD))
+    own = float(np.median(one.sigma_rad)) / np.sqrt(ROWS / tube_profile.ROWS_TOGETHER)
+    assert abs(bias) < 2 * np.hypot(own, one.shared_rad)
+    assert abs(bias) * DISTANCE_M / PIXEL_M < 2 * SHARED_PX
+
+
+@pytest.mark.parametrize("mixed", [-0.2, 0.0, 0.2])
+def test_a_blur_told_by_targets_is_as_sure_as_they_are_alike_and_the_tube_is_near(mixed: float) -> None:
+    one = EdgeShape(0.5, mixed, 0.0)
+    # One standard deviation more widens edges by 0.05 px.
+    wider = one._replace(blur_px=0.5 + tube_profile._told_sigma_px(one))
+    assert wider.width_px - one.width_px == pytest.approx(0.05, abs=0.006)
+    scattered = tube_profile._told_sigma_px(one._replace(scatter_px2=0.2))
+    assert (0.5 + scattered) ** 2 - 0.25 > 0.2
 
 
 @pytest.mark.parametrize("blur_px", [0.35, 0.6, 0.9])
@@ -166,6 +199,36 @@ def test_groups_scatter_as_stated(noise: float) -> None:
         over.append((groups[0] - groups[0].mean()) / groups[1])
     # 120 groups, 12 means: a mean square of 0.9 is right within 13 %.
     assert 0.5 < float(np.mean(np.square(over))) < 1.4
+
+
+@pytest.mark.parametrize("wrong_px", [-0.1, 0.0, 0.1])
+def test_groups_whose_light_differs_scatter_as_stated_with_a_blur_that_targets_tell(wrong_px: float) -> None:
+    rng = np.random.default_rng(3)
+    own = np.sqrt(tube_profile._OWN_SHARE)
+    over = []
+    for _ in range(8):
+        parts = [
+            drawn(
+                rng,
+                np.zeros(tube_profile.ROWS_TOGETHER),
+                thrown=tuple(0.05 + own * tube_profile._REST_SIGMA * rng.normal(size=2)),
+                metal_slope=own * tube_profile._METAL_SIGMA * rng.normal(),
+            )
+            for _ in range(ROWS // tube_profile.ROWS_TOGETHER)
+        ]
+        values, x_m = (np.concatenate([getattr(part, name) for part in parts]) for name in ("values_dn", "x_m"))
+        one = found(PixelSamples(values, x_m), edges=told(0.5 + wrong_px))
+        groups = one.angle_rad[:: tube_profile.ROWS_TOGETHER], one.sigma_rad[:: tube_profile.ROWS_TOGETHER]
+        over.append((groups[0] - groups[0].mean()) / groups[1])
+    assert 0.5 < float(np.mean(np.square(over))) < 1.4
+
+
+def test_what_is_rounding_has_no_sigma_that_looks_sure() -> None:
+    covariance = np.diag([4.0, -1e-3, 0.0, 9.0]) + 0.25
+    own, shared = tube_profile._own_and_shared(np.array([0.25, 1.0, 2.0, 1e-12]), covariance)
+    np.testing.assert_array_equal(own, [2.0, np.inf, np.inf, np.inf])
+    assert shared == pytest.approx(0.5)
+    assert tube_profile._own_and_shared(np.ones(2), np.full((2, 2), np.nan))[0].tolist() == [np.inf, np.inf]
 
 
 @pytest.mark.parametrize(("low_m", "high_m", "factor"), [(0.05, 0.08, 0.2), (0.06, 0.3, 4.0), (0.06, 0.3, 0.3)])

@@ -44,6 +44,18 @@ def test_variance_and_mixing_are_those_drawn(blur_px: float, mixed: float) -> No
     assert shape.mixed == pytest.approx(mixed, abs=0.08)
 
 
+def test_targets_that_are_blurred_differently_say_so() -> None:
+    """Half of the discs with 0.4 px, half with 0.6: variances 0.16 and 0.36, 0.1 from their mean."""
+    rng = np.random.default_rng(5)
+    alike = found(*discs(rng, 0.5, 0.0)).scatter_px2
+    (less, centers, ellipses), (more, others, forms) = (discs(rng, blur, 0.0) for blur in (0.4, 0.6))
+    both = found(
+        np.hstack([less, more]), np.vstack([centers, others + [less.shape[1], 0]]), np.vstack([ellipses, forms])
+    )
+    assert alike < 0.04
+    assert both.scatter_px2 == pytest.approx(0.1, rel=0.25)
+
+
 def test_one_covered_disc_does_not_count() -> None:
     image, centers, ellipses = discs(np.random.default_rng(2), 0.5, 0.0)
     image[:15, 5 : SIZE + 5] = 150.0
