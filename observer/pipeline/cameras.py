@@ -19,9 +19,8 @@ from observer.pipeline.stated_camera import explained
 from observer.pipeline.target_list import (
     CheckedList,
     contradicted_doubt,
-    contradicted_place,
+    contradicted_places,
     refuse_loose_list,
-    without_places,
 )
 from observer.pipeline.tilts import LEAST_READINGS, Tilts
 from observer.shutter.readout import RowMotions
@@ -42,7 +41,7 @@ class Cameras:
     views: Camera and pose of each photo.
     files: Their files.
     motions: How the cameras move while they read their rows; None: all rows at once.
-    doubts: What contradicts how the photos were read.
+    doubts: What contradicts how the photos were read, and the list of targets.
     """
 
     network: photogrammetry_pipeline.Result
@@ -80,20 +79,17 @@ def adjust_cameras(
     """Adjust poses, targets and, where it is asked for, the camera and its readout.
 
     jobs: Photos side by side.
-    Returns: Without the listed places that contradict the others, one after the other, the worst first; a wrong one
-        pulls its neighbours.
+    Returns: Without the listed places that contradict the others, where it can be told which do.
     InputError: The list of targets is upside down.
     EstimationError: The photos do not hang together, or the trough's frame is free to turn.
     """
-    survey, out = listed.survey, list[str]()
     cameras = _adjusted(listed, inputs, jobs, progress)
-    while (worst := contradicted_place(cameras.network, len(out))) is not None:
-        out.append(worst)
-        listed = replace(listed, survey=without_places(survey, out))
+    while (found := contradicted_places(cameras.network, listed)) is not None and found.told:
+        listed = listed.without_places(found.targets)
         cameras = _adjusted(listed, inputs, jobs, progress)
-    refuse_loose_list(cameras.network, listed.survey, inputs.collector)
-    doubt = contradicted_doubt(survey, cameras.network, out)
-    return replace(listed, doubts=gather_doubts(listed.doubts, doubt)), cameras
+    refuse_loose_list(cameras.network, listed, inputs.collector)
+    doubt = contradicted_doubt(listed, cameras.network, found)
+    return listed, replace(cameras, doubts=gather_doubts(doubt, cameras.doubts))
 
 
 def _adjusted(listed: CheckedList, inputs: Inputs, jobs: int | None, progress: Progress) -> Cameras:
@@ -175,7 +171,7 @@ def _without(listed: CheckedList, sigmas: Mapping[str, float]) -> CheckedList:
     poses = {name: pose for name, pose in first.poses.items() if name not in sigmas}
     files = tuple(file for file in listed.survey.photo_files if file.name not in sigmas)
     survey = replace(listed.survey, photo_files=files)
-    return CheckedList(survey, replace(first, targets=tuple(targets), poses=poses), listed.doubts)
+    return replace(listed, survey=survey, first=replace(first, targets=tuple(targets), poses=poses))
 
 
 def _refuse_other_turning(turning: Turning, tilts: Tilts) -> None:

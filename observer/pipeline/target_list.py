@@ -1,6 +1,6 @@
 """The list of targets beside what the photos show: known places, photos and entries left out, lists refused."""
 
-from collections.abc import Container, Mapping, Sequence
+from collections.abc import Container, Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,9 +10,10 @@ from heliogauge.doubts import Doubt, Severity
 from heliogauge.validate import FloatArray
 from observer.pipeline.inputs import AXES
 from observer.pipeline.reading.photos import Finder, FirstLook
+from observer.targets.contradictions import Contradiction, find_contradiction
 from observer.targets.list_checks import (
-    contradicted_target,
     exchanged_pairs,
+    free_axis,
     intersect,
     refuse_loose_frame,
     refuse_strange_targets,
@@ -23,6 +24,7 @@ from observer.targets.list_focal import FocalOfList, focal_of_list, refuse_other
 from observer.trough.collector import Collector
 from photogrammetry import pipeline as photogrammetry_pipeline
 from photogrammetry.bundle import constraints
+from photogrammetry.bundle.statistics import coordinates_redundancy
 from photogrammetry.keys import CoordinateSection, PhotogrammetryMeasurement
 from photogrammetry.matching import KnownTargets
 from photogrammetry.start_values import LEAST_TARGETS, spans_an_area
@@ -37,12 +39,26 @@ _LEAST_OF_SIZE = 3
 class CheckedList:
     """The photo network and what was found in its photos, without what contradicts the list of targets.
 
-    doubts: What was left out.
+    doubts: What was left out before the adjustment.
+    contradicted: Listed places that the adjustment of the others contradicts; they are not in the network.
     """
 
     survey: PhotogrammetryMeasurement
     first: FirstLook
     doubts: tuple[Doubt, ...] = ()
+    contradicted: tuple[CoordinateSection, ...] = ()
+
+    @property
+    def contradicted_targets(self) -> tuple[str, ...]:
+        """Targets whose listed places are contradicted."""
+        return tuple(dict.fromkeys(one.target for one in self.contradicted))
+
+    def without_places(self, targets: Container[str]) -> "CheckedList":
+        """Return the same without listed places that the others contradict."""
+        out = [
+            one for one in self.survey.model.constraint if isinstance(one, CoordinateSection) and one.target in targets
+        ]
+        return replace(self, survey=without_places(self.survey, targets), contradicted=(*self.contradicted, *out))
 
 
 def check_list(survey: PhotogrammetryMeasurement, finder: Finder, file: str, first: FirstLook) -> CheckedList:
@@ -171,14 +187,21 @@ def refuse_strange_list(survey: PhotogrammetryMeasurement, first: FirstLook, fil
     refuse_strange_targets(tuple(listed), seen, file)
 
 
-def refuse_loose_list(
-    network: photogrammetry_pipeline.Result, survey: PhotogrammetryMeasurement, collector: Collector
-) -> None:
+def refuse_loose_list(network: photogrammetry_pipeline.Result, listed: CheckedList, collector: Collector) -> None:
     """Refuse a list of targets that does not determine where the trough's frame lies, or turns it upside down.
 
     InputError: z has the wrong sign.
     EstimationError: The frame is free to turn.
     """
+    points_m, sigma_m = _listed_places(network, listed.survey)
+    refuse_loose_frame(points_m, sigma_m, listed.contradicted_targets)
+    refuse_upside_down(points_m, collector)
+
+
+def _listed_places(
+    network: photogrammetry_pipeline.Result, survey: PhotogrammetryMeasurement
+) -> tuple[FloatArray, FloatArray]:
+    """Return adjusted places of listed targets and sigmas of their listed coordinates, NaN: none; (n, 3) each [m]."""
     table = network.points
     row = {name: number for number, name in enumerate(table.ids)}
     sigma = np.full((len(row), 3), np.nan)
@@ -191,8 +214,7 @@ def refuse_loose_list(
                 if name in row:
                     sigma[row[name]] = own
     used = np.isfinite(sigma).any(axis=1) & np.isfinite(table.xyz_m).all(axis=1)
-    refuse_loose_frame(table.xyz_m[used], sigma[used])
-    refuse_upside_down(table.xyz_m[used], collector)
+    return table.xyz_m[used], sigma[used]
 
 
 def leave_out_strays(found: CheckedList, finder: Finder) -> CheckedList:
@@ -253,39 +275,69 @@ def without_places(survey: PhotogrammetryMeasurement, targets: Container[str]) -
     return replace(survey, model=survey.model.model_copy(update={"constraint": kept}))
 
 
-def contradicted_place(network: photogrammetry_pipeline.Result, n_out: int) -> str | None:
-    """Return the listed target that contradicts the others most; None where none does.
+def contradicted_places(network: photogrammetry_pipeline.Result, listed: CheckedList) -> Contradiction | None:
+    """Return which listed targets contradict the others as adjusted; None where the list agrees with itself.
 
-    n_out: Targets that were left out before.
+    Returns: Told only where the others determine the trough's frame.
     """
     bundle = network.solved.bundle
     residuals = dict(bundle.constraint_residuals)
-    listed = [one for one in bundle.problem.constraints if isinstance(one, constraints.Coordinate)]
-    over_sigma = np.array([residuals[one.name][0] for one in listed])
-    return contradicted_target([one.target for one in listed], over_sigma, n_out) if listed else None
+    known = [one for one in bundle.problem.constraints if isinstance(one, constraints.Coordinate)]
+    if not known:
+        return None
+    redundancy = coordinates_redundancy(bundle, known)
+    fine = np.flatnonzero(np.isfinite(np.diag(redundancy)))
+    over_sigma = np.array([residuals[known[k].name][0] for k in fine])
+    names = [known[k].target for k in fine]
+    found = find_contradiction(names, over_sigma, redundancy[np.ix_(fine, fine)], len(listed.contradicted_targets))
+    if found is None or not found.told:
+        return found
+    left = without_places(listed.survey, found.targets)
+    return replace(found, told=free_axis(*_listed_places(network, left)) is None)
 
 
 def contradicted_doubt(
-    survey: PhotogrammetryMeasurement, network: photogrammetry_pipeline.Result, out: Sequence[str]
+    listed: CheckedList, network: photogrammetry_pipeline.Result, rest: Contradiction | None
 ) -> Doubt | None:
-    """Say which listed places were left out, and where the photos show these targets.
+    """Say which listed places contradict the others, and where the photos show those that were left out.
 
-    survey: With their places.
     network: As adjusted without them.
+    rest: What the places that were used contradict.
     """
-    if not out:
+    said = []
+    if listed.contradicted:
+        out = ", ".join(_how_far_off(listed, network))
+        said.append(f"the photos contradict the listed place of {out}; it was not used")
+    if rest is None and not said:
         return None
-    found, said = dict(zip(network.points.ids, network.points.xyz_m, strict=True)), []
-    for name in out:
-        own = [one for one in survey.model.constraint if isinstance(one, CoordinateSection) and one.target == name]
-        off_mm = {one.axis: 1e3 * float(found[name][AXES.index(one.axis)] - one.value_m) for one in own}
-        axis = max(off_mm, key=lambda axis: abs(off_mm[axis]))
-        said.append(f"target {name} ({off_mm[axis]:+.1f} mm in {axis})")
+    if rest is None:
+        said[0] += ", all others agree"
+    else:
+        which = f"any of {', '.join(rest.targets)}" if len(rest.targets) > 1 else f"that of {rest.targets[0]}"
+        said.append(
+            f"listed places contradict each other; {which} may be wrong, which cannot be told: they were used, and the "
+            "trough's frame may be turned"
+        )
     text = (
-        f"targets: the photos contradict the listed place of {', '.join(said)}; it was not used, all others agree. Has "
-        "one moved, or was a number mistyped? Mend the list, or make its cells empty"
+        f"targets: {'; '.join(said)}. Has one moved, or was a number mistyped? Mend the list, or make its cells empty"
     )
-    return Doubt("targets_contradict_list", text, {"targets_count": len(out)})
+    count = len(listed.contradicted_targets) + (0 if rest is None else len(rest.targets))
+    severity = Severity.DOUBT if rest is None else Severity.SERIOUS
+    return Doubt("targets_contradict_list", text, {"targets_count": count}, severity)
+
+
+def _how_far_off(listed: CheckedList, network: photogrammetry_pipeline.Result) -> Iterator[str]:
+    """Yield how far each target that was left out is from its listed place, where it is off most."""
+    found = dict(zip(network.points.ids, network.points.xyz_m, strict=True))
+    for name in listed.contradicted_targets:
+        place = found.get(name, np.full(3, np.nan))
+        off_mm = {
+            one.axis: 1e3 * float(place[AXES.index(one.axis)] - one.value_m)
+            for one in listed.contradicted
+            if one.target == name
+        }
+        axis = max(off_mm, key=lambda axis: abs(off_mm[axis]))
+        yield f"target {name} ({off_mm[axis]:+.1f} mm in {axis})" if np.isfinite(place).all() else f"target {name}"
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -4,11 +4,9 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from heliogauge.adjust.robust_scale import robust_scale
 from heliogauge.errors import EstimationError, InputError
 from heliogauge.geometry.rigid import skew
 from heliogauge.validate import BoolArray, FloatArray
-from observer.doubts.by_chance import contradicting_sigmas
 from observer.trough.collector import Collector
 
 #: Fewest targets that determine a frame.
@@ -44,12 +42,29 @@ def refuse_strange_targets(listed: Sequence[str], seen: Sequence[str], file: str
     )
 
 
-def refuse_loose_frame(points_m: FloatArray, sigma_m: FloatArray) -> None:
+def refuse_loose_frame(points_m: FloatArray, sigma_m: FloatArray, left_out: Sequence[str] = ()) -> None:
     """Refuse coordinates that leave the trough's frame free to turn, as those of targets along one line.
+
+    points_m (n, 3), sigma_m (n, 3): As for `free_axis`.
+    left_out: Targets whose listed places the others contradict, for the message.
+    EstimationError: The frame may be turned by more than 5 mrad.
+    """
+    axis = free_axis(points_m, sigma_m)
+    if axis is None:
+        return
+    without = f", without those that the others contradict ({_some(left_out)})," if left_out else ""
+    raise EstimationError(
+        f"targets: the listed coordinates of the {len(points_m)} targets that the photos show{without} leave the "
+        f"trough's frame free to turn, mostly about {axis}; list the coordinates of at least four targets that are not "
+        "on one line, on both rims"
+    )
+
+
+def free_axis(points_m: FloatArray, sigma_m: FloatArray) -> str | None:
+    """Return about which axis listed coordinates leave the frame free to turn, by more than 5 mrad; None: about none.
 
     points_m (n, 3): Targets with listed coordinates, as adjusted [m].
     sigma_m (n, 3): Standard deviations of their listed coordinates; NaN where a coordinate is not known [m].
-    EstimationError: The frame may be turned by more than 5 mrad.
     """
     weights = np.nan_to_num(1 / sigma_m**2)
     total = weights.sum(axis=0)
@@ -61,13 +76,8 @@ def refuse_loose_frame(points_m: FloatArray, sigma_m: FloatArray) -> None:
     information = normal[:3, :3] - normal[:3, 3:] @ np.linalg.pinv(normal[3:, 3:]) @ normal[3:, :3]
     values, vectors = np.linalg.eigh(information)
     if (total > 0).all() and values[0] * _LOOSE_RAD**2 > 1:
-        return
-    axis = _AXES[int(np.argmax(np.abs(vectors[:, 0])))]
-    raise EstimationError(
-        f"targets: the listed coordinates of the {len(points_m)} targets that the photos show leave the trough's frame "
-        f"free to turn, mostly about {axis}; list the coordinates of at least four targets that are not on one line, "
-        "on both rims"
-    )
+        return None
+    return _AXES[int(np.argmax(np.abs(vectors[:, 0])))]
 
 
 def stray_targets(residual_px: FloatArray, sigma_px: FloatArray) -> BoolArray:
@@ -83,24 +93,6 @@ def stray_targets(residual_px: FloatArray, sigma_px: FloatArray) -> BoolArray:
     left = far.size - int(np.count_nonzero(far))
     few = np.count_nonzero(far) <= _MOST_STRAYS * far.size and left > _FEWEST
     return np.asarray(far & few)
-
-
-def contradicted_target(names: Sequence[str], over_sigma: FloatArray, n_out: int = 0) -> str | None:
-    """Return the target whose listed coordinate contradicts the others most, where so much is not of chance.
-
-    names: Target of each listed coordinate.
-    over_sigma (n,): Residuals of the adjusted coordinates over their stated sigmas. Where all scatter by more than
-        stated that counts.
-    n_out: Targets that were left out before.
-    Returns: None where none does, or so many do that any may be right.
-    """
-    count = len(set(names)) + n_out
-    if n_out + 1 > _MOST_STRAYS * count or count - n_out - 1 <= _FEWEST:
-        return None
-    size = np.abs(over_sigma)
-    worst = int(np.argmax(size))
-    limit = contradicting_sigmas(size.size) * max(1.0, robust_scale(over_sigma))
-    return names[worst] if size[worst] > limit else None
 
 
 def intersect(eyes_m: FloatArray, lines: FloatArray) -> FloatArray | None:

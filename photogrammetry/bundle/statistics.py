@@ -11,6 +11,8 @@ from heliogauge.adjust.solution import CovarianceScale
 from heliogauge.short_repr import ShortRepr
 from heliogauge.validate import BoolArray, FloatArray, IntArray
 from photogrammetry.bundle.adjustment import BundleOptions, BundleResult, adjust
+from photogrammetry.bundle.constraints import AXES, Coordinate
+from photogrammetry.bundle.covariance import BundleCovariance, CovarianceFactors
 from photogrammetry.bundle.problem import BundleProblem
 from photogrammetry.bundle.rays import runs
 from photogrammetry.bundle.rows import BundleModel, CameraRows
@@ -51,6 +53,24 @@ class ImagePointTests(ShortRepr):
         family_significance: Probability of marking any good image point of all.
         """
         return np.asarray(self.probability < family_significance / max(self.probability.size, 1))
+
+
+def coordinates_redundancy(result: BundleResult, known: Sequence[Coordinate]) -> FloatArray:
+    """Return the cofactor of the residuals of known coordinates over their sigmas, ``I - H``.
+
+    result: An adjusted network.
+    known: Some of its constraints.
+    Returns (n, n): On the diagonal the share of an error that shows in the coordinate's own residual; NaN where its
+        target is not determined.
+    """
+    targets = list(dict.fromkeys(one.target for one in known))
+    cofactors = BundleCovariance(result.system, CovarianceFactors(1.0, 1.0)).joint(
+        result.problem.target_indices(targets)
+    )
+    place = {name: number for number, name in enumerate(targets)}
+    rows = np.array([3 * place[one.target] + AXES.index(one.axis) for one in known], dtype=np.intp)
+    sigma_m = np.array([one.sigma_m for one in known])
+    return np.asarray(np.eye(len(known)) - cofactors[np.ix_(rows, rows)] / sigma_m[:, None] / sigma_m)
 
 
 def examine_image_points(result: BundleResult) -> ImagePointTests:

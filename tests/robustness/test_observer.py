@@ -2,6 +2,7 @@
 
 import re
 import shutil
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,12 +12,13 @@ import pytest
 
 from data_synth.troughs.dataset import TroughOptions, write_trough_dataset
 from data_synth.troughs.presets import TroughChoice, trough_scene
+from heliogauge.doubts import Doubt, Severity
 from heliogauge.errors import EstimationError, MetrologyError
 from heliogauge.running.cli import main
 from heliogauge.running.progress import SilentProgress
 from observer import Options, run
 from observer.keys import load_observer
-from observer.pipeline.cameras import adjust_cameras
+from observer.pipeline.cameras import Cameras, adjust_cameras
 from observer.pipeline.inputs import read_inputs
 from observer.pipeline.reading.photos import look_first
 from observer.pipeline.target_list import check_list
@@ -125,12 +127,16 @@ def test_output_that_cannot_be_written(trough, tmp_path, start):
 
 def adjusted(folder: Path) -> tuple[tuple[str, ...], str]:
     """The photos that were adjusted, and every doubt about photos and targets."""
+    cameras, said = adjusted_cameras(folder)
+    return tuple(file.name for file in cameras.files), "\n".join(map(str, said))
+
+
+def adjusted_cameras(folder: Path) -> tuple[Cameras, tuple[Doubt, ...]]:
     inputs = read_inputs(load_observer(folder), SilentProgress())
     first = look_first(inputs.survey.photo_files, inputs.finder, jobs=1, progress=SilentProgress())
     listed = check_list(inputs.survey, inputs.finder, inputs.targets_file, first)
-    _, cameras = adjust_cameras(listed, inputs, 1, SilentProgress())
-    said = (*listed.doubts, *cameras.network.doubts, *cameras.doubts)
-    return tuple(file.name for file in cameras.files), "\n".join(map(str, said))
+    listed, cameras = adjust_cameras(listed, inputs, 1, SilentProgress())
+    return cameras, (*listed.doubts, *cameras.network.doubts, *cameras.doubts)
 
 
 @pytest.mark.slow
@@ -144,6 +150,50 @@ def test_photo_of_another_size(trough, capsys):
     with pytest.raises(SystemExit, match=r"^0$"):
         main(["check", str(trough)])
     assert text in "".join(capsys.readouterr())
+
+
+# --- entries of the list that contradict the others ------------------------------------------------------------------
+
+
+def contradiction(folder: Path) -> Doubt | None:
+    found = [one for one in adjusted_cameras(folder)[1] if one.code == "targets_contradict_list"]
+    assert len(found) < 2
+    return found[0] if found else None
+
+
+def kept_and_moved(kept: Sequence[int], moved: int, column: int, by_m: float):
+    def change(_, row):
+        if int(row[0]) == moved:
+            row = [*row[:column], f"{float(row[column]) + by_m:.6f}", *row[column + 1 :]]
+        return row if int(row[0]) in kept else None
+
+    return change
+
+
+@pytest.mark.parametrize(("moved", "column", "axis"), [(5, 3, "z"), (12, 1, "x")])
+def test_a_mistyped_target_is_left_out_by_name(trough, moved, column, axis):
+    each_target(trough, kept_and_moved(range(1, 13), moved, column, 0.02))
+    doubt = contradiction(trough)
+    assert doubt is not None
+    assert doubt.severity is Severity.DOUBT
+    assert re.search(
+        rf"listed place of target {moved} \(-(1[7-9]|2[0-3])\.\d mm in {axis}\).* all others agree", doubt.text
+    )
+
+
+@pytest.mark.parametrize("moved", [1, 6])
+def test_of_two_on_a_rim_both_are_named_and_none_is_left_out(trough, moved):
+    each_target(trough, kept_and_moved((1, 6, *range(7, 13)), moved, 3, 0.02))
+    doubt = contradiction(trough)
+    assert doubt is not None
+    assert doubt.severity is Severity.SERIOUS
+    assert "any of 1, 6 may be wrong, which cannot be told: they were used" in doubt.text
+    assert "not used" not in doubt.text
+
+
+def test_a_sound_list_contradicts_nothing(trough):
+    """Each target is a millimetre from where it is listed, as stated."""
+    assert contradiction(trough) is None
 
 
 # --- refused by what the photos say ---------------------------------------------------------------------------------

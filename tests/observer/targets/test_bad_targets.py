@@ -6,7 +6,6 @@ import pytest
 from heliogauge.errors import EstimationError, InputError
 from observer.pipeline.inputs import read_targets
 from observer.targets.list_checks import (
-    contradicted_target,
     exchanged_pairs,
     intersect,
     refuse_loose_frame,
@@ -71,23 +70,6 @@ def test_strays_are_few_and_far():
     assert not stray_targets(np.array([0.1, 0.1, 0.1, 90.0]), sigma[:4]).any()
     assert not stray_targets(np.array([0.1] * 6 + [90.0] * 6), sigma).any()
     assert not stray_targets(np.zeros(0), np.zeros(0)).any()
-
-
-def test_the_worst_contradicting_target_is_left_out_and_few_of_them():
-    names = [str(number) for number in range(1, 13) for _ in "xyz"]
-    rng = np.random.default_rng(5)
-    usual = rng.standard_normal(36)
-    assert contradicted_target(names, usual) is None
-    moved = usual.copy()
-    moved[[14, 17]] = 8.7, 4.2
-    assert contradicted_target(names, moved) == "5"
-    # A list that is less accurate than stated has no worst one.
-    assert contradicted_target(names, 4 * usual) is None
-    # Of twelve at most three, and four must be left.
-    rest = [name for name in names if name not in ("1", "2", "3")]
-    assert contradicted_target(rest, moved[9:], n_out=3) is None
-    assert contradicted_target(rest, moved[9:], n_out=0) == "5"
-    assert contradicted_target(names[:12], moved[12:24]) is None
 
 
 def test_lines_of_sight_meet_where_the_target_is():
