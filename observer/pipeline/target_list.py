@@ -23,8 +23,7 @@ from observer.targets.list_checks import (
 from observer.targets.list_focal import FocalOfList, focal_of_list, refuse_other_focal
 from observer.trough.collector import Collector
 from photogrammetry import pipeline as photogrammetry_pipeline
-from photogrammetry.bundle import constraints
-from photogrammetry.bundle.statistics import coordinates_redundancy
+from photogrammetry.bundle import constraints, statistics
 from photogrammetry.keys import CoordinateSection, PhotogrammetryMeasurement
 from photogrammetry.matching import KnownTargets
 from photogrammetry.start_values import LEAST_TARGETS, spans_an_area
@@ -285,7 +284,7 @@ def contradicted_places(network: photogrammetry_pipeline.Result, listed: Checked
     known = [one for one in bundle.problem.constraints if isinstance(one, constraints.Coordinate)]
     if not known:
         return None
-    redundancy = coordinates_redundancy(bundle, known)
+    redundancy = statistics.coordinates_redundancy(bundle, known)
     fine = np.flatnonzero(np.isfinite(np.diag(redundancy)))
     over_sigma = np.array([residuals[known[k].name][0] for k in fine])
     names = [known[k].target for k in fine]
