@@ -35,6 +35,8 @@ _WRONG_SHARE = 0.2
 #: What fits no better than this, 2.6 mm in 13 m, is of another lens than the stated one, or of a poor list, either of
 #: which makes a wrong focal length fit better than the right one [shares of the focal length, rms].
 _FITS = 2e-4
+#: Radial distortion of an unknown lens (k1), from barrel to cushion; beyond are fisheye lenses.
+_LENS = 0.3
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,7 +45,7 @@ class FocalOfList:
 
     focal_px, sigma_px: With its standard deviation, from how well the best poses fit [px].
     miss_px: How far image points are from those of the best poses, root mean square [px].
-    stated_sigmas: By how many standard deviations that of the stated camera fits worse.
+    stated_sigmas: By how many standard deviations that of the stated camera fits worse, whatever its lens does.
     n_photos: Photos it rests on.
     """
 
@@ -108,18 +110,26 @@ def focal_of_list(photos: Iterable[tuple[FloatArray, FloatArray]], camera: Camer
     excluded = min(sigmas(focal * float(np.exp(step))) for step in (-away_share, away_share))
     if excluded < _SIGMAS:
         return None
+    stated = camera.focal_x_px
+    stated_sigmas = sigmas(stated)
+    if stated_sigmas >= _SIGMAS:
+        # Where the lens is not stated another focal length makes up for it, as targets are all on two rims.
+        lens = minimize_scalar(lambda k1: _misfit(shown, stated, k1), bounds=(-_LENS, _LENS), method="bounded")
+        stated_sigmas = min(stated_sigmas, float(np.sqrt(free * max(float(lens.fun) / least - 1, 0.0))))
     miss_px = float(np.sqrt(least / sum(len(places) for places, _ in shown)))
-    return FocalOfList(focal, focal * away_share / excluded, miss_px, sigmas(camera.focal_x_px), len(shown))
+    return FocalOfList(focal, focal * away_share / excluded, miss_px, stated_sigmas, len(shown))
 
 
-def _misfit(shown: Sequence[tuple[FloatArray, FloatArray]], focal_px: float) -> float:
+def _misfit(shown: Sequence[tuple[FloatArray, FloatArray]], focal_px: float, k1: float = 0.0) -> float:
     """Return the sum of squared distances of image points from those of the best poses [px^2].
 
-    shown: Places [m] and image points about the principal point, of a lens without distortion [px].
+    shown: Places [m] and image points about the principal point, of the stated lens without its distortion [px].
+    k1: Radial distortion besides.
     """
     camera = Camera(1, 1, focal_px, focal_px, 0.0, 0.0)
     total = 0.0
-    for places, image in shown:
+    for places, distorted in shown:
+        image = distorted * (1 - k1 * np.sum((distorted / focal_px) ** 2, axis=1, keepdims=True))
         try:
             misses = resect(camera, places, image, np.tile(np.eye(2), (len(places), 1, 1)), tolerance=_CUT_PX).misses
         except EstimationError:
