@@ -71,7 +71,9 @@ def test_sigma_of_theta_ra_is_its_scatter_and_not_the_sum_of_both_parts() -> Non
         error = error_theta_ra(one, collector.focal_length_m, truth)
         means = panel_tilts(error, angles.to_tube, collector)
         over.append(np.nanmean((error / angles.sigma_theta_ra_rad) ** 2))
-        panels.append(np.nanmean((means.tilt_rad / means.sigma_rad) ** 2))
+        # The error of what was measured, by the sigma of that: what was not measured has no part in it.
+        assert means.sigma_unmeasured_rad is not None
+        panels.append(np.nanmean(means.tilt_rad**2 / (means.sigma_rad**2 - means.sigma_unmeasured_rad**2)))
         apart = np.hypot(one.sigma_slope_x / (1 + one.slope_map.slope_x**2), angles.sigma_theta_a_rad)
         share.append(np.nanmedian(angles.sigma_theta_ra_rad / apart))
     assert np.sqrt(np.mean(over)) == pytest.approx(0.9, abs=0.15)
