@@ -72,7 +72,7 @@ def check_list(survey: PhotogrammetryMeasurement, finder: Finder, file: str, fir
     found = replace(found, doubts=(*sized.doubts, *found.doubts))
     refuse_strange_list(found.survey, found.first, file)
     for camera in dict.fromkeys(finder.camera_of.values()):
-        refuse_other_focal(focal_of_photos(found.first, finder, camera), camera)
+        refuse_other_focal(focal_of_photos(found.first, finder, camera, unless_stated_fits=True), camera)
     found = leave_out_strays(found, finder)
     count = len(first.by_list)
     if not count:
@@ -85,10 +85,13 @@ def check_list(survey: PhotogrammetryMeasurement, finder: Finder, file: str, fir
     return replace(found, doubts=(*found.doubts, note))
 
 
-def focal_of_photos(first: FirstLook, finder: Finder, camera: Camera) -> FocalOfList | None:
+def focal_of_photos(
+    first: FirstLook, finder: Finder, camera: Camera, *, unless_stated_fits: bool = False
+) -> FocalOfList | None:
     """Return the focal length that a camera's photos of the listed targets show by themselves.
 
     camera: One of the finder's; where it has none, a guess with the photos' size.
+    unless_stated_fits: Whether another one is looked for only where that of the camera does not fit the targets.
     """
     place = {name: number for number, name in enumerate(finder.known.names)}
     photos = []
@@ -98,7 +101,7 @@ def focal_of_photos(first: FirstLook, finder: Finder, camera: Camera) -> FocalOf
             rows = [k for k, name in enumerate(table.names) if name in place and table.usable[k]]
             own = [place[table.names[k]] for k in rows]
             photos.append((finder.known.points_m[own], table.pixels_px[rows]))
-    return focal_of_list(photos, camera)
+    return focal_of_list(photos, camera, unless_stated_fits=unless_stated_fits)
 
 
 def keep_placed(survey: PhotogrammetryMeasurement, first: FirstLook) -> CheckedList:

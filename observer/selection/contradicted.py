@@ -109,14 +109,21 @@ def _worst_run(values: FloatArray, covariance: FloatArray, times: float, longest
     """
     precision = np.linalg.inv(covariance)
     left = precision @ values
-    best, run = 0.0, np.zeros(0, dtype=np.intp)
-    for first in range(values.size):
-        part = slice(first, min(first + longest, values.size))
-        root = np.linalg.cholesky(precision[part, part])
-        gain = np.cumsum(np.square(np.linalg.solve(root, left[part])) - times**2)
-        if gain.max() > best:
-            best, run = float(gain.max()), np.arange(first, first + int(gain.argmax()) + 1)
-    return run
+    if longest == 1:
+        gain = left**2 / np.diagonal(precision) - times**2
+        return np.flatnonzero((gain > 0) & (gain == gain.max()))[:1]
+    # Beyond the last value stand independent ones of zero, of which leaving out costs and gains nothing.
+    size, end = values.size, values.size + longest
+    whole, ends = np.eye(end), np.zeros(end)
+    whole[:size, :size], ends[:size] = precision, left
+    window = np.arange(size)[:, None] + np.arange(longest)
+    # Below each block stands l: the last row of the root is then what solving it for l would give.
+    blocks = np.zeros((size, longest + 1, longest + 1))
+    blocks[:, :longest, :longest] = whole[window[:, :, None], window[:, None, :]]
+    blocks[:, longest, :longest], blocks[:, longest, longest] = ends[window], values @ left + 1.0
+    gains = np.cumsum(np.square(np.linalg.cholesky(blocks)[:, longest, :longest]) - times**2, axis=1)
+    first, last = np.unravel_index(int(gains.argmax()), gains.shape)
+    return np.arange(first, first + last + 1) if gains[first, last] > 0 else np.zeros(0, dtype=np.intp)
 
 
 def _prior_covariance(grid: RowGrid, roughness: Roughness) -> FloatArray:

@@ -56,11 +56,14 @@ class FocalOfList:
     n_photos: int
 
 
-def focal_of_list(photos: Iterable[tuple[FloatArray, FloatArray]], camera: Camera) -> FocalOfList | None:
+def focal_of_list(
+    photos: Iterable[tuple[FloatArray, FloatArray]], camera: Camera, *, unless_stated_fits: bool = False
+) -> FocalOfList | None:
     """Find the focal length with which poses fit the targets best.
 
     photos: Of each the listed places (n, 3) [m] and image points (n, 2) [px] of its targets.
     camera: Gives size, principal point and lens; the best focal length does not depend on the stated one.
+    unless_stated_fits: Whether another one is looked for only where that of the camera does not fit the targets.
     Returns: None where targets are not near one plane, or all photos look straight at it: any focal length fits these.
 
     Misfits of the best poses over focal lengths, with the listed places: as images of a plane (Zhang 2000) targets
@@ -88,6 +91,9 @@ def focal_of_list(photos: Iterable[tuple[FloatArray, FloatArray]], camera: Camer
 
     asked = np.unique(np.linspace(0, len(shown) - 1, _MOST_PHOTOS).round().astype(np.intp))
     shown = [shown[k] for k in asked]
+    count = sum(len(places) for places, _ in shown)
+    if unless_stated_fits and _misfit(shown, camera.focal_x_px) <= count * (_FITS * camera.focal_x_px) ** 2:
+        return None
     tried = camera.width_px * _TRIED
     best = int(np.argmin([_misfit(shown, focal) for focal in tried]))
     if best in (0, tried.size - 1):
@@ -116,7 +122,7 @@ def focal_of_list(photos: Iterable[tuple[FloatArray, FloatArray]], camera: Camer
         # Where the lens is not stated another focal length makes up for it, as targets are all on two rims.
         lens = minimize_scalar(lambda k1: _misfit(shown, stated, k1), bounds=(-_LENS, _LENS), method="bounded")
         stated_sigmas = min(stated_sigmas, float(np.sqrt(free * max(float(lens.fun) / least - 1, 0.0))))
-    miss_px = float(np.sqrt(least / sum(len(places) for places, _ in shown)))
+    miss_px = float(np.sqrt(least / count))
     return FocalOfList(focal, focal * away_share / excluded, miss_px, stated_sigmas, len(shown))
 
 
