@@ -16,6 +16,10 @@ from observer.slopes.row_spline import Roughness, RowGrid, TouchingLines, assemb
 
 #: What is left of the variance of an edge that nothing else predicts: rounding.
 _LEAST_FREEDOM = 1e-9
+#: Noise beside the largest variance that is added before inverting, so that digits are left of what is taken off.
+_LEAST_NOISE = 1e-11
+#: A value that is left out at the limit is not taken back by rounding: without end both would follow each other.
+_ROUNDING = 1e-6
 #: The false ones are fewer than this share of the edges of a row and panel: a cluster in the middle parts the true
 #: ones in two, and either part has to be more than it.
 _MOST_REFUSED = 1 / 3
@@ -72,43 +76,58 @@ def _fewest_refused(values: FloatArray, covariance: FloatArray, times: float) ->
     By turns the run is left out that lowers that sum most, and each value is taken back that the kept ones predict:
     the sum only falls, to a minimum. That from runs is one for clusters, that from single values for scattered ones.
     """
+    precision = np.linalg.inv(covariance + _LEAST_NOISE * covariance.max() * np.eye(values.size))
 
     def cost(kept: BoolArray) -> float:
-        chi_square = values[kept] @ np.linalg.solve(covariance[np.ix_(kept, kept)], values[kept])
+        chi_square = values[kept] @ _precision_of(kept, precision) @ values[kept]
         return float(chi_square + times**2 * np.count_nonzero(~kept))
 
     longest = max(1, int(_MOST_REFUSED * values.size))
-    return ~min((_agreeing(values, covariance, times, one) for one in (1, longest)), key=cost)
+    return ~min((_agreeing(values, precision, times, one) for one in (1, longest)), key=cost)
 
 
-def _agreeing(values: FloatArray, covariance: FloatArray, times: float, longest: int) -> BoolArray:
-    """Return which values agree when runs of at most so many are left out at once."""
-    kept = np.ones(values.size, dtype=bool)
+def _precision_of(kept: BoolArray, precision: FloatArray) -> FloatArray:
+    """Return the precision of some values alone, from that of all."""
+    beside = precision[np.ix_(~kept, kept)]
+    return precision[np.ix_(kept, kept)] - beside.T @ np.linalg.solve(precision[np.ix_(~kept, ~kept)], beside)
+
+
+def _agreeing(values: FloatArray, precision: FloatArray, times: float, longest: int) -> BoolArray:
+    """Return which values agree when runs of at most so many are left out at once.
+
+    precision (m, m): Inverse of the values' covariance.
+    """
+    kept, left = np.ones(values.size, dtype=bool), precision @ values
     while True:
         some = np.flatnonzero(kept)
-        run = _worst_run(values[some], covariance[np.ix_(some, some)], times, longest)
+        run = _worst_run(values[some], _precision_of(kept, precision), times, longest)
         if run.size == 0:
             return kept
         kept[some[run]] = False
         while not kept.all():
-            some, out = np.flatnonzero(kept), np.flatnonzero(~kept)
-            by_others = np.linalg.solve(covariance[np.ix_(some, some)], covariance[np.ix_(some, out)])
-            variance = covariance[out, out] - (covariance[np.ix_(some, out)] * by_others).sum(axis=0)
-            off = np.abs(values[out] - values[some] @ by_others) / np.sqrt(variance)
-            if off.min() >= times:
+            out = np.flatnonzero(~kept)
+            # What the kept ones say of these: by differences of covariances nothing would be left of the digits.
+            given = np.linalg.inv(precision[np.ix_(out, out)])
+            off = np.abs(given @ left[out]) / np.sqrt(np.diagonal(given))
+            if off.min() >= (1 - _ROUNDING) * times:
                 break
             kept[out[off.argmin()]] = True
 
 
-def _worst_run(values: FloatArray, covariance: FloatArray, times: float, longest: int) -> IntArray:
+def _worst_run(values: FloatArray, precision: FloatArray, times: float, longest: int) -> IntArray:
     """Return the numbers of neighbours whose absence lowers chi-square by most more than ``times^2`` for each, if any.
 
+    precision (m, m): Inverse of the values' covariance.
     longest: They are at most so many.
 
-    Leaving out K lowers it by ``l' P^-1 l``, with P the block of the precision of K, and l of precision times values.
+    Leaving out K lowers it by ``l' P^-1 l``, with P the block of the precision of K, and l of precision times values;
+    never by more than all of it, so that longer runs than its share of ``times^2`` gain nothing.
     """
-    precision = np.linalg.inv(covariance)
     left = precision @ values
+    chi_square = float(values @ left)
+    longest = min(longest, int(chi_square / times**2))
+    if longest == 0:
+        return np.zeros(0, dtype=np.intp)
     if longest == 1:
         gain = left**2 / np.diagonal(precision) - times**2
         return np.flatnonzero((gain > 0) & (gain == gain.max()))[:1]
@@ -120,7 +139,7 @@ def _worst_run(values: FloatArray, covariance: FloatArray, times: float, longest
     # Below each block stands l: the last row of the root is then what solving it for l would give.
     blocks = np.zeros((size, longest + 1, longest + 1))
     blocks[:, :longest, :longest] = whole[window[:, :, None], window[:, None, :]]
-    blocks[:, longest, :longest], blocks[:, longest, longest] = ends[window], values @ left + 1.0
+    blocks[:, longest, :longest], blocks[:, longest, longest] = ends[window], chi_square + 1.0
     gains = np.cumsum(np.square(np.linalg.cholesky(blocks)[:, longest, :longest]) - times**2, axis=1)
     first, last = np.unravel_index(int(gains.argmax()), gains.shape)
     return np.arange(first, first + last + 1) if gains[first, last] > 0 else np.zeros(0, dtype=np.intp)

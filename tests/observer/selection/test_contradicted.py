@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from observer.selection.contradicted import contradicted_edges, deletion_residuals
+from observer.selection.contradicted import _fewest_refused, contradicted_edges, deletion_residuals
 from observer.selection.edge_refusal import EdgeFate, undecided_doubt
 from observer.selection.solve_and_refuse import _refuse_contradicted
 from observer.slopes.joint_solution import solve_jointly
@@ -86,6 +86,17 @@ def test_true_edges_between_false_ones_are_kept() -> None:
     grid = RowGrid(X_M, np.arange(59) != 29, 1)
     found = contradicted_edges(lines, grid, Roughness(2.3e-4, 2e-3), 4.0)
     assert np.flatnonzero(found.refused).tolist() == [64, 65, 66]
+
+
+@pytest.mark.parametrize("scale", [1e4, 1e7, 1e10])
+def test_one_wrong_value_among_nearly_dependent_ones_is_told(scale: float) -> None:
+    """Differences of such covariances have no digits left: an edge was refused and taken back without end."""
+    rng = np.random.default_rng(0)
+    x = np.sort(rng.uniform(0, 1, 100))
+    covariance = scale * np.exp(-(((x[:, None] - x) / 0.3) ** 2) / 2) + np.eye(100)
+    values = np.linalg.cholesky(covariance) @ rng.normal(size=100)
+    values[50] += 12
+    assert np.flatnonzero(_fewest_refused(values, covariance, 4.0)).tolist() == [50]
 
 
 def test_where_a_third_of_the_edges_contradict_the_others_none_of_the_panel_is_believed() -> None:
