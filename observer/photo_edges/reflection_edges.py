@@ -16,10 +16,11 @@ from observer.trough.collector import Collector
 from observer.trough.expectation import Expectation
 from observer.trough.observation_equation import Misfit, Sights, beside_axis, misfit
 
-#: Samples across the trough for each pixel of the photo.
-_SAMPLES_PER_PIXEL = 1.0
-#: Narrower parts of the mirror show nothing.
-_FEWEST_COLUMNS = 24
+#: Samples across the trough for each pixel of the photo. With one, what is interpolated between pixels is blurred by
+#: where it lies among them: edges of a whole photo were up to 0.07 px elsewhere, all alike, as the first sample moved.
+_SAMPLES_PER_PIXEL = 2
+#: Narrower parts of the mirror show nothing [px].
+_FEWEST_PX = 24
 #: Near the end of the tube or a support the slope along the trough, unknown to some mrad, decides what is seen [m].
 _END_MARGIN_M = 0.04
 #: Edges with at least this contrast, and so many of them, show how dark the tube is.
@@ -99,7 +100,7 @@ def reflection_edges(shots: Sequence[Shot], expected: Expectation) -> list[Refle
     """
     looks = _looks(shots, expected)
     seen = [one for one in looks if one is not None]
-    found, which = find_edges([one.strip for one in seen])
+    found, which = find_edges([one.strip for one in seen], oversampling=_SAMPLES_PER_PIXEL)
     edges = iter(_plausible(found, which, seen, expected))
     return [_nothing() if one is None else next(edges) for one in looks]
 
@@ -115,7 +116,7 @@ def edge_profiles(shot: Shot, expected: Expectation) -> FloatArray:
     if look is None:
         return np.zeros((0, place.size))
     strip, pixel_m = look.strip, look.pixel_m
-    [edges] = _plausible(*find_edges([strip]), [look], expected)
+    [edges] = _plausible(*find_edges([strip], oversampling=_SAMPLES_PER_PIXEL), [look], expected)
     edges = edges.chosen((edges.unevenness > 0) & (edges.unevenness < _PROFILE_UNEVEN) & ~edges.is_lesser)
     step = float(strip.x_m[1] - strip.x_m[0])
     at = (edges.points_m[:, :1] + pixel_m * place - strip.x_m[0]) / step
@@ -148,7 +149,7 @@ def _looks(shots: Sequence[Shot], expected: Expectation) -> list[_Look | None]:
         pixel_m = float(np.linalg.norm(eye_m)) / max(camera.focal_x_px, camera.focal_y_px)
         step = pixel_m / _SAMPLES_PER_PIXEL
         x = np.zeros(0) if window is None else np.arange(window[0], window[1] + step, step)
-        if x.size < _FEWEST_COLUMNS:
+        if x.size < _FEWEST_PX * _SAMPLES_PER_PIXEL:
             looks.append(None)
             continue
         rows_each = max(1, round(float(y_m[1] - y_m[0]) / pixel_m)) if y_m.size > 1 else 1
