@@ -1,20 +1,31 @@
 """A collector that turns before a fixed far camera: tables of tilts, poses tied to them, from folder to slopes."""
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from data_synth.troughs import TroughChoice, TroughOptions, read_trough_truth, trough_scene, write_trough_dataset
+from heliogauge.doubts import Doubt
 from heliogauge.errors import EstimationError, InputError
 from heliogauge.geometry.rigid import RigidTransform, rotation_from_vector
 from heliogauge.measurement.load import load
+from heliogauge.running.progress import SilentProgress
 from observer import Options, Result, run
 from observer.keys import ObserverMeasurement, load_observer
-from observer.pipeline.tilts import read_tilts
+from observer.photo_edges.views import View
+from observer.pipeline import cameras
+from observer.pipeline.cameras import Cameras, adjust_turning
+from observer.pipeline.reading.photos import FirstLook
+from observer.pipeline.target_list import CheckedList
+from observer.pipeline.tilts import Tilts, read_tilts
 from observer.slopes.pose_modes import Photos
 from observer.turning.far_camera import FarCamera, KnownFarCamera, TiltReadings
 from observer.turning.tied_poses import compare_turning, tie_poses
+from photogrammetry.detection import Detections
+from photogrammetry.keys import PhotogrammetryMeasurement
+from photogrammetry.pipeline import OnePhoto
 from tests.observer.exif import exif
 
 READING_RAD, FACING, DISTANCE_M = 0.3e-3, 1.57, 150.0
@@ -106,6 +117,63 @@ def test_a_reading_that_contradicts_is_named_and_turning_the_other_way_is_seen()
     turning = compare_turning(drawn.photos, other, KNOWN.camera)
     assert turning.scale == pytest.approx(-1.0, abs=0.05)
     assert turning.used.all()
+
+
+def looked_at(name: str) -> OnePhoto:
+    """Return a photo with two corners."""
+    covariance, flags = np.tile(np.eye(2), (2, 1, 1)), np.zeros(2, dtype=np.uint32)
+    found = Detections(name, ("corner-0-0", "corner-1-0"), np.zeros((2, 2)), covariance, np.full(2, np.nan), flags)
+    return OnePhoto(
+        found, np.zeros((2, 2, 2)), (100, 100), (), found.chosen(np.zeros(0, dtype=int)), np.zeros((0, 2, 2))
+    )
+
+
+def test_a_photo_whose_reading_contradicts_it_is_left_out_and_the_others_are_adjusted_anew(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    drawn, adjusted = Drawn(3), []
+    wrong = drawn.readings.tilt_rad.copy()
+    wrong[4] += 8e-3
+    names = tuple(f"photo_{k:02d}.jpg" for k in range(wrong.size))
+    readings = dict(zip(names, zip(wrong.tolist(), drawn.readings.sigma_rad.tolist(), strict=True), strict=True))
+    none = (Doubt("drawn", "of the table", {}),)
+    tilts = Tilts(readings, KNOWN, np.array([1.0, 0.0, 0.0]), 0.0, none, "tilts.csv", left_handed=False)
+
+    def adjust(listed: CheckedList, *_: object) -> tuple[CheckedList, Cameras]:
+        files = listed.survey.photo_files
+        assert set(listed.first.poses) == {file.name for file in files}
+        number = np.array([names.index(file.name) for file in files])
+        adjusted.append(number.tolist())
+        steps = (6 * number[:, None] + np.arange(6)).ravel()
+        poses = tuple(drawn.photos.poses[k] for k in number)
+        photos = Photos(poses, drawn.photos.covariance[np.ix_(steps, steps)])
+        return listed, Cameras(None, photos, tuple(View(None, pose) for pose in poses), files)
+
+    monkeypatch.setattr(cameras, "adjust_cameras", adjust)
+    looks = tuple(looked_at(name) for name in names)
+    first = FirstLook(names, looks, dict(zip(names, drawn.photos.poses, strict=True)), {}, {}, None)
+    survey = PhotogrammetryMeasurement(Path(), None, tuple(Path(name) for name in names))
+    listed, tied = adjust_turning(CheckedList(survey, first), SimpleNamespace(tilts=tilts), 1, SilentProgress())
+
+    others = [k for k in range(wrong.size) if k != 4]
+    assert adjusted == [list(range(wrong.size)), others]
+    assert [file.name for file in tied.files] == [names[k] for k in others]
+    assert [len(one.detections) for one in listed.first.targets] == [2 * (k != 4) for k in range(wrong.size)]
+    [out] = listed.first.targets[4].refused
+    doubt = {one.code: one for one in listed.doubts}["photos_contradict_tilts"]
+    sigmas = compare_turning(drawn.photos, TiltReadings(wrong, drawn.readings.sigma_rad), KNOWN.camera).over_sigma
+    assert out.name == names[4]
+    assert out.reason.endswith(f"differ by {abs(sigmas[4]):.0f} sigmas")
+    assert doubt.text.endswith(f"by {abs(sigmas[4]):.0f} sigmas: {names[4]}")
+    assert doubt.numbers == {"photos_count": 1}
+    assert "drawn" in {one.code for one in listed.doubts}
+    # Tied to the readings of the others; the reading that is left out pulls none.
+    drawn.true.pop(4)
+    before, after = (
+        drawn.misses(Photos(one, tied.photos.covariance))
+        for one in ([drawn.photos.poses[k] for k in others], [view.cam_from_frame for view in tied.views])
+    )
+    assert after.reshape(-1, 6)[:, 0].std() < 0.9 * before.reshape(-1, 6)[:, 0].std()
 
 
 def test_the_far_camera_is_where_the_turned_collector_sees_it() -> None:
