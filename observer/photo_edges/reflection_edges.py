@@ -98,7 +98,7 @@ def reflection_edges(shots: Sequence[Shot], expected: Expectation) -> list[Refle
 
     Step by step for all photos: code that has just run is in the processor's caches, where it takes half the time.
     """
-    looks = _looks(shots, expected)
+    looks = _looks(shots, expected, _SAMPLES_PER_PIXEL)
     seen = [one for one in looks if one is not None]
     found, which = find_edges([one.strip for one in seen], oversampling=_SAMPLES_PER_PIXEL)
     edges = iter(_plausible(found, which, seen, expected))
@@ -110,13 +110,16 @@ def edge_profiles(shot: Shot, expected: Expectation) -> FloatArray:
 
     expected: Collector, absorber and rows.
     Returns (n, 13): Brightness at -6 to 6 pixels from each edge that is even on both sides and no lesser step [DN].
+
+    From one sample for each pixel: third moments of edges, by which photos are told linear or sRGB, come out at up to
+    0.4 in place of 0.15 where interpolation averages no noise, and far photos that are linear were taken for sRGB.
     """
-    [look] = _looks([shot], expected)
+    [look] = _looks([shot], expected, 1)
     place = np.arange(-_PROFILE_PX, _PROFILE_PX + 1)
     if look is None:
         return np.zeros((0, place.size))
     strip, pixel_m = look.strip, look.pixel_m
-    [edges] = _plausible(*find_edges([strip], oversampling=_SAMPLES_PER_PIXEL), [look], expected)
+    [edges] = _plausible(*find_edges([strip]), [look], expected)
     edges = edges.chosen((edges.unevenness > 0) & (edges.unevenness < _PROFILE_UNEVEN) & ~edges.is_lesser)
     step = float(strip.x_m[1] - strip.x_m[0])
     at = (edges.points_m[:, :1] + pixel_m * place - strip.x_m[0]) / step
@@ -140,16 +143,16 @@ class _Look:
     strip: Strip
 
 
-def _looks(shots: Sequence[Shot], expected: Expectation) -> list[_Look | None]:
+def _looks(shots: Sequence[Shot], expected: Expectation, samples_per_pixel: int) -> list[_Look | None]:
     """Resample the part of the mirror in which the reflection can be; None where there is none."""
     eyes_m, y_m, surface = [one.view.eye_m for one in shots], expected.y_m, expected.collector.surface
     looks: list[_Look | None] = []
     for shot, eye_m, window in zip(shots, eyes_m, _windows(np.reshape(eyes_m, (-1, 3)), expected), strict=True):
         camera = shot.view.camera
         pixel_m = float(np.linalg.norm(eye_m)) / max(camera.focal_x_px, camera.focal_y_px)
-        step = pixel_m / _SAMPLES_PER_PIXEL
+        step = pixel_m / samples_per_pixel
         x = np.zeros(0) if window is None else np.arange(window[0], window[1] + step, step)
-        if x.size < _FEWEST_PX * _SAMPLES_PER_PIXEL:
+        if x.size < _FEWEST_PX * samples_per_pixel:
             looks.append(None)
             continue
         rows_each = max(1, round(float(y_m[1] - y_m[0]) / pixel_m)) if y_m.size > 1 else 1
