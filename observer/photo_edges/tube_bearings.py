@@ -234,7 +234,7 @@ def _by_profile(
     samples = pixel_samples(seen.shot.image, seen.shot.view, plane, x, y_m, rows_each=rows_each)
     axis = middle, float(np.mean(expected.absorber.z_m))
     eye = seen.eye_m
-    sighting = Sighting(float(eye[0]), seen.height_m, seen.distance_m, pixel_m, axis, float(eye[2]), seen.shot.edges)
+    sighting = Sighting(float(eye[0]), seen.height_m, seen.distance_m, pixel_m, axis, float(eye[2]), seen.shot.edges())
     found = find_axis(samples, row, y_m[row], angle_rad, sighting, collector)
     each = found.sigma_rad * np.sqrt(np.maximum(found.rows / ROWS_ALIKE, 1.0))
     return found.angle_rad, each, found.shared_rad, 2 * found.radius_m

@@ -1,5 +1,6 @@
 """Photos of which it is known from where they were taken."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple, Self
 
@@ -123,10 +124,11 @@ class Shot:
     """A photo with its view.
 
     image (height, width): The photo, grey [DN].
-    edges: How its edges are blurred across the trough; None where no targets say so.
+    edges: Tells how its edges are blurred across the trough, or None where no targets say so; asked where it shows
+        the tube only.
     """
 
     image: AnyImage
     number: int
     view: View
-    edges: EdgeShape | None = None
+    edges: Callable[[], EdgeShape | None] = lambda: None

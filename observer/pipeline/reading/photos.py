@@ -40,7 +40,7 @@ from observer.pipeline.reading.tone import (
 )
 from observer.product.pictures import Slices, empty_slices
 from observer.trough.expectation import Expectation
-from photogrammetry.centers import edge_shape
+from photogrammetry.centers import EdgeShape, edge_shape
 from photogrammetry.detection import TargetSearch, measure_at
 from photogrammetry.keys import PhotogrammetryMeasurement, TargetsSection, UncodedSection
 from photogrammetry.matching import KnownTargets, Track, agrees_with_list, follow, provisional_pose, start_following
@@ -641,16 +641,19 @@ def look_again(
 
 
 def _shot(image: Image, number: int, view: View, targets: OnePhoto | None, expected: Expectation) -> Shot:
-    """Return a photo with its view, and with how its edges are blurred across the trough as its targets tell."""
+    """Return a photo with its view, and with what its targets tell of how edges are blurred across the trough."""
     if targets is None:
         return Shot(image, number, view)
-    axis, middle = expected.absorber, float(np.mean(expected.y_m))
-    x, z = (float(one) for one in axis.at(np.array(middle)))
-    ends = view.project(np.array([[x - _ACROSS_M, middle, z], [x + _ACROSS_M, middle, z]]))
-    centers = np.concatenate([targets.detections.pixels_px, targets.dots.pixels_px])
-    ellipses = np.concatenate([targets.ellipses_px2, targets.dot_ellipses_px2])
-    good = np.concatenate([targets.detections.usable, targets.dots.usable])
-    edges = edge_shape(image, centers[good], ellipses[good], ends[1] - ends[0], full_scale(image))
+
+    def edges() -> EdgeShape | None:
+        axis, middle = expected.absorber, float(np.mean(expected.y_m))
+        x, z = (float(one) for one in axis.at(np.array(middle)))
+        ends = view.project(np.array([[x - _ACROSS_M, middle, z], [x + _ACROSS_M, middle, z]]))
+        centers = np.concatenate([targets.detections.pixels_px, targets.dots.pixels_px])
+        ellipses = np.concatenate([targets.ellipses_px2, targets.dot_ellipses_px2])
+        good = np.concatenate([targets.detections.usable, targets.dots.usable])
+        return edge_shape(image, centers[good], ellipses[good], ends[1] - ends[0], full_scale(image))
+
     return Shot(image, number, view, edges)
 
 
