@@ -252,30 +252,31 @@ def _fit(profiles: _Profiles, sighting: Sighting, collector: Collector) -> _Fit:
     weight = profiles.number / _NOISE**2
     spare = np.maximum(np.count_nonzero(profiles.number, axis=1) - 0.5 * len(parts.mean), 1.0)
     each, shared = own_share * parts.sigma**2, (1 - own_share) * parts.sigma**2
-    one = np.eye(len(parts.mean))
+    held = 1 / each
     for _ in range(_ROUNDS):
         table = blurred(blur, mixed)
         place = (profiles.beside_m - middle[:, None] + parts.far_m) / _STEP_M - first
         basis = _between(table, place)
         weighted = np.swapaxes(basis * weight[..., None], 1, 2)
-        normal = weighted @ basis
-        cofactor = np.linalg.inv(normal + np.diag(1 / each))
+        cofactor = np.linalg.inv(weighted @ basis + np.diag(held))
         left = profiles.light - basis @ parts.mean
-        right = (weighted @ left[..., None])[..., 0]
-        # What all groups share, once the own parts of amplitudes are eliminated.
-        unexplained = one - normal @ cofactor
-        common_cofactor = np.linalg.solve(one + shared[:, None] * (unexplained @ normal).sum(axis=0), np.diag(shared))
-        common = common_cofactor @ np.einsum("gpq,gq->p", unexplained, right)
-        step = common + np.einsum("gpq,gq->gp", cofactor, right - normal @ common)
+        right = weighted @ left[..., None]
+        # What all groups share, once the own parts of amplitudes are eliminated: with the normal matrix N and the
+        # precision P of these, N less what they take is P - P (N + P)^-1 P.
+        told_shared = np.diag(groups * held) - held[:, None] * cofactor.sum(axis=0) * held
+        common_cofactor = np.linalg.solve(np.eye(len(held)) + shared[:, None] * told_shared, np.diag(shared))
+        common = common_cofactor @ (held * (cofactor @ right).sum(axis=0)[:, 0])
+        step = (cofactor @ (right + (held * common)[:, None]))[..., 0]
         amplitude = parts.mean + step
-        residual = left - np.einsum("gkp,gp->gk", basis, step)
+        residual = left - (basis @ step[..., None])[..., 0]
         # How the profile changes with the axis and with the blur, less what amplitudes take of that.
         along = np.stack(_changes(amplitude @ table.T, blur * sighting.pixel_m**2, place), axis=2)
         crossed = weighted @ along
-        own = along - basis @ (cofactor @ crossed)
-        known = np.einsum("gk,gkc,gkd->gcd", weight, own, along)
-        pull = np.einsum("gk,gkc,gk->gc", weight, along, residual)
-        taken = unexplained @ crossed
+        solved = cofactor @ crossed
+        weighted_along = np.swapaxes(along * weight[..., None], 1, 2)
+        known = weighted_along @ along - np.swapaxes(crossed, 1, 2) @ solved
+        pull = (weighted_along @ residual[..., None])[..., 0]
+        taken = held[:, None] * solved
         taken = np.vstack([taken[..., 0], taken[..., 1].sum(axis=0)])
         prior = (scatter / sigma_px) ** 2
         information = -taken @ common_cofactor @ taken.T
