@@ -9,11 +9,12 @@ as often as there are rows: in simulated passes of 18 photos slopes then erred b
 """
 
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from heliogauge.validate import FloatArray
+from heliogauge.validate import FloatArray, IntArray
 from observer.slopes.banded_cholesky import factorise
 from observer.slopes.row_spline import LARGEST_SLOPE_RAD, Roughness, RowGrid, Rows, prior_bands
 
@@ -47,13 +48,15 @@ class AlikeFactor:
     few blocks.
 
     turned (n, w, w): Inverses of the root's blocks on the diagonal.
-    below (n, k, w, w): The k blocks below each of these; 0 below the last node.
+    below (n, k, w, w): The k blocks below each of these; 0 below the last node of a panel.
     n_rows: What the unknowns of a node belong to.
+    ends (n,): The node after the last one of each node's panel: nothing ties one panel across the trough to the next.
     """
 
     turned: FloatArray
     below: FloatArray
     n_rows: int
+    ends: IntArray
 
     @property
     def log_determinant(self) -> float:
@@ -62,7 +65,7 @@ class AlikeFactor:
 
     def _below(self, node: int) -> FloatArray:
         """Return the blocks below a node's own, one below the other, shape (k w, w)."""
-        return self.below[node, : len(self.turned) - 1 - node].reshape(-1, self.turned.shape[1])
+        return self.below[node, : self.ends[node] - 1 - node].reshape(-1, self.turned.shape[1])
 
     def solve(self, right: FloatArray) -> FloatArray:
         """Solve the system.
@@ -89,36 +92,40 @@ class AlikeFactor:
 
         pulls (n, c): P^T, the unknowns of row after row in the order of their nodes.
 
-        With the root L of A it is the square of ``L^-1 P^T``. An edge's photo touches few nodes, and above the first of
-        them its column is zero: columns come in node after node.
+        With the root L of A it is the square of ``L^-1 P^T``, panel by panel, as a photo shows some of them. An edge's
+        photo touches few nodes, and above the first of them its column is zero: columns come in node after node.
         """
         n_nodes, width, _ = self.turned.shape
         reach, count = self.below.shape[1], pulls.shape[1]
         number = np.arange(2 * self.n_rows * n_nodes).reshape(self.n_rows, n_nodes, 2)
-        sides = pulls[number.transpose(1, 0, 2).ravel()].tocoo()
-        first = np.full(count, n_nodes)
-        np.minimum.at(first, sides.col, sides.row // width)
-        order = np.argsort(first, kind="stable")
-        begun = np.searchsorted(first[order], np.arange(n_nodes), side="right")
-        right = sides.tocsr()[:, order]
+        sides = pulls[number.transpose(1, 0, 2).ravel()]
         found = np.zeros((count, count))
-        carried = np.zeros((0, 0))
-        for start in range(0, n_nodes, _NODES_AT_ONCE):
-            stop = min(start + _NODES_AT_ONCE, n_nodes)
-            most, size = begun[stop - 1], (stop - start) * width
-            # What these nodes take off the next ones stands below them.
-            table = np.zeros((size + reach * width, most))
-            table[:size] = right[start * width : stop * width, :most].toarray()
-            table[: len(carried), : carried.shape[1]] += carried
-            for i in range(start, stop):
-                own, below, many = (i - start) * width, self._below(i), begun[i]
-                half = self.turned[i] @ table[own : own + width, :many]
-                table[own : own + width, :many] = half
-                table[own + width : own + width + len(below), :many] -= below @ half
-            found[:most, :most] += table[:size].T @ table[:size]
-            carried = table[size:]
-        back = np.argsort(order)
-        return found[np.ix_(back, back)]
+        for border, end in pairwise([0, *np.unique(self.ends).tolist()]):
+            entries = sides[border * width : end * width].tocoo()
+            first = np.full(count, end)
+            np.minimum.at(first, entries.col, border + entries.row // width)
+            order = np.argsort(first, kind="stable")
+            begun = np.searchsorted(first[order], np.arange(border, end), side="right")
+            columns = order[: begun[-1]]
+            right = entries.tocsr()[:, columns]
+            own_part = np.zeros((columns.size, columns.size))
+            carried = np.zeros((0, 0))
+            for start in range(border, end, _NODES_AT_ONCE):
+                stop = min(start + _NODES_AT_ONCE, end)
+                most, size = begun[stop - 1 - border], (stop - start) * width
+                # What these nodes take off the next ones stands below them.
+                table = np.zeros((size + reach * width, most))
+                table[:size] = right[(start - border) * width : (stop - border) * width, :most].toarray()
+                table[: len(carried), : carried.shape[1]] += carried
+                for i in range(start, stop):
+                    own, below, many = (i - start) * width, self._below(i), begun[i - border]
+                    half = self.turned[i] @ table[own : own + width, :many]
+                    table[own : own + width, :many] = half
+                    table[own + width : own + width + len(below), :many] -= below @ half
+                own_part[:most, :most] += table[:size].T @ table[:size]
+                carried = table[size:]
+            found[np.ix_(columns, columns)] += own_part
+        return found
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -194,12 +201,14 @@ def _factorised(rows: Rows, bands: FloatArray, walk: FloatArray, precision: Floa
     width = 2 * n_rows
     own, below = own.reshape(n_nodes, width, width), below.reshape(n_nodes, order, width, width)
     turned = own
+    borders = np.concatenate([[0], np.flatnonzero(~rows.grid.joined) + 1, [n_nodes]])
+    ends = np.repeat(borders[1:], np.diff(borders))
     for i in range(n_nodes):
         root, info = lapack.dpotrf(own[i].T, lower=0, clean=1)
         if info != 0:
             raise np.linalg.LinAlgError("the slopes of rows that are alike are not determined")
         turned[i] = lapack.dtrtri(root, lower=0)[0].T
-        tied = below[i, : n_nodes - 1 - i]
+        tied = below[i, : ends[i] - 1 - i]
         if not len(tied):
             continue
         under = blas.dtrmm(1.0, turned[i].T, tied.reshape(-1, width).T, trans_a=1).T
@@ -210,4 +219,4 @@ def _factorised(rows: Rows, bands: FloatArray, walk: FloatArray, precision: Floa
             own[i + 1 + k] -= squares[k, :, k]
             for other in range(k):
                 below[i + 1 + other, k - other - 1] -= squares[k, :, other]
-    return AlikeFactor(turned, below, n_rows)
+    return AlikeFactor(turned, below, n_rows, ends)

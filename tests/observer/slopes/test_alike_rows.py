@@ -100,7 +100,10 @@ def test_rows_that_are_hardly_alike_are_independent() -> None:
     assert hardly.evidence == pytest.approx(alone.evidence, rel=1e-8)
 
 
-def test_explained_is_that_of_the_solution_where_columns_begin_late(capfd: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize("border", [40, 34, 3])
+def test_explained_is_that_of_the_solution_where_columns_begin_late(
+    border: int, capfd: pytest.CaptureFixture[str]
+) -> None:
     rng = np.random.default_rng(5)
     n_rows, n_nodes, reach = 2, 40, 3
     width = 2 * n_rows
@@ -108,7 +111,10 @@ def test_explained_is_that_of_the_solution_where_columns_begin_late(capfd: pytes
     below = rng.normal(size=(n_nodes, reach, width, width)) * 0.1
     for away in range(1, reach + 1):
         below[n_nodes - away :, away - 1] = 0.0
-    factor = AlikeFactor(turned, below, n_rows)
+        # Nothing ties one panel to the next.
+        below[max(border - away, 0) : border, away - 1] = 0.0
+    ends = np.where(np.arange(n_nodes) < border, border, n_nodes)
+    factor = AlikeFactor(turned, below, n_rows, ends)
     # The first sixteen nodes, which are summed at once, touch none of the columns.
     pulls = np.zeros((n_rows, n_nodes, 2, 5))
     pulls[:, 20, :, :3] = rng.normal(size=(n_rows, 2, 3))
