@@ -1,7 +1,9 @@
 """How uncertain a number of a whole panel is where only a part of the panel was measured."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 
 from heliogauge.validate import BoolArray, FloatArray, IntArray
@@ -33,28 +35,33 @@ class Variogram:
         """
         boxes = [_box(panel == number) for number in range(int(panel.max(initial=-1)) + 1)]
         height, width = (max((one[axis].stop - one[axis].start for one in boxes), default=1) for axis in (0, 1))
-        pairs, square = np.zeros((2, 2 * height - 1, 2 * width - 1))
+        # Sums of products at all lags by their spectra, of a size that Fourier transforms like.
+        size = tuple(cv2.getOptimalDFTSize(2 * one - 1) for one in (height, width))
+        of_pairs, of_squares = np.zeros((2, size[0], size[1] // 2 + 1))
         for number, box in enumerate(boxes):
-            own = (measured & (panel == number))[box]
+            own = measured[box] & (panel[box] == number)
             if not own.any():
                 continue
             known = np.where(own, values[box] - values[box][own].mean(), 0.0)
-            shown, power = (_correlated(own, other, height, width) for other in (own, known**2))
-            pairs += shown
-            square += power + power[::-1, ::-1] - 2 * _correlated(known, known, height, width)
-        has_pairs = pairs > _FEWEST_PAIRS
+            shown, here, power = (np.fft.rfft2(one, size) for one in (own, known, known**2))
+            of_pairs += np.abs(shown) ** 2
+            of_squares += 2 * (np.conj(shown) * power).real - 2 * np.abs(here) ** 2
+        pairs, square = (_by_lag(one, size, height, width) for one in (of_pairs, of_squares))
+        has_pairs = np.rint(pairs) > _FEWEST_PAIRS
         gamma = np.where(has_pairs, square / (2 * np.maximum(pairs, 1)), np.nan)
         return cls(_continued(gamma))
 
-    def variance(self, weights: FloatArray) -> float:
-        """Return the variance of a sum over nodes of a panel, with weights that sum to zero.
+    def variances(self, weights: Sequence[FloatArray]) -> FloatArray:
+        """Return the variances of sums over nodes of a panel, with weights that sum to zero.
 
-        weights (h, w): Of the nodes of the panel's box.
+        weights (h, w): Of the nodes of each panel's box.
         """
         # What few pairs say may be no variogram: negative power is left out (Bochner), else a panel of which a third is
         # missing had no variance. In drawn panels that makes sigma 1.07 times too large for means, 1.23 for curvatures.
-        power = np.maximum(np.fft.fft2(np.fft.ifftshift(-self.gamma)).real, 0.0)
-        return float(np.sum(power * np.abs(np.fft.fft2(weights, self.gamma.shape)) ** 2)) / self.gamma.size
+        power = np.maximum(np.fft.rfft2(np.fft.ifftshift(-self.gamma)).real, 0.0) / self.gamma.size
+        # The frequencies of the other half have the same power; the number of columns is odd.
+        power[:, 1:] *= 2
+        return np.array([np.sum(power * np.abs(np.fft.rfft2(one, self.gamma.shape)) ** 2) for one in weights])
 
 
 def unmeasured_variances(
@@ -68,13 +75,9 @@ def unmeasured_variances(
     wanted, used: Weights by which values of all nodes of a panel make its number, and of the measured ones.
     count: Number of panels, of which some may have no node.
     """
-    variogram = Variogram.of(values, panel, measured)
-    return np.array(
-        [
-            variogram.variance(np.where(panel == number, used - wanted, 0.0)[_box(panel == number)])
-            for number in range(count)
-        ]
-    )
+    variogram, too_much = Variogram.of(values, panel, measured), used - wanted
+    boxes = [_box(panel == number) for number in range(count)]
+    return variogram.variances([np.where(panel[box] == number, too_much[box], 0.0) for number, box in enumerate(boxes)])
 
 
 def _box(own: BoolArray) -> tuple[slice, slice]:
@@ -85,11 +88,10 @@ def _box(own: BoolArray) -> tuple[slice, slice]:
     return slice(int(rows[0]), int(rows[-1]) + 1), slice(int(columns[0]), int(columns[-1]) + 1)
 
 
-def _correlated(first: FloatArray | BoolArray, second: FloatArray | BoolArray, height: int, width: int) -> FloatArray:
-    """Return sums of products of one array and the other one shifted by each lag, lag zero in the middle."""
-    shape = (2 * height - 1, 2 * width - 1)
-    product = np.conj(np.fft.rfft2(first, shape)) * np.fft.rfft2(second, shape)
-    return np.asarray(np.fft.fftshift(np.fft.irfft2(product, shape)))
+def _by_lag(spectrum: FloatArray, size: tuple[int, ...], height: int, width: int) -> FloatArray:
+    """Return sums of products by lag, lag zero in the middle, shape (2 height - 1, 2 width - 1)."""
+    sums = np.roll(np.fft.irfft2(spectrum, size), (height - 1, width - 1), axis=(0, 1))
+    return np.asarray(sums[: 2 * height - 1, : 2 * width - 1])
 
 
 def _continued(gamma: FloatArray) -> FloatArray:
