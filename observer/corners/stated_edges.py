@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from heliogauge.validate import Float32Array, FloatArray
+from heliogauge.validate import Float32Array
 from observer.corners.lattice import PanelLattice, PanelLine
 from observer.corners.panel_lines import FoundLine, line_pieces, lines_in, normals_at, photo_noise
 from observer.photo_edges.views import View
@@ -93,20 +93,14 @@ def _looked_for(
         parts.append(line_pieces(image, view, lattice, lines, reach_px))
         noise.append(photo_noise(image))
     looked = lines_in(parts, lines, noise)
+    beside_m = [_beside_m(found, view, lattice) for (found, _), view in zip(looked, views, strict=True)]
     edges: list[StatedEdge] = []
     for axis, number in dict.fromkeys((line.axis, line.number) for line in lines):
         own = [k for k, line in enumerate(lines) if (line.axis, line.number) == (axis, number)]
         shown = sum(int(np.count_nonzero(pieces[own])) for _, pieces in looked)
         if shown < _FEWEST_LINES:
             continue
-        beside = np.array(
-            [
-                _beside_m(one, view, lattice)
-                for (found, _), view in zip(looked, views, strict=True)
-                for one in (found[k] for k in own)
-                if one is not None
-            ]
-        )
+        beside = np.array([one for places in beside_m for one in (places[k] for k in own) if one is not None])
         is_rim = lines[own[0]].is_rim
         # A joint is the mean of two panels' edges.
         sides = 1 if is_rim else 2
@@ -117,12 +111,18 @@ def _looked_for(
     return tuple(edges)
 
 
-def _beside_m(found: FoundLine, view: View, lattice: PanelLattice) -> float:
-    """Return how far beside the drawing, in x or y, a photo shows a line; it lies on the mirror there too [m]."""
-    middle = np.array([[found.middle]])
-    _, normals = normals_at(view, lattice, [found.line], np.zeros((1, 1), dtype=np.intp), middle)
-    point = lattice.on_lines([found.line], np.zeros((1, 1), dtype=np.intp), middle)
-    slope = float(point[0, 0, 0]) / (2 * lattice.collector.focal_length_m)
-    way: FloatArray = np.array([1.0, 0.0, slope]) if found.line.axis == 0 else np.eye(3)[1]
-    by_place = view.camera.project_posed(point, view.cam_from_frame).d_pixel_d_point[0, 0] @ way
-    return found.offset_px / float(normals[0, 0] @ by_place)
+def _beside_m(found: Sequence[FoundLine | None], view: View, lattice: PanelLattice) -> list[float | None]:
+    """Return how far beside the drawing, in x or y, a photo shows lines; they lie on the mirror there too [m]."""
+    shown = [one for one in found if one is not None]
+    if not shown:
+        return [None] * len(found)
+    lines, number, middle = [one.line for one in shown], np.arange(len(shown)), np.array([one.middle for one in shown])
+    _, normals = normals_at(view, lattice, lines, number, middle)
+    points = lattice.on_lines(lines, number, middle)
+    across = np.array([line.axis == 0 for line in lines])
+    slopes = points[:, 0] / (2 * lattice.collector.focal_length_m)
+    ways = np.stack([1.0 * across, 1.0 * ~across, across * slopes], axis=1)
+    by_place = view.camera.project_posed(points, view.cam_from_frame).d_pixel_d_point @ ways[..., None]
+    offsets = np.array([one.offset_px for one in shown])
+    beside = iter((offsets / np.einsum("kp,kp->k", normals, by_place[..., 0])).tolist())
+    return [None if one is None else next(beside) for one in found]
