@@ -7,16 +7,15 @@ as the mirror point sees it. At 15 degrees this is a fortieth: 0.05 mrad for 2 m
 edges of the mirror together determine the standard deviation.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cache
 from typing import NamedTuple
 
 import numpy as np
 
-from observer.slopes.common_elimination import Reduction
 from observer.slopes.joint_solution import SlopeErrors
-from observer.slopes.row_spline import Roughness, RowGrid, TouchingLines
+from observer.slopes.row_spline import Roughness, RowGrid, TouchingLines, assemble
 
 #: Standard deviations that are compared: this factor apart, from what does not matter any more to what no mirror has.
 _FACTOR = float(np.sqrt(2.0))
@@ -44,7 +43,7 @@ def find_along(lines: TouchingLines, grid: RowGrid, prior: Roughness) -> tuple[P
     """Return the largest standard deviations of slopes along the trough that the edges allow, the likeliest first.
 
     lines: Observations of slope errors from zero, with what rows have in common already taken off their misfits.
-    prior: How slopes may vary, with the standard deviation that was assumed.
+    prior: How slopes may vary, each row by itself, with the standard deviation that was assumed.
     Returns: For each length over which they may be alike, with how probable it is. Each with the upper bound of two
         standard deviations, but what was assumed where the photos say nothing, as from straight above; and where there
         clearly are such slopes 1.4 times the most probable value, because panels differ, or what was assumed if that
@@ -53,8 +52,13 @@ def find_along(lines: TouchingLines, grid: RowGrid, prior: Roughness) -> tuple[P
     The edges of a dense pass over a trough of 8 m tell 0.3 m from 3 m by odds of 2 to 100 : 1 only, and the errors that
     slopes along make are three times as large where they are alike over a panel: so no length is chosen.
     """
-    reduction = Reduction(lines, grid, np.zeros((0, 0)))
-    found = [_largest(reduction, replace(prior, along_length_m=length)) for length in _LENGTHS_M]
+    rows = assemble(lines, grid)
+    pulls = rows.right_sides(lines.misfit_rad / lines.sigma_rad)
+
+    def evidence_of(trial: Roughness) -> float:
+        return rows.evidence(trial, pulls)
+
+    found = [_largest(evidence_of, replace(prior, along_length_m=length)) for length in _LENGTHS_M]
     evidences = np.array([evidence for _, evidence in found])
     weights = np.exp(evidences - evidences.max())
     weights[weights < _NO_WEIGHT] = 0.0
@@ -63,7 +67,7 @@ def find_along(lines: TouchingLines, grid: RowGrid, prior: Roughness) -> tuple[P
     return tuple(PossibleRoughness(float(weights[k]), found[k][0]) for k in order if weights[k] > 0)
 
 
-def _largest(reduction: Reduction, prior: Roughness) -> tuple[Roughness, float]:
+def _largest(evidence_of: Callable[[Roughness], float], prior: Roughness) -> tuple[Roughness, float]:
     """Return the largest standard deviation that is believed of a length, and the evidence of its most probable one."""
     lowest, highest = (round(float(np.log(end / prior.along_rad) / np.log(_FACTOR))) for end in _RANGE_RAD)
 
@@ -72,7 +76,7 @@ def _largest(reduction: Reduction, prior: Roughness) -> tuple[Roughness, float]:
 
     @cache
     def evidence(power: int) -> float:
-        return reduction.under(trial(power)).evidence
+        return evidence_of(trial(power))
 
     # There is one maximum: uphill from what was assumed in factors of two, then in single ones.
     best = 0

@@ -34,6 +34,17 @@ class BandedFactor:
         root, columns = self.root.reshape(-1, bands).T, right.reshape(-1, rows * size).T
         return np.asarray(lapack.dpbtrs(root, columns, lower=1)[0].T).reshape(right.shape)
 
+    def squares(self, right: FloatArray) -> FloatArray:
+        """Return ``b^T A^-1 b`` of each system, shape (r,): half the work of a solution.
+
+        right (r, n): Right sides b.
+        """
+        from scipy.linalg import lapack
+
+        rows, size, bands = self.root.shape
+        half, _ = lapack.dtbtrs(self.root.reshape(-1, bands).T, right.reshape(-1, 1), uplo="L")
+        return np.asarray(np.square(half.reshape(rows, size)).sum(axis=1))
+
     def solve_many(self, right: FloatArray) -> FloatArray:
         """Solve systems that each have many right sides of their own: three times as fast as `solve` for hundreds.
 

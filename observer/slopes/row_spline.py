@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 
 #: A prior for the slope error across the trough that no mirror violates; it only keeps unmeasured rows solvable [rad].
 LARGEST_SLOPE_RAD = 0.05
+#: Rows of which the processor keeps all that an evidence takes.
+_ROWS_AT_ONCE = 32
 #: Weights of neighbouring nodes in the differences that are white noise, by order.
 _DIFFERENCES = {2: (1.0, -2.0, 1.0), 3: (-1.0, 3.0, -3.0, 1.0)}
 
@@ -156,13 +158,34 @@ class Rows:
     def under(self, prior: Roughness) -> "RowSystem":
         """Return the factorised normal equations together with what is known of the slopes beforehand."""
         bands = prior_bands(self.grid, prior)
-        n, count = self.grid.x_m.size, 2 * len(bands) - 1
-        known = np.zeros((n, 2, count))
-        known[..., 0::2] = np.moveaxis(bands, 0, -1)
-        whole = np.broadcast_to(known, (len(self.normal), n, 2, count)).copy()
-        whole[..., : self.normal.shape[2]] += self.normal.reshape(-1, n, 2, self.normal.shape[2])
-        factor = factorise(whole.reshape(-1, 2 * n, count))
-        return RowSystem(factor, bands, len(whole) * _log_determinant(bands) - float(factor.log_determinant.sum()))
+        factor = _factorised(self.normal, bands)
+        count = len(self.normal)
+        return RowSystem(factor, bands, count * _log_determinant(bands) - float(factor.log_determinant.sum()))
+
+    def evidence(self, prior: Roughness, pulls: FloatArray) -> float:
+        """Return the logarithm of how probable the lines are, slopes integrated out, but for a constant.
+
+        pulls (r, 2 nx): Transposed derivatives times the lines' misfits, both over the sigmas.
+
+        Some rows at a time, which stay in the processor's cache: two thirds of the time of all at once.
+        """
+        bands = prior_bands(self.grid, prior)
+        twice = len(self.normal) * _log_determinant(bands)
+        for first in range(0, len(self.normal), _ROWS_AT_ONCE):
+            some = slice(first, first + _ROWS_AT_ONCE)
+            factor = _factorised(self.normal[some], bands)
+            twice += float(factor.squares(pulls[some]).sum() - factor.log_determinant.sum())
+        return 0.5 * twice
+
+
+def _factorised(normal: FloatArray, bands: FloatArray) -> BandedFactor:
+    """Factorise normal equations of rows, shape (r, 2 nx, 4), together with the prior of each."""
+    n, count = bands.shape[1], 2 * len(bands) - 1
+    known = np.zeros((n, 2, count))
+    known[..., 0::2] = np.moveaxis(bands, 0, -1)
+    whole = np.broadcast_to(known.reshape(2 * n, count), (len(normal), 2 * n, count)).copy()
+    whole[..., : normal.shape[2]] += normal
+    return factorise(whole)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

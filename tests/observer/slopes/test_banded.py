@@ -25,6 +25,8 @@ def test_solutions_and_determinants(systems: tuple[np.ndarray, np.ndarray]) -> N
     factor, rng = factorise(bands), np.random.default_rng(1)
     right = rng.normal(0, 1, (5, *dense.shape[:2]))
     np.testing.assert_allclose(factor.solve(right), np.linalg.solve(dense, right[..., None])[..., 0], rtol=1e-10)
+    squares = np.einsum("ri,ri->r", right[0], np.linalg.solve(dense, right[0, ..., None])[..., 0])
+    np.testing.assert_allclose(factor.squares(right[0]), squares, rtol=1e-10)
     own = rng.normal(0, 1, (*dense.shape[:2], 7))
     np.testing.assert_allclose(factor.solve_many(own.copy()), np.linalg.solve(dense, own), rtol=1e-10, atol=1e-14)
     np.testing.assert_allclose(factor.log_determinant, np.linalg.slogdet(dense)[1], rtol=1e-12)

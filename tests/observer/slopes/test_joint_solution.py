@@ -131,6 +131,15 @@ def test_evidence_is_that_of_dense_algebra() -> None:
     assert found[1] - found[0] == pytest.approx(expected[1] - expected[0], rel=1e-7)
 
 
+def test_evidence_of_many_rows_by_themselves_is_that_of_their_solution() -> None:
+    rng, grid = np.random.default_rng(8), small_grid(70)
+    lines = random_lines(rng, grid, 2000, 1).alone(rng.normal(0, 1e-3, 2000), np.full(2000, 1e-4))
+    rows, reduction = assemble(lines, grid), Reduction(lines, grid, np.zeros((0, 0)))
+    pulls = rows.right_sides(lines.misfit_rad / lines.sigma_rad)
+    for prior in (Roughness(1e-3), Roughness(1e-3, 1e-3, 1.0, 3)):
+        assert rows.evidence(prior, pulls) == pytest.approx(reduction.under(prior).evidence, rel=1e-10)
+
+
 @pytest.mark.parametrize("order", [2, 3])
 def test_panels_do_not_know_of_each_other(order: int) -> None:
     rng = np.random.default_rng(2)
