@@ -84,9 +84,10 @@ _NOISE = 0.02
 _NOTHING_KNOWN, _ROUNDING = 1e-6, 1e-6
 #: Where chance makes residuals as large as those of a group less often than this, they are its own.
 _CHANCE = 1e-3
-#: Rounds of the fit, until no axis and no blur moves by more than this; each is some ten times nearer than the one
-#: before, so that what is left is a fiftieth of what rows share besides [px].
-_ROUNDS, _SETTLED_PX = 6, 4e-3
+#: Rounds of the fit, until neither the blur nor the axes, as a root mean square, move by more than this, and no axis by
+#: so many times as much; each is some ten times nearer than the one before, so that what is left is a fiftieth of what
+#: rows share besides, and a thirtieth of a group's own sigma [px].
+_ROUNDS, _SETTLED_PX, _ONE_GROUP = 6, 4e-3, 3.0
 #: The axis is not further from where the edges put it [px].
 _FURTHEST_PX = 1.5
 
@@ -293,7 +294,8 @@ def _fit(profiles: _Profiles, sighting: Sighting, collector: Collector) -> _Fit:
         # What the model lacks is largest where a support or a cable stands, and errs in all groups without showing
         # there: by the scatter of the other groups alone the tube of a drawn LS-2 was 2 mm too low at a stated 0.3.
         scatter = max(1.0, float(np.sqrt(squares.sum() / spare.sum())))
-        if max(float(np.abs(moved).max()) / sighting.pixel_m, abs(wider)) < _SETTLED_PX:
+        largest, usual = float(np.abs(moved).max()), float(np.sqrt(np.mean(moved**2)))
+        if max(max(usual, largest / _ONE_GROUP) / sighting.pixel_m, abs(wider)) < _SETTLED_PX:
             break
     # A group that is worse than all together says so of itself.
     other = _by_chance(squares / scatter**2, spare) < _CHANCE
