@@ -131,7 +131,9 @@ summary {{ cursor: pointer; color: var(--accent); }}
   .table {{ overflow: visible; margin: .3em 0; background: none; }}
   table {{ font-size: .86em; }}
   th, td {{ padding: .18em .7em .18em .1em; }}
-  td.number, th.number {{ white-space: normal; }}
+  th.number {{ white-space: normal; }}
+  .wide table {{ font-size: .68em; }}
+  .wide th, .wide td {{ padding-right: .45em; }}
   details {{ display: none; }}
 }}
 """

@@ -8,6 +8,10 @@ from dataclasses import dataclass
 from heliogauge.errors import InputError
 from heliogauge.view.arrays import PAGE, ArrayStore
 
+#: Characters of numbers that a printed line has room for: of A4 186 mm are left, a digit of 9 pt takes 1.75 mm, and the
+#: space beside a column as much as 1.5 digits.
+_PRINTED, _BESIDE_COLUMN = 106, 1.5
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TableColumn:
@@ -71,7 +75,11 @@ class TableView:
     def _table(self) -> str:
         heads = "".join(f'<th scope="col"{_kind(column)}>{html.escape(column.name)}</th>' for column in self.columns)
         rows = "".join(self._row(index) for index in range(self.count))
-        return f'<div class="table"><table><thead><tr>{heads}</tr></thead><tbody>{rows}</tbody></table></div>'
+        numbers = [column for column in self.columns if column.numbers is not None]
+        width = sum(max(map(len, column.texts), default=0) + _BESIDE_COLUMN for column in numbers)
+        # Printed smaller, so that a number and its sigma stay in one line.
+        kind = "table wide" if width > _PRINTED else "table"
+        return f'<div class="{kind}"><table><thead><tr>{heads}</tr></thead><tbody>{rows}</tbody></table></div>'
 
     def _row(self, index: int) -> str:
         cells = []

@@ -29,6 +29,7 @@ from heliogauge.results.folder import (
 )
 from heliogauge.slopes.map import CommonModes, SlopeMap, no_common_modes
 from heliogauge.slopes.statistics import statistics
+from heliogauge.view.tables import TableColumn, TableView
 from tests.kernel import read, run_in_jupyter
 
 FOCAL_M = 10.0
@@ -279,6 +280,15 @@ def test_what_the_nodes_do_not_determine_is_said_in_its_row() -> None:
     text = page.statistics_table(line).text
     assert text.count("<tr>") == 5
     assert "lie on a line" in text
+
+
+@pytest.mark.parametrize(("count", "kind"), [(7, "table"), (8, "table wide")])
+def test_tables_too_wide_for_a_printed_line_are_printed_smaller(count: int, kind: str) -> None:
+    column = TableColumn("theta_r [mrad]", ["0.12 \u00b1 0.02", "-0.12 \u00b1 0.02"], [0.12, -0.12])
+    # Twelve characters and 1.5 of space: seven columns take 94.5 and eight 108, where 106 have room.
+    assert TableView("panels", (column,) * count)._repr_html_().startswith(f'<div class="{kind}">')
+    sentence = TableColumn("effect", ["x" * 300, ""])
+    assert TableView("effects", (column, sentence))._repr_html_().startswith('<div class="table">')
 
 
 def test_tables_escape_what_they_show() -> None:
