@@ -40,6 +40,7 @@ from observer.slopes.row_likeness import likeness_along, row_likeness
 from observer.slopes.row_spline import Roughness, RowGrid, TouchingLines, nodes_of
 from observer.slopes.shape_share import ShapeShare, find_shape_share
 from observer.slopes.slope_sums import AveragedSums, SlopeSums
+from observer.slopes.twist import slopes_by_twist
 from observer.trough.absorber_path import AbsorberPath
 from observer.trough.collector import Collector
 from observer.trough.expectation import Expectation
@@ -288,6 +289,16 @@ def solve_reflector(
         found = halves_patterns(lines, expected.y_m[rows][lines.row], expected.collector)
         return found, np.full(found.shape[1], PRIOR_RAD)
 
+    # As far as slopes across tell them, slopes along are known; what is left of these has the prior.
+    along = np.zeros(errors.slopes.shape[:2])
+    if not is_flat:
+        sigma, edges_y = np.sqrt(errors.random[..., 0, 0]), expected.collector.panel_edges_y_m
+        near = _near_edges(used, grid) & agreed
+        along = slopes_by_twist(errors.slopes[..., 0], sigma, near, grid, expected.y_m, edges_y)
+        lines = replace(
+            lines, misfit_rad=lines.misfit_rad + lines.d_slope_y * at_points(along, lines.row, lines.x_m, grid)
+        )
+        used = lines.chosen(keep)
     alone, common = replace(roughness, alike=None), errors.common
     if roughness.alike is not None:
         # Row by row, as they are looked at there: what cameras from all rows leave of each row looks like such slopes.
@@ -322,6 +333,8 @@ def solve_reflector(
         errors = replace(errors, common=errors.common + unknowns.mean)
         lines = replace(lines, misfit_rad=lines.misfit_rad - unknowns.expected_rad)
         used = lines.chosen(keep)
+    residuals = _residuals(lines, grid, errors)[0]
+    errors = replace(errors, slopes=errors.slopes + np.stack([np.zeros_like(along), along], axis=-1))
     absorber = unknowns.moved(expected.absorber, errors.common, errors.covariance_common)
     return Reflector(
         grid,
@@ -329,7 +342,7 @@ def solve_reflector(
         errors,
         _near_edges(used, grid) & agreed,
         fate,
-        _residuals(lines, grid, errors)[0],
+        residuals,
         models,
         apart,
         noise,
