@@ -20,10 +20,12 @@ import numpy as np
 from heliogauge.adjust.robust_scale import robust_scale
 from heliogauge.validate import BoolArray, FloatArray, IntArray
 from observer.corners.lattice import PanelLattice
+from observer.corners.list_beside import ListBeside, list_beside, list_steps
 from observer.corners.panel_lines import FoundLine, normals_at
 from observer.photo_edges.views import View
 from observer.slopes.panel_places import PanelPlaces
 from observer.slopes.pose_modes import Photos
+from observer.trough.collector import Collector
 
 #: Places of a line whose offsets are independent of each other where its pieces count alike.
 END_SHARES = (0.5 - 12**-0.5, 0.5 + 12**-0.5)
@@ -127,12 +129,14 @@ class PlacedByEdges:
     used (m,): Which rows agree with the others.
     ends_m (e, 2): How far each end is beside the drawing, across the trough and in height [m].
     over_sigma (e,): The first of these over what is expected of it before the photos are seen.
+    listed: How the list of targets stands beside the mirror.
     """
 
     photos: Photos
     used: BoolArray
     ends_m: FloatArray
     over_sigma: FloatArray
+    listed: ListBeside
 
 
 def place_by_edges(
@@ -157,7 +161,8 @@ def place_by_edges(
     across, up = np.split(solved.ends, 2)
     over = np.abs(across) / np.sqrt(np.diag(solved.prior_ends)[: across.size])
     beside = np.stack([across, up + shape_m], axis=1)
-    return PlacedByEdges(replace(moved, panels=places), steady.used, beside, over)
+    listed = steady.list_beside(shape_m, ends, photos, solved.prior_ends, lattice.collector)
+    return PlacedByEdges(replace(moved, panels=places), steady.used, beside, over, listed)
 
 
 class _Steady(NamedTuple):
@@ -197,19 +202,42 @@ class _Steady(NamedTuple):
                 break
         return found
 
+    def _rows(self, shape_m: FloatArray) -> "_Rows":
+        sights, m, count = self.sights, np.flatnonzero(self.used), len(shape_m)
+        weight = 1 / sights.sigma_px[m]
+        by_end = np.zeros((m.size, 2 * count))
+        by_place = weight[:, None] * sights.by_place[m]
+        np.put_along_axis(by_end, sights.end[m, None] + np.array([0, count]), by_place, axis=1)
+        offset = weight * (sights.offset_px - sights.by_place[:, 1] * shape_m[sights.end])[m]
+        return _Rows(weight[:, None] * sights.by_pose[m], by_end, offset, self.rank[m])
+
+    def list_beside(
+        self, shape_m: FloatArray, ends: EdgeEnds, photos: Photos, prior_ends: FloatArray, collector: Collector
+    ) -> ListBeside:
+        """Estimate how the list of targets stands beside the mirror.
+
+        shape_m (e,): As for `solve`; prior_ends (2 e, 2 e): covariance of the ends' places as it had it.
+        photos: Poses by the targets.
+        """
+        rows, size = self._rows(shape_m), len(self.root)
+        steps = list_steps([photos.poses[k] for k in np.unique(self.sights.photo)], collector.rim_height_m)
+        by_steps, by_list = np.zeros((rows.offset.size, size)), np.zeros((rows.offset.size, steps.shape[2]))
+        for k, (first, last) in enumerate(pairwise(np.searchsorted(rows.rank, np.arange(size // 6 + 1)))):
+            by_steps[first:last] = rows.by_pose[first:last] @ self.root[6 * k : 6 * k + 6]
+            by_list[first:last] = rows.by_pose[first:last] @ steps[k]
+        height = ends.points_m[:, 0] ** 2 / (4 * collector.focal_length_m)
+        by_unknown = np.hstack([by_steps, rows.by_end @ np.linalg.cholesky(prior_ends)])
+        return list_beside(rows.offset, by_unknown, by_list, rows.by_end[:, len(height) :] @ height)
+
     def solve(self, shape_m: FloatArray) -> "_Solved":
         """Solve for steps and ends; how far each end is off by itself is what makes the sights probable.
 
         shape_m (e,): How much higher the ends are by the shape of the panels [m].
         """
-        sights, m, count = self.sights, np.flatnonzero(self.used), len(shape_m)
-        weight, rank, size = 1 / sights.sigma_px[m], self.rank[m], len(self.root)
-        by_pose, by_place = weight[:, None] * sights.by_pose[m], weight[:, None] * sights.by_place[m]
-        offset = weight * (sights.offset_px - sights.by_place[:, 1] * shape_m[sights.end])[m]
-        by_end = np.zeros((m.size, 2 * count))
-        np.put_along_axis(by_end, sights.end[m, None] + np.array([0, count]), by_place, axis=1)
+        by_pose, by_end, offset, rank = self._rows(shape_m)
+        size = len(self.root)
         # A photo's rows move with its own six steps alone: sums over them come before the root that ties all.
-        blocks, both, of_steps = np.zeros((size // 6, 6, 6)), np.zeros((size // 6, 6, 2 * count)), np.zeros(size)
+        blocks, both, of_steps = np.zeros((size // 6, 6, 6)), np.zeros((size // 6, 6, by_end.shape[1])), np.zeros(size)
         for k, (first, last) in enumerate(pairwise(np.searchsorted(rank, np.arange(size // 6 + 1)))):
             own = by_pose[first:last]
             blocks[k], both[k] = own.T @ own, own.T @ by_end[first:last]
@@ -235,6 +263,15 @@ class _Steady(NamedTuple):
             with_ends,
             prior_ends,
         )
+
+
+class _Rows(NamedTuple):
+    """Used sights over their sigmas: what steps of the photos and places of the ends add, offsets, ranks of photos."""
+
+    by_pose: FloatArray
+    by_end: FloatArray
+    offset: FloatArray
+    rank: IntArray
 
 
 class _OfEnds(NamedTuple):

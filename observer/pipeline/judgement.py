@@ -2,9 +2,10 @@
 
 import numpy as np
 
-from heliogauge.doubts import Doubt, gather_doubts
+from heliogauge.doubts import Doubt, Severity, gather_doubts
 from heliogauge.images.photos import read_luma
 from observer.doubts.halves import halves_doubt
+from observer.doubts.list_as_whole import list_doubt
 from observer.doubts.photos import missing_photos_doubt, other_sizes_doubt, overexposure_doubt, sparse_doubt
 from observer.doubts.stated_dimensions import (
     diameter_doubt,
@@ -19,6 +20,7 @@ from observer.photo_edges.outline import clipped_share, photos_from_above, plate
 from observer.pipeline.cameras import Cameras
 from observer.pipeline.inputs import Inputs
 from observer.pipeline.mirror import PlacedAbsorber, SolvedMirror
+from observer.pipeline.panels import PlacedPanels
 from observer.pipeline.reading.photos import FirstLook
 from observer.pipeline.reading.tone import Encodings
 from observer.pipeline.stated_camera import is_camera_wrong, stated_camera_doubt
@@ -33,6 +35,11 @@ from observer.trough.visibility import beyond_tube_doubt, coverage_doubt, seeabl
 #: Findings that a wrong number makes by itself: with that one named, what they advise (another sigma of panels, that
 #: the surface follows its slopes, another diameter) would hide it.
 _EXPLAINED_BY = {
+    "list_beside_mirror": {
+        "panel_heights_contradict_reflection",
+        "surface_shape_contradicts_reflection",
+        "surface_shape_undecided",
+    },
     "focal_length_contradicts_photos": {
         "panel_heights_contradict_reflection",
         "surface_shape_contradicts_reflection",
@@ -49,7 +56,7 @@ _SMALL_STEPS = (np.zeros(3), np.array([0.01, 0.0, 0.0]), np.array([0.0, 0.01, 0.
 def judge(
     inputs: Inputs,
     listed: CheckedList,
-    cameras: Cameras,
+    panels: PlacedPanels,
     placed: PlacedAbsorber,
     mirror: SolvedMirror,
     encodings: Encodings,
@@ -59,18 +66,26 @@ def judge(
     encodings: Of the photos.
     InputError: A photo cannot be read.
     """
-    reflector, slope_map, eyes = mirror.reflector, mirror.slope_map, cameras.photos.eyes_m
+    cameras, reflector, slope_map = panels.cameras, mirror.reflector, mirror.slope_map
+    eyes = cameras.photos.eyes_m
     along_rad = reflector.roughness.along_rad
     camera = stated_camera_doubt(cameras.network, listed.survey, listed.first, inputs.n_modules)
     sparse = sparse_doubt(seeable_shares(mirror.visible, slope_map.aperture, slope_map.valid)[1], eyes)
-    # A camera that is proven wrong, or a few photos, contradict right dimensions.
-    with_sizes = not is_camera_wrong(camera) and sparse is None
     usual_sigma = float(np.median(slope_map.sigma_slope()[0][slope_map.valid]))
+    # A camera that is proven wrong makes a right list look wrong.
+    lies_aside = None
+    if panels.listed is not None and not is_camera_wrong(camera):
+        lies_aside = list_doubt(panels.listed, panels.moved_rad, usual_sigma, inputs.n_modules)
+    # Such a camera, such a list, or a few photos contradict right dimensions.
+    is_list_wrong = lies_aside is not None and lies_aside.severity is Severity.SERIOUS
+    with_sizes = not is_camera_wrong(camera) and not is_list_wrong and sparse is None
     own_sigma = np.sqrt(reflector.errors.random[..., 0, 0][slope_map.valid])
     found = gather_doubts(
         inputs.doubts,
         listed.doubts,
         camera,
+        lies_aside,
+        panels.doubts,
         inputs.panels_doubts,
         panels_doubt(reflector.roughness, inputs.collector),
         heights_doubt(reflector) if with_sizes else None,

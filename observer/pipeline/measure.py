@@ -112,7 +112,7 @@ def evaluate(inputs: Inputs, first: FirstLook, options: Options, progress: Progr
         refined = refine_poses(cameras.photos, mirror.reflector)
         picture = _draw_clearest(inputs, cameras, refined.poses, seen, mirror)
     with progress.stage("check the design"):
-        doubts = panels.doubts + judge(inputs, listed, cameras, placed, mirror, seen.encodings)
+        doubts = judge(inputs, listed, panels, placed, mirror, seen.encodings)
     return Result(
         inputs.collector,
         inputs.orientation_rad,

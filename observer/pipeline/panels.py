@@ -17,6 +17,7 @@ from heliogauge.running.progress import Progress
 from heliogauge.running.threads import side_by_side
 from heliogauge.validate import Float32Array, FloatArray, IntArray
 from observer.corners.lattice import PanelLattice
+from observer.corners.list_beside import ListBeside, list_steps
 from observer.corners.panel_lines import Pieces, line_pieces, lines_in, photo_noise
 from observer.corners.placed_panels import (
     EdgeEnds,
@@ -54,11 +55,15 @@ class PlacedPanels:
     """Cameras and what was seen, with the poses that targets and panels' edges say together.
 
     doubts: Of the drawing.
+    listed: How the list of targets stands beside the mirror; None where the edges do not say it.
+    moved_rad: By how much slopes are others, RMS, with the list put right where the edges contradict it [rad].
     """
 
     cameras: Cameras
     seen: SeenInPhotos
     doubts: tuple[Doubt, ...] = ()
+    listed: ListBeside | None = None
+    moved_rad: float = 0.0
 
 
 def place_panels(
@@ -69,14 +74,49 @@ def place_panels(
     progress: Progress,
     at_hand: Mapping[str, Image] = MappingProxyType({}),
 ) -> PlacedPanels:
-    """Refine poses, and find out how high the panels are, by the edges of the panels.
+    """Refine poses, and find out how high the panels are, by the edges of the panels; ask them for the list of targets.
 
     jobs: Photos side by side.
     at_hand: Photos that need not be read again, as their files store them.
     Returns: All as it was where edges were used as targets already, cameras move while they read a frame, the drawing
-        has no gaps, or too little is seen.
+        has no gaps, or too little is seen. Where the edges contradict the list the doubts of the drawing are those with
+        the list put right.
     InputError: A photo cannot be read.
+    EstimationError: The edges contradict the list, and too little of the reflection is seen.
     """
+    placed = _placed(inputs, cameras, seen, jobs, progress, at_hand)
+    wrong = np.zeros(3) if placed.listed is None else placed.listed.contradicting(inputs.n_modules)
+    if not wrong.any():
+        return placed
+    steps = list_steps(cameras.photos.poses, inputs.collector.rim_height_m) @ wrong
+    poses = tuple(pose.moved(step) for pose, step in zip(cameras.photos.poses, steps, strict=True))
+    moved, seen_there = _in_poses(inputs, cameras, seen, replace(cameras.photos, poses=poses))
+    mended = _placed(inputs, moved, seen_there, jobs, progress, at_hand)
+    if mended.listed is not None:
+        # Once more from where all is linear, with the shape of panels that comes out there.
+        placed = replace(placed, listed=mended.listed.since(wrong))
+    return replace(placed, doubts=mended.doubts, moved_rad=_moved_rad(inputs, placed, mended))
+
+
+def _moved_rad(inputs: Inputs, *placed: PlacedPanels) -> float:
+    """Return by how much slopes of some rows from some photos differ, RMS.
+
+    EstimationError: Too little of the reflection is seen.
+    """
+    chosen = evenly(len(placed[0].cameras.files))
+    one, other = (_first_solution(inputs, each.cameras.photos, each.seen, chosen) for each in placed)
+    apart = (one.errors.slopes - other.errors.slopes)[one.measured & other.measured, 0]
+    return float(np.sqrt(np.mean(apart**2)))
+
+
+def _placed(
+    inputs: Inputs,
+    cameras: Cameras,
+    seen: SeenInPhotos,
+    jobs: int | None,
+    progress: Progress,
+    at_hand: Mapping[str, Image] = MappingProxyType({}),
+) -> PlacedPanels:
     unchanged = PlacedPanels(cameras, seen)
     collector = inputs.collector
     if inputs.corners is not None or cameras.photos.moving or collector.panel_gap_m == 0 or collector.n_panels < 2:
@@ -119,8 +159,9 @@ def place_panels(
     kept = np.array([line.number not in wrong for line in lattice.along_trough])
     lines = [tuple(one if right else None for one, right in zip(found, kept, strict=True)) for found, _ in looked]
     shown = sum(int(np.count_nonzero(pieces[kept])) for _, pieces in looked)
+    unchanged = replace(unchanged, doubts=doubts, listed=all_aside(stated, lattice))
     if shown == 0:
-        return replace(unchanged, doubts=doubts)
+        return unchanged
     share = sum(line is not None for found in lines for line in found) / shown
     if share < _LEAST_SHARE:
         text = (
@@ -134,15 +175,41 @@ def place_panels(
         [edge_sights(int(k), cameras.views[k], lattice, found) for k, found in zip(chosen, lines, strict=True)]
     )
     placed = place_by_edges(sights, ends, shape, cameras.photos, lattice, inputs.prior.along_rad)
-    views = tuple(view.posed(pose) for view, pose in zip(cameras.views, placed.photos.poses, strict=True))
+    cameras, seen = _in_poses(inputs, cameras, seen, placed.photos)
+    doubts = gather_doubts(doubts, _beside_doubt(placed, ends, lattice))
+    return PlacedPanels(cameras, seen, doubts, placed.listed)
+
+
+def _in_poses(inputs: Inputs, cameras: Cameras, seen: SeenInPhotos, photos: Photos) -> tuple[Cameras, SeenInPhotos]:
+    """Return cameras and what was seen with other poses."""
+    views = tuple(view.posed(pose) for view, pose in zip(cameras.views, photos.poses, strict=True))
     expected = inputs.finder.expected
     moved = replace(
         seen,
         edges=edges_in_poses(seen.edges, cameras.views, views, expected),
         bearings=bearings_in_poses(seen.bearings, cameras.views, views, expected),
     )
-    doubts = gather_doubts(doubts, _beside_doubt(placed, ends, lattice))
-    return PlacedPanels(replace(cameras, photos=placed.photos, views=views), moved, doubts)
+    return replace(cameras, photos=photos, views=views), moved
+
+
+def all_aside(edges: Sequence[StatedEdge], lattice: PanelLattice) -> ListBeside | None:
+    """Return how far the list is aside where photos show all joints across the trough to one side of the drawing."""
+    seen = [one for one in edges if one.axis == 0 and one.is_seen]
+    if not _to_one_side(seen):
+        return None
+    # Panels that are mounted each for itself.
+    sigma = float(np.hypot(lattice.mounting_sigma_m, lattice.corner_sigma_m)) / len(seen) ** 0.5
+    aside = float(np.median([one.beside_m for one in seen]))
+    return ListBeside(np.array([aside, 0.0, 0.0]), np.array([sigma, np.inf, np.inf]))
+
+
+def _to_one_side(seen: Sequence[StatedEdge]) -> bool:
+    """Return whether all joints that are seen are to one side of the drawing, and rims not elsewhere than these."""
+    joints = [one for one in seen if not one.is_rim]
+    if len(joints) < 2 or not all(one.is_beside for one in joints) or len({one.beside_m > 0 for one in joints}) > 1:
+        return False
+    aside = float(np.median([one.beside_m for one in joints]))
+    return all(abs(one.beside_m - aside) < one.limit_m for one in seen)
 
 
 def _first_solution(inputs: Inputs, photos: Photos, seen: SeenInPhotos, chosen: IntArray) -> Reflector:
@@ -157,7 +224,10 @@ def _first_solution(inputs: Inputs, photos: Photos, seen: SeenInPhotos, chosen: 
     edges = seen.edges.chosen(some)
     fewer = replace(edges, photo=np.searchsorted(chosen, edges.photo), row=np.searchsorted(rows, edges.row))
     steps = (6 * chosen[:, None] + np.arange(6)).ravel()
-    own = Photos(tuple(photos.poses[k] for k in chosen), photos.covariance[np.ix_(steps, steps)])
+    panels = photos.panels
+    if panels is not None:
+        panels = replace(panels, with_poses=panels.with_poses[:, steps], by_poses=panels.by_poses[:, steps])
+    own = Photos(tuple(photos.poses[k] for k in chosen), photos.covariance[np.ix_(steps, steps)], panels=panels)
     finder = replace(inputs.finder, expected=replace(expected, y_m=expected.y_m[rows]))
     solution = placed.solution
     if solution is not None and solution.with_poses is not None:
@@ -196,15 +266,12 @@ def stated_doubts(edges: Sequence[StatedEdge], lattice: PanelLattice) -> Iterato
         joints = [one for one in strange if one.axis == axis and not one.is_rim]
         rims = [one for one in strange if one.axis == axis and one.is_rim]
         key, stated_m = f"collector.panel_edges_{name}_m", lattice.edges_m[axis]
-        all_shifted = (
-            len(seen) > 1 and all(one.is_beside for one in seen) and len({one.beside_m > 0 for one in seen}) == 1
-        )
         if joints:
             text = (
                 f"{key}: in the photos {_places(joints, stated_m)}; mend these, until then slopes beside them are "
                 "wrong by far more than their sigma"
             )
-            if all_shifted:
+            if _to_one_side(seen):
                 text += (
                     "; all that are seen, to the same side: are the list's targets given from the vertex in the middle "
                     "of the length?"

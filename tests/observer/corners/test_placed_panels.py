@@ -59,11 +59,16 @@ class Drawn:
 
 
 @cache
-def drawn(seed: int, photos: int = 14, shape_m: float = 0.7e-3, seen_share: float = 1.0) -> Drawn:
+def drawn(
+    seed: int, photos: int = 14, shape_m: float = 0.7e-3, seen_share: float = 1.0, wrong: tuple[float, ...] = (0, 0, 0)
+) -> Drawn:
     """Draw poses, panels and edges; offsets are differences of whole projections, nothing of the estimator's model."""
     rng, own = np.random.default_rng([seed, 12]), lattice()
     believed = Pass(12.0, 2.9, photos).poses()
-    frame = FRAME * rng.standard_normal(6)
+    aside, up, lean = wrong
+    # Listed places are true ones turned about the rims, and shifted.
+    planted = np.array([0, -lean, 0, aside + lean * own.collector.rim_height_m, 0, up])
+    frame = FRAME * rng.standard_normal(6) + planted
     in_frame = RigidTransform(rotation_from_vector(frame[:3]), frame[3:])
     by_frame = np.array([_step(pose, lambda p: p @ in_frame) for pose in believed])
     covariance = np.zeros((6 * photos, 6 * photos))
@@ -214,3 +219,29 @@ def test_an_edge_far_beside_the_drawing_stands_out():
     assert found.ends_m[4:6, 0].mean() - scene.solve().ends_m[4:6, 0].mean() == pytest.approx(0.012, abs=2e-3)
     assert scene.solve().over_sigma.max() < 4.0
     assert ends.points_m.shape == (20, 3)
+
+
+def test_how_a_right_list_stands_beside_the_mirror_is_what_its_sigma_says():
+    scaled = [found.value / found.sigma for found in (drawn(seed).solve().listed for seed in range(12))]
+    # Chi-square of 36 over 36: 1 +- 0.24, at three sigma.
+    assert 0.3 < np.mean(np.square(scaled)) < 1.7
+    assert not [1 for seed in range(12) if drawn(seed).solve().listed.contradicting().any()]
+
+
+@pytest.mark.parametrize("wrong", [(0.012, 0, 0), (0, -0.012, 0), (0, 0, 4e-3), (-0.012, 0.012, -4e-3)])
+def test_a_list_that_is_wrong_as_a_whole_is_told_by_how_much(wrong):
+    for seed in range(3):
+        found = drawn(seed, wrong=wrong).solve().listed
+        assert ((found.contradicting() != 0) == (np.array(wrong) != 0)).all()
+        np.testing.assert_array_less(np.abs(found.value - wrong), 4 * found.sigma)
+
+
+def test_another_focal_length_is_no_other_height_of_the_list():
+    scene = drawn(1)
+    ends = EdgeEnds.of(scene.lattice)
+    # Higher edges at the rims, as of a focal length shorter by 1 %.
+    higher = 0.01 * ends.points_m[:, 0] ** 2 / (4 * scene.lattice.collector.focal_length_m)
+    offset = scene.sights.offset_px + scene.sights.by_place[:, 1] * higher[scene.sights.end]
+    found = replace(scene, sights=scene.sights._replace(offset_px=offset)).solve().listed
+    before = scene.solve().listed
+    assert np.abs(found.value - before.value)[1] < 0.5 * before.sigma[1]

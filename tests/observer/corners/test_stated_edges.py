@@ -10,7 +10,7 @@ from heliogauge.validate import Float32Array, FloatArray
 from observer.corners.lattice import PanelLattice
 from observer.corners.stated_edges import StatedEdge, stated_edges, strange_edges
 from observer.photo_edges.views import View
-from observer.pipeline.panels import stated_doubts
+from observer.pipeline.panels import all_aside, stated_doubts
 from observer.trough.collector import Collector
 
 X_M, Y_M = np.array([-2.5, -1.3, 0.0, 1.3, 2.5]), np.array([-2.4, -0.8, 0.9, 2.4])
@@ -112,3 +112,14 @@ def test_all_that_are_seen_to_one_side_ask_for_the_origin_of_the_list() -> None:
     assert said([*shifted, edge(0, 0, np.nan, is_rim=True)]) == [(*named, True)]
     assert said([edge(0, 1, 0.02), edge(0, 3, -0.02)]) == [(*named, False)]
     assert said([*shifted, edge(0, 2, 0.0)]) == [(*named, False)]
+
+
+def test_joints_to_one_side_are_a_list_aside_unless_a_rim_is_in_its_place() -> None:
+    lattice = PanelLattice(Collector(5.0, 4.8, 1.49, 0.07, None, X_M, Y_M, 0.01), 3e-3, 1e-3)
+    joints = [edge(0, 1, 0.018), edge(0, 2, 0.02), edge(0, 3, 0.021)]
+    found = all_aside([*joints, edge(1, 1, 0.0)], lattice)
+    assert found is not None
+    np.testing.assert_allclose(found.value, [0.02, 0, 0])
+    np.testing.assert_allclose(found.contradicting(), [0.02, 0, 0])
+    assert all_aside([*joints, edge(0, 4, 0.0, is_rim=True)], lattice) is None
+    assert all_aside([*joints[:2], edge(0, 3, 0.0)], lattice) is None
