@@ -7,6 +7,7 @@ from heliogauge.images.photos import read_luma
 from observer.doubts.halves import halves_doubt
 from observer.doubts.list_as_whole import list_doubt
 from observer.doubts.photos import missing_photos_doubt, other_sizes_doubt, overexposure_doubt, sparse_doubt
+from observer.doubts.stated_absorber import stated_absorber_doubt
 from observer.doubts.stated_dimensions import (
     diameter_doubt,
     diameter_of_absorber,
@@ -45,6 +46,11 @@ _EXPLAINED_BY = {
         "surface_shape_contradicts_reflection",
         "surface_shape_undecided",
     },
+    "camera_contradicts_targets": {"known_place_contradicts"},
+    "focal_length_contradicts_targets": {"known_place_contradicts"},
+    "principal_point_contradicts_targets": {"known_place_contradicts", "targets_contradict_list"},
+    "targets_contradict_list": {"known_place_contradicts"},
+    "stated_absorber_contradicts_photos": {"surface_shape_contradicts_reflection", "surface_shape_undecided"},
     "glass_not_stated": {"absorber_diameter_contradicts_reflection", "absorber_diameter_contradicts_photos"},
     "absorber_diameter_contradicts_reflection": {"absorber_diameter_contradicts_photos"},
 }
@@ -76,11 +82,18 @@ def judge(
     lies_aside = None
     if panels.listed is not None and not is_camera_wrong(camera):
         lies_aside = list_doubt(panels.listed, panels.moved_rad, usual_sigma, inputs.n_modules)
-    # Such a camera, such a list, or a few photos contradict right dimensions.
-    is_list_wrong = lies_aside is not None and lies_aside.severity is Severity.SERIOUS
-    with_sizes = not is_camera_wrong(camera) and not is_list_wrong and sparse is None
+    is_list_wrong = is_camera_wrong(camera) or _is_serious(lies_aside)
+    # ... and either one the tube of a table.
+    tube = None
+    if placed.seen is not None and not is_list_wrong:
+        tube = stated_absorber_doubt(placed.path, placed.seen, inputs.collector, usual_sigma, inputs.n_modules)
+    if _is_serious(tube):
+        # The shape of panels that comes out with it moves their edges.
+        lies_aside = None
+    # Each of these, or a few photos, contradict right dimensions.
+    with_sizes = not is_list_wrong and not _is_serious(tube) and sparse is None
     own_sigma = np.sqrt(reflector.errors.random[..., 0, 0][slope_map.valid])
-    found = gather_doubts(
+    return gather_doubts(
         inputs.doubts,
         listed.doubts,
         camera,
@@ -102,6 +115,7 @@ def judge(
             n_modules=inputs.n_modules,
         ),
         placed.doubts,
+        tube,
         coverage_doubt(mirror.visible, slope_map.x_m, slope_map.aperture, eyes),
         beyond_tube_doubt(mirror.visible, slope_map.aperture, inputs.collector, eyes),
         incidence_doubt(slope_map, eyes, inputs.collector, along_rad),
@@ -110,7 +124,6 @@ def judge(
         undecided_doubt(reflector.fate),
         halves_doubt(reflector.halves, usual_sigma, inputs.n_modules),
     )
-    return without_consequences(found)
 
 
 def without_consequences(doubts: tuple[Doubt, ...]) -> tuple[Doubt, ...]:
@@ -118,6 +131,10 @@ def without_consequences(doubts: tuple[Doubt, ...]) -> tuple[Doubt, ...]:
     codes = {one.code for one in doubts}
     explained = {code for cause in codes for code in _EXPLAINED_BY.get(cause, ())}
     return tuple(one for one in doubts if one.code not in explained)
+
+
+def _is_serious(doubt: Doubt | None) -> bool:
+    return doubt is not None and doubt.severity is Severity.SERIOUS
 
 
 def _is_mixed(encodings: Encodings) -> bool:

@@ -17,7 +17,7 @@ from observer.pipeline.cameras import Cameras, adjust_turning
 from observer.pipeline.corners import find_corners
 from observer.pipeline.inputs import Inputs, read_inputs
 from observer.pipeline.intercept import evaluate_intercept
-from observer.pipeline.judgement import judge
+from observer.pipeline.judgement import judge, without_consequences
 from observer.pipeline.mirror import SolvedMirror, asking_for_diameter, place_absorber, refine_poses, solve_mirror
 from observer.pipeline.panels import place_panels
 from observer.pipeline.reading.photos import FirstLook, SeenInPhotos, look_again, look_first
@@ -132,7 +132,9 @@ def evaluate(inputs: Inputs, first: FirstLook, options: Options, progress: Progr
         cameras.motions,
         inputs.n_modules,
         name=inputs.name,
-        doubts=gather_doubts(cameras.network.doubts, cameras.doubts, seen.encodings.doubts, doubts, intercept.doubts),
+        doubts=without_consequences(
+            gather_doubts(cameras.network.doubts, cameras.doubts, seen.encodings.doubts, doubts, intercept.doubts)
+        ),
         durations_s=dict(progress.durations_s),
         input_sha256=inputs.input_sha256,
     )

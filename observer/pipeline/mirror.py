@@ -1,7 +1,7 @@
 """Where the absorber is, then the mirror's slopes and the absorber together; poses as the reflection refines them."""
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -35,11 +35,13 @@ class PlacedAbsorber:
     path: The axis: measured, of the table, or of the design.
     solution: Its measurement; None where it was given.
     doubts: What is doubtful of it.
+    seen: Where the photos show it although a table gives it; None where they do not, or no table does.
     """
 
     path: AbsorberPath
     solution: AbsorberSolution | None
     doubts: tuple[Doubt, ...]
+    seen: AbsorberSolution | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -78,13 +80,16 @@ def place_absorber(inputs: Inputs, seen: SeenInPhotos, photos: Photos) -> Placed
 
     EstimationError: The photos do not show it from two sides.
     """
-    path, solution = inputs.absorber, None
+    path, solution, shown = inputs.absorber, None, None
     if inputs.absorber_source == "photos":
         solution = solve_absorber(seen.bearings, photos, path, inputs.stations_m, inputs.collector)
         path = solution.path
+    elif inputs.absorber_source == "file":
+        with suppress(EstimationError):
+            shown = solve_absorber(seen.bearings, photos, path, inputs.stations_m, inputs.collector)
     is_design = inputs.absorber_source == "design"
     doubts = tuple(absorber_doubts(path, solution, inputs.collector, is_design=is_design))
-    return PlacedAbsorber(path, solution, doubts)
+    return PlacedAbsorber(path, solution, doubts, shown)
 
 
 @contextmanager

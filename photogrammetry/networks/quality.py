@@ -406,7 +406,7 @@ def _contradictions(bundle: BundleResult) -> Iterator[Doubt]:
         known = distances.get(name)
         size = "" if known is None else f" ({1e3 * worst * known.sigma_m:.2f} mm)"
         yield Doubt(
-            "known_value_contradicts",
+            "known_place_contradicts" if target else "known_value_contradicts",
             f"{name} contradicts the rest: its residual is {worst:.1f} times its sigma{size}",
             {"residual_over_sigma_ratio": worst},
         )

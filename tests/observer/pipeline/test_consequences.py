@@ -19,3 +19,16 @@ def test_forgotten_glass_explains_the_width_of_the_tube() -> None:
     wide = "absorber_diameter_contradicts_reflection"
     assert codes(wide, "absorber_diameter_contradicts_photos", "glass_not_stated") == ["glass_not_stated"]
     assert codes(wide, "absorber_diameter_contradicts_photos") == [wide]
+
+
+def test_a_wrong_camera_or_list_explains_single_places_but_no_scale_bar() -> None:
+    place, bar = "known_place_contradicts", "known_value_contradicts"
+    for cause in ("camera_contradicts_targets", "focal_length_contradicts_targets", "targets_contradict_list"):
+        assert codes(place, bar, cause) == [bar, cause]
+    center = "principal_point_contradicts_targets"
+    assert codes(place, bar, "targets_contradict_list", center) == [bar, center]
+    assert codes(place, bar) == [place, bar]
+
+
+def test_a_list_beside_the_mirror_explains_heights_of_panels() -> None:
+    assert codes("panel_heights_contradict_reflection", "list_beside_mirror") == ["list_beside_mirror"]
