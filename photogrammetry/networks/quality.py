@@ -405,11 +405,12 @@ def _contradictions(bundle: BundleResult) -> Iterator[Doubt]:
             name = f"the listed place of {target} ({name.partition(' of ')[0]} most of all)"
         known = distances.get(name)
         size = "" if known is None else f" ({1e3 * worst * known.sigma_m:.2f} mm)"
-        yield Doubt(
-            "known_place_contradicts" if target else "known_value_contradicts",
-            f"{name} contradicts the rest: its residual is {worst:.1f} times its sigma{size}",
-            {"residual_over_sigma_ratio": worst},
-        )
+        text = f"{name} contradicts the rest: its residual is {worst:.1f} times its sigma{size}"
+        numbers = {"residual_over_sigma_ratio": worst}
+        if target:
+            yield Doubt("known_place_contradicts", text, numbers)
+        else:
+            yield Doubt("known_value_contradicts", text, numbers)
 
 
 def _roll_range_rad(rotations: FloatArray) -> float:
