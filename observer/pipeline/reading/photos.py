@@ -177,7 +177,8 @@ class FirstLook:
     """What was found while the photos were read.
 
     photos: Names of all photos.
-    targets: Targets of each photo; empty where they are not measured one by one.
+    targets: Targets of each photo, of one trough of several only where it is seen; empty where they are not measured
+        one by one.
     poses: Provisional ``cam_from_frame`` of the photos whose listed targets determine it.
     edges, bearings: What those photos show of the tube.
     slices: A few rows of the mirror in all photos.
@@ -620,10 +621,11 @@ def look_again(
     place = {name: k for k, name in enumerate(first.photos)}
     order = [place[file.name] for file in files]
     slices = first.slices.of_photos(order)
+    targets = {one.detections.photo: one for one in first.targets}
 
     def one(number: int) -> tuple[ReflectionEdges, Bearings]:
-        targets = first.targets[place[files[number].name]] if first.targets else None
-        shot = _shot(finder.read(files[number]), number, views[number], targets, expected)
+        file = files[number]
+        shot = _shot(finder.read(file), number, views[number], targets.get(file.name), expected)
         slices.take([shot], expected.collector)
         stage.advance()
         return reflection_edges([shot], expected)[0], tube_bearings([shot], expected)[0]

@@ -1,7 +1,8 @@
 """One flight over several modules: who belongs where, who fails alone, what is written."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -15,6 +16,7 @@ from heliogauge.results.folder import Summary, read_summary
 from heliogauge.results.tables import read_table_csv, write_table_csv
 from heliogauge.running.progress import SilentProgress
 from observer.keys import load_observer
+from observer.photo_edges.views import View
 from observer.pipeline import measure as pipeline
 from observer.pipeline import modules as pipeline_modules
 from observer.pipeline.reading import photos as photos_module
@@ -234,3 +236,40 @@ def test_a_module_is_beside_a_photo_by_its_place_in_the_list(tmp_path: Path) -> 
         assert row_b.is_beside(camera, pose) is beside
     alone = replace(row_b, list_from_frame=None)
     assert not alone.is_beside(camera, RigidTransform(np.diag([1.0, -1.0, -1.0]), np.array([0.0, 0.0, 12.0])))
+
+
+@dataclass
+class Reader:
+    """What reading again needs of a finder."""
+
+    expected: object = None
+    encodings: object = None
+
+    def read(self, file: Path) -> str:
+        return file.name
+
+
+def test_photos_that_are_read_again_have_the_targets_they_show(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A module has targets only of photos that show it: counted among all photos, they were those of others."""
+    asked = {}
+
+    def shot(image: str, number: int, view: View, targets: OnePhoto | None, expected: object) -> None:
+        asked[image] = targets
+        raise EstimationError("enough")
+
+    monkeypatch.setattr(photos_module, "_shot", shot)
+    files, own = (
+        [Path(f"photo_{k}.png") for k in range(3)],
+        (shown("photo_1.png", ("1",)), shown("photo_2.png", ("2",))),
+    )
+    first = FirstLook(
+        tuple(file.name for file in files), own, {}, {}, {}, SimpleNamespace(of_photos=lambda _: None), object()
+    )
+    view = View(
+        Camera(480, 640, 1000.0, 1000.0, 239.5, 319.5),
+        RigidTransform(np.diag([1.0, -1.0, -1.0]), np.array([0.0, 0.0, 12.0])),
+    )
+    for file in files:
+        with pytest.raises(EstimationError, match="enough"):
+            photos_module.look_again([file], [view], Reader(), first, jobs=1, progress=SilentProgress())
+    assert asked == {"photo_0.png": None, "photo_1.png": own[0], "photo_2.png": own[1]}
