@@ -127,10 +127,16 @@ def judge(
 
 
 def without_consequences(doubts: tuple[Doubt, ...]) -> tuple[Doubt, ...]:
-    """Leave out doubts that another one explains."""
-    codes = {one.code for one in doubts}
-    explained = {code for cause in codes for code in _EXPLAINED_BY.get(cause, ())}
-    return tuple(one for one in doubts if one.code not in explained)
+    """Leave out doubts that another one explains, which weighs as much: a small cause has no serious consequence."""
+    weight = list(Severity).index
+
+    def is_explained(one: Doubt) -> bool:
+        return any(
+            one.code in _EXPLAINED_BY.get(cause.code, ()) and weight(one.severity) <= weight(cause.severity)
+            for cause in doubts
+        )
+
+    return tuple(one for one in doubts if not is_explained(one))
 
 
 def _is_serious(doubt: Doubt | None) -> bool:

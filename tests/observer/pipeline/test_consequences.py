@@ -1,6 +1,8 @@
 """Doubts that a more serious one explains are left out; others stay in their order."""
 
-from heliogauge.doubts import Doubt
+import pytest
+
+from heliogauge.doubts import Doubt, Severity
 from observer.pipeline.judgement import without_consequences
 
 
@@ -32,3 +34,11 @@ def test_a_wrong_camera_or_list_explains_single_places_but_no_scale_bar() -> Non
 
 def test_a_list_beside_the_mirror_explains_heights_of_panels() -> None:
     assert codes("panel_heights_contradict_reflection", "list_beside_mirror") == ["list_beside_mirror"]
+
+
+@pytest.mark.parametrize("cause", ["list_beside_mirror", "stated_absorber_contradicts_photos"])
+def test_a_cause_that_hardly_moves_slopes_hides_nothing_serious(cause: str) -> None:
+    shape = Doubt("surface_shape_contradicts_reflection", "shape", severity=Severity.SERIOUS)
+    for severity, left in ((Severity.DOUBT, [cause, shape.code]), (Severity.SERIOUS, [cause])):
+        given = (Doubt(cause, "beside", severity=severity), shape)
+        assert [one.code for one in without_consequences(given)] == left

@@ -1,13 +1,24 @@
 """Panels' edges in photos with marked targets: from drawn photos to heights of panels, and drawings that do not fit."""
 
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from data_synth.troughs import TroughChoice, TroughOptions, read_trough_truth, trough_scene, write_trough_dataset
+from heliogauge.doubts import Doubt
 from heliogauge.measurement.load import load
+from heliogauge.running.progress import SilentProgress
 from observer import Options, Result, run
+from observer.corners.list_beside import ListBeside
+from observer.pipeline import panels
+from observer.pipeline.cameras import Cameras
+from observer.pipeline.panels import PlacedPanels, place_panels
+from observer.planning.planned_flight import Pass
+from observer.slopes.pose_modes import Photos
+from tests.observer.simulated_trough import short_trough
 
 HEIGHT_M = 2e-3
 
@@ -84,3 +95,39 @@ def test_places_of_cameras_are_moved_with_the_edges(folder: Path, result: Result
     # By chance beyond once in a thousand times.
     assert float(error @ np.linalg.solve(covariance, error)) < 13.8
     assert not [one for one in result.doubts if one.code.startswith("panel_edge")]
+
+
+def test_a_list_is_put_right_by_poses_to_which_true_places_lie_as_listed_ones_did(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    poses, collector = tuple(Pass(12.0, 2.9, 3).poses()), short_trough()
+    cameras = Cameras(None, Photos(poses, np.eye(18)), (), ())
+    wrong, left, sigma = np.array([0.01, -0.02, 1e-3]), np.array([1e-3, 0.0, 0.0]), np.array([5e-4, 5e-4, 1e-4])
+    listed, drawn = [ListBeside(wrong, sigma), ListBeside(left, sigma)], [Doubt("drawing", "beside"), Doubt("none", "")]
+    asked = []
+
+    def placed(_inputs: object, cameras: Cameras, seen: object, *_: object) -> PlacedPanels:
+        asked.append(cameras.photos.poses)
+        return PlacedPanels(cameras, seen, (drawn[len(asked) - 1],), listed[len(asked) - 1])
+
+    monkeypatch.setattr(panels, "_placed", placed)
+    monkeypatch.setattr(
+        panels, "_in_poses", lambda _inputs, cameras, seen, photos: (replace(cameras, photos=photos), seen)
+    )
+    monkeypatch.setattr(panels, "_moved_rad", lambda _inputs, *both: float(both[0].cameras is cameras))
+    found = place_panels(
+        SimpleNamespace(collector=collector, n_modules=1), cameras, SimpleNamespace(), 1, SilentProgress()
+    )
+
+    true = np.random.default_rng(1).uniform(-1, 1, (20, 3)) * [2.5, 1.5, 0.5]
+    # Too far in x, too high, and leaning about the height of the rims: z rises with x.
+    turned = np.stack([-(true[:, 2] - collector.rim_height_m), np.zeros(20), true[:, 0]], axis=1)
+    places = true + [wrong[0], 0, wrong[1]] + wrong[2] * turned
+    for pose, moved in zip(poses, asked[1], strict=True):
+        # To the square of the lean.
+        np.testing.assert_allclose(moved.apply(true), pose.apply(places), atol=5e-6)
+    # The result is that of the list as it is; what is said, that of the list put right.
+    assert found.cameras is cameras
+    assert found.doubts == (drawn[1],)
+    np.testing.assert_allclose(found.listed.value, wrong + left)
+    assert found.moved_rad == 1.0
