@@ -17,9 +17,12 @@ from observer.slopes.row_spline import RowGrid
 #: much: over half a panel 0.2 mrad of slopes along that are 0.5 to 1 mrad.
 _ALONG_M = 0.08
 #: Slopes across that are less certain are not counted. Up to 0.2 mrad of that are what slopes along may be, alike in
-#: the rows around; errors of 0.3 mrad besides, each row for itself, make a twist of 0.8 mrad/m, and 0.4 mrad of slope
+#: the rows around; errors of 0.3 mrad besides, each row for itself, make a twist of 0.7 mrad/m, and 0.4 mrad of slope
 #: along over half a panel, of 0.5 to 1 mrad that there are [rad].
 _KNOWN_RAD = 0.5e-3
+#: A line is drawn through rows that scatter by this, as five rows 20 mm apart do: their own errors of 0.04 mrad make a
+#: twist of 0.6 mrad/m, as much as the least certain slopes that are counted [m].
+_LEAST_SCATTER_M = 0.025
 
 
 def slopes_by_twist(
@@ -51,7 +54,7 @@ def slopes_by_twist(
     count, first, second = weight @ known, lever @ known, (lever * -apart) @ known
     spread = count * second - first**2
     twist = count * (lever @ (known * across_rad)) - first * (weight @ (known * across_rad))
-    enough = (known > 0) & (spread > 0.1 * (count * _ALONG_M) ** 2)
+    enough = (known > 0) & (spread > (count * _LEAST_SCATTER_M) ** 2)
     twist = np.where(enough, twist / np.where(enough, spread, 1.0), 0.0)
     along = np.zeros(across_rad.shape)
     for begin, end in pairwise([0, *(np.flatnonzero(~grid.joined) + 1).tolist(), grid.x_m.size]):

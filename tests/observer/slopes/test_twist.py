@@ -1,6 +1,7 @@
 """Slopes along the trough from those across, on surfaces of known height: right but for one of each row and panel."""
 
 import numpy as np
+import pytest
 
 from observer.slopes.row_spline import RowGrid
 from observer.slopes.twist import slopes_by_twist
@@ -57,3 +58,39 @@ def test_rows_that_were_not_measured_do_not_count() -> None:
     assert np.sqrt(np.mean(error[measured] ** 2)) < 0.3 * np.sqrt(np.mean(true[measured] ** 2))
     assert not found(across, measured)[20:24].any()
     assert not slopes_by_twist(across, np.full(across.shape, 1e-3), measured, GRID, Y, EDGES_Y_M).any()
+
+
+@pytest.mark.parametrize(("n_rows", "error_share"), [(24, 0.06), (8, 0.06), (6, 1.0)])
+def test_a_surface_of_third_degree_is_told_from_rows_up_to_a_fifth_of_a_metre_apart(
+    n_rows: int, error_share: float
+) -> None:
+    """Of ``h = a x y + b x^2 y + c x y^2``; rows 0.27 m apart, over three times the reach, tell nothing."""
+    y_m = (np.arange(n_rows) + 0.5) * (1.6 / n_rows) - 0.8
+    x, y = np.meshgrid(X, y_m)
+    a, b, c = 1e-3, 0.8e-3, 0.5e-3
+    across, along = a * y + 2 * b * x * y + c * y**2, a * x + b * x**2 + 2 * c * x * y
+    # Half of a panel counts, so that a row's mean is that of what was measured.
+    measured = np.abs(x + 0.1) < 0.8
+    grid, sigma = RowGrid(X, GRID.joined, n_rows, y_m), np.full(x.shape, 0.3e-3)
+    error = slopes_by_twist(across, sigma, measured, grid, y_m, EDGES_Y_M) - beside_means(along, measured)
+    size = np.sqrt(np.mean(beside_means(along, measured)[measured] ** 2))
+    assert np.sqrt(np.mean(error[measured] ** 2)) == pytest.approx(error_share * size, rel=0.5)
+
+
+def test_noise_of_rows_makes_what_a_line_through_those_around_has() -> None:
+    """Of rows d apart that count as a Gaussian of w the variance of a slope is ``s^2 d / (4 sqrt(pi) w^3)``."""
+    every, noise = np.ones((Y.size, X.size), dtype=bool), 0.04e-3
+    across = noise * np.random.default_rng(3).standard_normal((Y.size, 1)) * np.ones(X.size)
+    along = found(across, every)
+    inner = np.abs(np.abs(Y) - 0.4) < 0.2
+    twist = np.diff(along, axis=1)[inner, 0] / STEP_M
+    # Of some ten independent ones.
+    expected = noise * np.sqrt(STEP_M / (4 * np.sqrt(np.pi) * 0.08**3))
+    assert np.sqrt(np.mean(twist**2)) == pytest.approx(expected, rel=0.5)
+
+
+@pytest.mark.parametrize(("n_rows", "is_told"), [(4, False), (5, True)])
+def test_a_few_rows_side_by_side_tell_no_twist(n_rows: int, is_told: bool) -> None:
+    measured = np.zeros((Y.size, X.size), dtype=bool)
+    measured[60 : 60 + n_rows] = True
+    assert found(waves(0.6)[0], measured).any() == is_told
