@@ -62,6 +62,20 @@ def test_variogram_by_hand() -> None:
     assert near[78, 39] == pytest.approx(0.5 * 19**2 * 39 / 19)
 
 
+def test_variance_is_the_double_sum_over_nodes() -> None:
+    rows, columns = np.arange(-8.0, 9), np.arange(-6.0, 7)
+    # Of values that are alike over 1.5 nodes, which have power at all frequencies.
+    gamma = 1 - np.exp(-np.add.outer(rows**2, columns**2) / (2 * 1.5**2))
+    rng = np.random.default_rng(7)
+    weights = [rng.standard_normal((9, 7)) for _ in range(2)] + [np.outer(np.arange(9.0), np.ones(7))]
+    weights = [one - one.mean() for one in weights]
+    place = np.argwhere(np.ones((9, 7), dtype=bool))
+    lag = place[:, None] - place + [8, 6]
+    found = Variogram(gamma).variances(weights)
+    expected = [-one.ravel() @ gamma[lag[..., 0], lag[..., 1]] @ one.ravel() for one in weights]
+    np.testing.assert_allclose(found, expected, rtol=1e-3)
+
+
 def test_panels_without_nodes_have_no_variance() -> None:
     rng = np.random.default_rng(5)
     values, measured, panel = drawn(rng), masked(rng), np.where(PANEL < 14, PANEL, -1)
