@@ -18,6 +18,9 @@ from observer.doubts.by_chance import contradicting_sigmas
 
 #: Unknowns of the list that are judged.
 _N_UNKNOWNS = 3
+#: No list is beside the mirror by so much, no focal length by this share; what edges do not tell stays that uncertain,
+#: as where all that are seen lie in one line [m, rad].
+_LARGEST = 1.0
 
 
 class ListBeside(NamedTuple):
@@ -25,7 +28,7 @@ class ListBeside(NamedTuple):
 
     value (3,): By how much all places are too far in x, too high [m]; by how much z rises too much with x, about the
         height of the rims [rad].
-    sigma (3,): Standard deviations; infinite where nothing is known.
+    sigma (3,): Standard deviations; infinite, or a metre or radian, where nothing is known.
     """
 
     value: FloatArray
@@ -74,6 +77,6 @@ def list_beside(offset: FloatArray, by_unknown: FloatArray, by_list: FloatArray,
     inner = np.eye(by_unknown.shape[1]) + by_unknown.T @ by_unknown
     # The inverse of 1 + B B^T by that of 1 + B^T B (Woodbury).
     weighted = moved - by_unknown @ np.linalg.solve(inner, by_unknown.T @ moved)
-    covariance = np.linalg.inv(moved.T @ weighted)
+    covariance = np.linalg.inv(moved.T @ weighted + np.eye(_N_UNKNOWNS + 1) / _LARGEST**2)
     value = covariance @ (weighted.T @ offset)
     return ListBeside(value[:_N_UNKNOWNS], np.sqrt(np.diag(covariance))[:_N_UNKNOWNS])

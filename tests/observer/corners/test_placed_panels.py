@@ -245,3 +245,15 @@ def test_another_focal_length_is_no_other_height_of_the_list():
     found = replace(scene, sights=scene.sights._replace(offset_px=offset)).solve().listed
     before = scene.solve().listed
     assert np.abs(found.value - before.value)[1] < 0.5 * before.sigma[1]
+
+
+@pytest.mark.parametrize("seen_x_m", [(0.0,), (1.34,), (-2.5,), (-1.34, 1.34)])
+def test_what_edges_in_too_few_places_do_not_tell_of_the_list_stays_unknown(seen_x_m):
+    scene = drawn(1)
+    x = EdgeEnds.of(scene.lattice).points_m[:, 0]
+    seen = np.isclose(x[:, None], seen_x_m).any(axis=1)[scene.sights.end]
+    found = replace(scene, sights=EdgeSights(*(one[seen] for one in scene.sights))).solve().listed
+    assert not found.contradicting().any()
+    # Two lines as far from the middle do not part the focal length from the height; one line tells no lean.
+    assert found.sigma.max() > 0.1
+    assert (np.abs(found.value) < 3 * found.sigma).all()
