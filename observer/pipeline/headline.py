@@ -144,7 +144,7 @@ def surface_numbers(reflector: Reflector) -> Numbers:
     """Return what the reflection says of the mirror's heights and of its slopes along the trough.
 
     Returns: Factor of the heights that the slopes integrate to with its sigma, what they matter, and how large
-        slopes along the trough were taken to be.
+        slopes along the trough were taken to be, beside what slopes across tell of them where these make a surface.
     """
     shape = reflector.shape
     known = np.isfinite(shape.sigma)

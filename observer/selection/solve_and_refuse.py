@@ -95,7 +95,7 @@ class Reflector:
     noise_factor: By what the sigmas of the edges had to be multiplied.
     absorber: The tube's axis, to which the width of its reflection has added what it says of it.
     unknowns: What the lines have in common.
-    lines: The edges that were used, as observations.
+    lines: The edges that were used, as observations; what slopes across tell of those along is off their misfits.
     height_m (r, nx): Height of the mirror over its design, mean zero on each panel [m].
     last_change_m: RMS change of the height in the last round [m].
     has_shadows: Whether shadows as dark as the tube are in the reflection, and edges were checked against those of

@@ -71,7 +71,8 @@ class Roughness:
 
     across: Spectral density of the derivative of this order of the slope error across the trough [rad^2 / m^(2
         order - 1)].
-    along_rad: Standard deviation of the slope error along the trough, about zero [rad].
+    along_rad: Standard deviation of the slope error along the trough, about zero or about what slopes across tell of it
+        (`observer.slopes.twist`) [rad].
     along_length_m: Length over which the slope along the trough is correlated across the trough [m].
     order: 2: the bend of the mirror is a random walk, as where it has kinks. 3: the change of the bend is one, as
         that of waves; what lies between edges then follows from how the mirror bends beside.

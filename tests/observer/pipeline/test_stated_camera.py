@@ -67,11 +67,12 @@ def doubt(
     targets: FloatArray = TARGETS,
     listed: FloatArray | None = None,
     aside_px: tuple[float, float] = (0.0, 0.0),
+    list_sigma_m: float = 1e-3,
 ) -> tuple[Doubt | None, float]:
     """The doubt with a stated focal length and principal point, and how well image points fit with it."""
     rng = np.random.default_rng(seed)
     first = first_look(sigma_px, rng, targets)
-    listed = (targets if listed is None else listed) + rng.normal(0, 1e-3, targets.shape)
+    listed = (targets if listed is None else listed) + rng.normal(0, list_sigma_m, targets.shape)
     model = PhotogrammetryModel(
         kind="photogrammetry",
         name="coplanar",
@@ -87,7 +88,9 @@ def doubt(
         images=PhotosSection(photos=("photo_*.png",)),
         targets=TargetsSection(dictionary="aicon-12", diameter_mm=90.0),
         constraint=tuple(
-            CoordinateSection(kind="coordinate", target=str(k + 1), axis=axis, value_m=float(value), sigma_mm=1.0)
+            CoordinateSection(
+                kind="coordinate", target=str(k + 1), axis=axis, value_m=float(value), sigma_mm=1e3 * list_sigma_m
+            )
             for k, point in enumerate(listed)
             for axis, value in zip("xyz", point, strict=True)
         ),
@@ -125,6 +128,13 @@ def test_a_principal_point_that_is_aside_is_named(aside_px: tuple[float, float],
     assert said.code == "principal_point_contradicts_targets"
     assert said.numbers[f"apart_{axis}_px"] == pytest.approx(-sum(aside_px), abs=3)
     assert f"center_{axis}_px" in said.text.split(";")[0]
+
+
+@pytest.mark.parametrize(("aside_px", "is_named"), [(0.9, False), (1.8, True)])
+def test_a_principal_point_is_named_from_where_it_matters(aside_px: float, is_named: bool) -> None:
+    """With a list as good as 0.05 mm a fraction of a pixel is told; 1.2 px are what moves slopes by 0.05 mrad."""
+    said, _ = doubt(TRUE_PX, 0.06, 1, targets=STAGGERED, aside_px=(aside_px, 0.0), list_sigma_m=5e-5)
+    assert (said is not None and said.code == "principal_point_contradicts_targets") == is_named
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
