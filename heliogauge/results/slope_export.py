@@ -7,7 +7,7 @@ import numpy as np
 
 from heliogauge.errors import InputError
 from heliogauge.measurement.writer import write_text
-from heliogauge.results.slope_map_file import facet_names, read_slope_map
+from heliogauge.results.slope_map_file import facet_names, read_slope_map, slope_map_in
 from heliogauge.results.tables import write_table_csv
 from heliogauge.results.used_results import serious_result
 from heliogauge.slopes.map import SlopeMap, monomials
@@ -28,9 +28,7 @@ def export_slope_map(result: Path, out: Path, form: str, *, facet: str | None = 
     Returns: What was written, in a sentence, and in a second one what is serious about the result.
     InputError: There is no slope map, nothing in it, no such facet, or the file cannot be written.
     """
-    file = result / "slope_map.nc"
-    if not file.is_file():
-        raise InputError(f"{result}: there is no slope_map.nc; results with a slope map are needed")
+    file = slope_map_in(result)
     if facet is not None and facet not in facet_names(file):
         known = ", ".join(facet_names(file)) or "none, the map is of one facet"
         raise InputError(f"facet={facet}: no such facet in {file}; there are: {known}")

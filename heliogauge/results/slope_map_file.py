@@ -119,6 +119,22 @@ def written_at_once(path: Path) -> Iterator[h5py.File]:
         ) from error
 
 
+def slope_map_in(result: Path) -> Path:
+    """Return the file with the slope map of a folder of results.
+
+    InputError: There is none; where folders in it have one, as those of several modules, one of them is named.
+    """
+    file = result / "slope_map.nc"
+    if file.is_file():
+        return file
+    inside = sorted(one.parent for one in result.glob("*/slope_map.nc"))
+    if inside:
+        raise InputError(
+            f"{result}: {len(inside)} mirrors have a folder of results each in it; give one of them, as {inside[0]}"
+        )
+    raise InputError(f"{result}: there is no slope_map.nc; results with a slope map are needed")
+
+
 def read_slope_map(path: Path, group: str | None = None) -> SlopeMap:
     """Read one slope map back, its fields to float32.
 

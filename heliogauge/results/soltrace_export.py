@@ -10,7 +10,7 @@ import numpy as np
 from heliogauge.errors import InputError
 from heliogauge.measurement.writer import write_text
 from heliogauge.results.slope_export import soltrace_text, words_of_design_along
-from heliogauge.results.slope_map_file import read_slope_map
+from heliogauge.results.slope_map_file import read_slope_map, slope_map_in
 from heliogauge.results.soltrace_files import read_sun, write_system
 from heliogauge.results.used_results import serious_result
 from heliogauge.slopes.map import SlopeMap, monomials
@@ -60,9 +60,7 @@ def export_system(result: Path, out: Path, choices: SystemChoices, *, force: boo
     Returns: What was written, and what SolTrace cannot express, in sentences.
     InputError: No slope map, nothing in it, a choice that cannot be meant, or a file that is there.
     """
-    file = result / "slope_map.nc"
-    if not file.is_file():
-        raise InputError(f"{result}: there is no slope_map.nc; results with a slope map are needed")
+    file = slope_map_in(result)
     if out.suffix.lower() != ".stinput":
         raise InputError(f"{out}: SolTrace knows a system by its ending; name it {out.with_suffix('.stinput').name}")
     slope_map = read_slope_map(file)

@@ -17,7 +17,7 @@ from heliogauge.reporting.notation import light_text
 from heliogauge.results.arrays import read_arrays
 from heliogauge.results.folder import SUMMARY_FILE, PhotoPose, Summary, hash_files, read_summary, write_table_csv
 from heliogauge.results.frame import InstrumentResult
-from heliogauge.results.slope_map_file import read_slope_map
+from heliogauge.results.slope_map_file import read_slope_map, slope_map_in
 from heliogauge.results.tables import read_cameras_json, read_table_csv
 from heliogauge.results.used_results import doubted_results
 from heliogauge.slopes.map import SlopeMap
@@ -205,8 +205,8 @@ def run(folder: Path, mounts: Path | None = None) -> Result:
         each panel.
     Returns: Mean angles of the panels, and what the mounts need.
     """
-    names = ("slope_map.nc", ANGLES, COLLECTOR, "absorber.csv", "cameras.json", "panels.csv")
-    files = [folder / name for name in names]
+    names = (ANGLES, COLLECTOR, "absorber.csv", "cameras.json", "panels.csv")
+    files = [slope_map_in(folder), *(folder / name for name in names)]
     missing = [file.name for file in files if not file.is_file()]
     if missing:
         raise InputError(

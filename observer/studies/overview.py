@@ -126,6 +126,9 @@ def run(
         raise InputError("overview: the same result is given twice")
     modules = tuple(read_summary(folder) for folder in folders)
     for folder, module in zip(folders, modules, strict=True):
+        if module.kind == KIND:
+            names = ", ".join(str(folder / name) for name in [*module.facets][:2])
+            raise InputError(f"{folder}: an overview itself; give the results of its modules: {names} ...")
         if module.kind != "observer":
             raise InputError(
                 f'{folder}: a result of kind "{module.kind}"; results of `heliogauge observer measure` are needed'

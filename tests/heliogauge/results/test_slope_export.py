@@ -190,3 +190,8 @@ def test_a_map_without_heights_is_no_mesh(tmp_path: Path) -> None:
 def test_no_slope_map_there(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"there is no slope_map\.nc"):
         export_slope_map(tmp_path, tmp_path / "m.csv", "csv")
+
+
+def test_results_of_several_modules_have_no_map_but_their_folders_have(result: Path, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"1 mirrors have a folder of results each .* as .*result"):
+        export_slope_map(tmp_path, tmp_path / "m.csv", "csv")

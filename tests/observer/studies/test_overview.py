@@ -55,6 +55,11 @@ def test_other_results_and_doubled_ones_are_refused(tmp_path):
         run([first, other])
     with pytest.raises(InputError, match="given twice"):
         run([first, tmp_path / "b" / ".." / "a"])
+    field = run([first])
+    (tmp_path / "field").mkdir()
+    field.write(tmp_path / "field")
+    with pytest.raises(InputError, match=r"an overview itself; give the results of its modules: .*a"):
+        run([tmp_path / "field"])
 
 
 def test_the_report_shows_every_module_and_links_to_those_below_it(tmp_path):
