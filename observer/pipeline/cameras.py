@@ -23,6 +23,7 @@ from observer.pipeline.target_list import (
     refuse_loose_list,
 )
 from observer.pipeline.tilts import LEAST_READINGS, Tilts
+from observer.pipeline.unknown_camera import unknown_camera_doubt
 from observer.shutter.readout import RowMotions
 from observer.slopes.pose_modes import Photos
 from observer.turning.far_camera import TiltReadings
@@ -105,7 +106,7 @@ def _adjusted(listed: CheckedList, inputs: Inputs, jobs: int | None, progress: P
         )
 
     measured, shutter = collect_photos(first.targets) if first.targets else None, inputs.shutter
-    with explained():
+    with explained(unknown_camera_doubt(inputs)):
         if measured is None or shutter is None:
             network = adjusted(measured)
             cameras = Cameras.of(network, listed.survey.photo_files)

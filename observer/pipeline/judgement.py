@@ -4,6 +4,7 @@ import numpy as np
 
 from heliogauge.doubts import Doubt, Severity, gather_doubts
 from heliogauge.images.photos import read_luma
+from observer.absorber.product import absorber_doubts
 from observer.doubts.halves import halves_doubt
 from observer.doubts.list_as_whole import list_doubt
 from observer.doubts.photos import missing_photos_doubt, other_sizes_doubt, overexposure_doubt, sparse_doubt
@@ -114,7 +115,9 @@ def judge(
             encoding_is_clear=not encodings.doubts,
             n_modules=inputs.n_modules,
         ),
-        placed.doubts,
+        absorber_doubts(
+            mirror.absorber, mirror.solution, inputs.collector, is_design=inputs.absorber_source == "design"
+        ),
         tube,
         coverage_doubt(mirror.visible, slope_map.x_m, slope_map.aperture, eyes),
         beyond_tube_doubt(mirror.visible, slope_map.aperture, inputs.collector, eyes),

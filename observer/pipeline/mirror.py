@@ -5,14 +5,12 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
-from heliogauge.doubts import Doubt
 from heliogauge.errors import EstimationError
 from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.slopes.map import SlopeMap
 from heliogauge.validate import FloatArray
 from observer.absorber.other_diameter import other_diameter_m
 from observer.absorber.position import AbsorberSolution, solve_absorber
-from observer.absorber.product import absorber_doubts
 from observer.doubts.photos import sparse_doubt
 from observer.photo_edges.views import Shot
 from observer.pipeline.cameras import Cameras
@@ -34,13 +32,11 @@ class PlacedAbsorber:
 
     path: The axis: measured, of the table, or of the design.
     solution: Its measurement; None where it was given.
-    doubts: What is doubtful of it.
     seen: Where the photos show it although a table gives it; None where they do not, or no table does.
     """
 
     path: AbsorberPath
     solution: AbsorberSolution | None
-    doubts: tuple[Doubt, ...]
     seen: AbsorberSolution | None = None
 
 
@@ -87,9 +83,7 @@ def place_absorber(inputs: Inputs, seen: SeenInPhotos, photos: Photos) -> Placed
     elif inputs.absorber_source == "file":
         with suppress(EstimationError):
             shown = solve_absorber(seen.bearings, photos, path, inputs.stations_m, inputs.collector)
-    is_design = inputs.absorber_source == "design"
-    doubts = tuple(absorber_doubts(path, solution, inputs.collector, is_design=is_design))
-    return PlacedAbsorber(path, solution, doubts, shown)
+    return PlacedAbsorber(path, solution, shown)
 
 
 @contextmanager

@@ -18,6 +18,7 @@ from observer.pipeline.inputs import AXES, Inputs, build_collector, build_inputs
 from observer.pipeline.measure import Options, evaluate
 from observer.pipeline.reading.photos import FirstLook, look_first_at_each
 from observer.pipeline.target_list import CheckedList, leave_out_lines
+from observer.pipeline.unknown_camera import start_unknown_camera_of_each
 from observer.studies import overview as pipeline_overview
 from observer.targets.module_targets import ListedPlaces, beside, in_frame
 from observer.trough.collector import Collector
@@ -52,6 +53,8 @@ def run(
         hashes = hash_files(measurement.input_files, measurement.folder)
     modules, failed = _modules(measurement)
     looks: list[FirstLook] = []
+    started = start_unknown_camera_of_each([one.inputs for one in modules], options.jobs, progress)
+    modules = [replace(module, inputs=inputs) for module, inputs in zip(modules, started, strict=True)]
     if modules:
         looks = _look_at_each(measurement, modules, options, progress)
     for module in modules:

@@ -184,14 +184,17 @@ def _differences(stated: Camera, found: Camera) -> list[str]:
 
 
 @contextmanager
-def explained() -> Iterator[None]:
+def explained(cause: Doubt | None = None) -> Iterator[None]:
     """Say what is usually wrong where photos and list of targets cannot be adjusted.
 
-    EstimationError: What was raised, with the usual causes.
+    cause: What is known to be wrong.
+    EstimationError: What was raised, with its cause or the usual ones.
     """
     try:
         yield
     except NotConvergedError as error:
+        if cause is not None:
+            raise EstimationError(f"{cause}; so {error}") from error
         raise EstimationError(
             f"{error}: photos, camera and list of targets do not fit each other well enough to settle. Did the camera "
             "fly fast with a rolling shutter (hover, or fly more slowly), did zoom or focus change, did targets or the "

@@ -1,7 +1,9 @@
 """Photos of a camera that measurement.toml does not state: its focal length from the list, to start from."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 
+from heliogauge.camera.model import Camera
 from heliogauge.doubts import Doubt
 from heliogauge.running.progress import Progress
 from observer.pipeline.inputs import Inputs
@@ -35,10 +37,30 @@ def start_unknown_camera(inputs: Inputs, jobs: int | None, progress: Progress) -
     found = focal_of_photos(first, inputs.finder, guess)
     if found is None:
         return inputs
-    section = sections[0].model_copy(update={"focal_px": found.focal_px, "free": sections[0].estimated})
-    survey = replace(inputs.survey, model=inputs.survey.model.model_copy(update={"camera": (section,)}))
     camera = replace(guess, focal_x_px=found.focal_px, focal_y_px=found.focal_px)
-    finder = replace(inputs.finder, camera_of={file.name: camera for file in files})
+    return _starting_from(inputs, camera)
+
+
+def start_unknown_camera_of_each(modules: Sequence[Inputs], jobs: int | None, progress: Progress) -> list[Inputs]:
+    """Give the one camera of several modules in the same photos what the first of them shows of its focal length.
+
+    jobs: Photos side by side.
+    Returns: The modules with a camera to start from; as they were where it is known, or none of them shows it.
+    """
+    for one in modules:
+        started = start_unknown_camera(one, jobs, progress)
+        if started is not one:
+            [camera] = {*started.finder.camera_of.values()}
+            return [_starting_from(each, camera) for each in modules]
+    return list(modules)
+
+
+def _starting_from(inputs: Inputs, camera: Camera) -> Inputs:
+    """Return a measurement whose camera is estimated from the one given."""
+    [section] = inputs.survey.model.camera
+    section = section.model_copy(update={"focal_px": camera.focal_x_px, "free": section.estimated})
+    survey = replace(inputs.survey, model=inputs.survey.model.model_copy(update={"camera": (section,)}))
+    finder = replace(inputs.finder, camera_of={file.name: camera for file in inputs.survey.photo_files})
     return replace(inputs, survey=survey, finder=finder)
 
 

@@ -15,6 +15,7 @@ from heliogauge.running.progress import Progress, SilentProgress
 from heliogauge.slopes.mounts import LEAST_SHARE
 from heliogauge.validate import FloatArray
 from heliogauge.view.stills import Sheet
+from observer.absorber.product import absorber_doubts
 from observer.doubts.photos import refuse_impossible_cameras
 from observer.keys import ObserverMeasurement
 from observer.photo_edges.reflection_edges import ReflectionEdges
@@ -89,7 +90,7 @@ def run_on_photos(
         cameras.network.doubts,
         cameras.doubts,
         seen.encodings.doubts,
-        placed.doubts,
+        absorber_doubts(placed.path, placed.solution, inputs.collector, is_design=inputs.absorber_source == "design"),
         _panel_doubts(found.to_absorber),
         assumed_mounts() if mounts is None else None,
     )

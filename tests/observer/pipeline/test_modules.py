@@ -19,6 +19,7 @@ from observer.keys import load_observer
 from observer.photo_edges.views import View
 from observer.pipeline import measure as pipeline
 from observer.pipeline import modules as pipeline_modules
+from observer.pipeline import unknown_camera
 from observer.pipeline.reading import photos as photos_module
 from observer.pipeline.reading.photo_poses import PlacedPhoto
 from observer.pipeline.reading.photos import FirstLook
@@ -164,6 +165,29 @@ def test_lists_of_their_own_are_in_the_modules_own_frames(tmp_path: Path) -> Non
     np.testing.assert_allclose(modules[1].inputs.finder.known.points_m[0], [-2.6, -1.5, 1.05])
     # What contradicts them by chance is counted over all of the flight.
     assert {one.inputs.n_modules for one in modules} == {len(measurement.model.module)}
+
+
+def test_a_camera_that_is_not_stated_starts_from_the_module_that_shows_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    toml = TOML.replace("[camera]\nwidth_px = 480\nheight_px = 640\nfocal_px = 1000.0\n", "")
+    modules, _ = pipeline_modules._modules(load_observer(flight(tmp_path, toml)))
+    inputs = [one.inputs for one in modules]
+    assert not any(one.finder.camera_of for one in inputs)
+    seen = SimpleNamespace(targets=(shown("photo_0.png", ("7",)),))
+    monkeypatch.setattr(unknown_camera, "measure_targets", lambda *_, **__: seen)
+    focal = {"A": None, "B": SimpleNamespace(focal_px=900.0)}
+    named = dict(zip(("A", "B"), inputs, strict=True))
+    monkeypatch.setattr(
+        unknown_camera,
+        "focal_of_photos",
+        lambda _, finder, __: next(focal[name] for name, one in named.items() if one.finder is finder),
+    )
+    started = unknown_camera.start_unknown_camera_of_each(inputs, None, SilentProgress())
+    assert [one.survey.model.camera[0].focal_px for one in started] == [900.0, 900.0]
+    assert {camera.focal_x_px for one in started for camera in one.finder.camera_of.values()} == {900.0}
+    focal["B"] = None
+    assert unknown_camera.start_unknown_camera_of_each(inputs, None, SilentProgress()) == inputs
 
 
 @pytest.mark.parametrize(

@@ -150,3 +150,8 @@ def test_an_adjustment_that_does_not_settle_names_the_usual_causes() -> None:
         raise NotConvergedError("bundle adjustment: not converged after 200 iterations")
     with pytest.raises(EstimationError, match=r"^other$"), explained():
         raise EstimationError("other")
+    with (
+        pytest.raises(EstimationError, match=r"^no camera is stated; so not"),
+        explained(Doubt("a", "no camera is stated")),
+    ):
+        raise NotConvergedError("not converged")
