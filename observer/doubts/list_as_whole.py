@@ -28,7 +28,8 @@ def list_doubt(listed: ListBeside, moved_rad: float, usual_sigma_rad: float, n_m
         f"targets.file: by the panels' edges in the photos the whole list lies {' and '.join(said)}; put right, slopes "
         f"change by {1e3 * moved_rad:.2g} mrad RMS (their sigma is {1e3 * usual_sigma_rad:.2g}). Was it measured to "
         "the top of plates or marks, or from another origin than the mirror's vertex? Mend x_m and z_m of all its "
-        "entries; if they are right, see whether collector.panel_edges_x_m and focal_length_m are",
+        "entries; if they are right, see whether collector.panel_edges_x_m and focal_length_m are, and the camera's "
+        "focal length, which targets in one plane seen from above hardly show",
         {
             "aside_m": float(listed.value[0]),
             "up_m": float(listed.value[1]),
