@@ -10,7 +10,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from math import erf, sqrt
+from math import erf, log, pi, sqrt
 from typing import NamedTuple
 
 import numpy as np
@@ -58,6 +58,15 @@ _ALONE_PX = 5.0
 #: several divisions the coarsest one counts whose misfit is within this factor of the least, because twice as many
 #: always fit.
 _CLEARLY_BETTER, _AS_GOOD = 2.0, 1.3
+#: A measure of a ring at its limit is so many standard deviations from a perfect ring.
+_LIMIT_SIGMAS = 3.0
+#: Spread of the ratio of a ring's contrast to its dot's below 1 (its logarithm): both are one ink on one paper. Rms of
+#: 0.01 to 0.02 on most kinds of drawn prints, 0.065 beside halos and moire, 0.095 at the strongest sharpening in use.
+#: Blur only raises the ratio, as it fills the gap.
+_CONTRAST_SPREAD = 0.1
+#: Rings of clutter within all limits, for each code in a photo: 0.025, 0.1 and 0.4 in three drawn flights over uneven
+#: ground. The least of them, because a code that is lost is worse than a false one, which few other photos confirm.
+_CLUTTER_SHARE = 0.025
 #: Rings of one word beyond this share of all are no codes: of those round the dots of a display's grid 0.90 to 0.98
 #: read alike, of four codes on a sheet 0.25.
 _MOST_ALIKE = 0.6
@@ -106,10 +115,9 @@ class RingReading:
     gap: float
     beyond: float
 
-    def cost(self, limits: RingLimits) -> float:
-        """Return how far this is from a perfect ring: the squares of its measures in units of their limits."""
-        shares = (self.misfit / limits.most_misfit, self.gap / limits.most_gap, self.beyond / limits.most_beyond)
-        return float(np.square(shares).sum())
+    def square(self, limits: RingLimits) -> float:
+        """Return the sum of the squared deviations from a perfect ring, in standard deviations."""
+        return float(_square(np.array([self.contrast, self.misfit, self.gap, self.beyond]), limits))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -199,7 +207,7 @@ def _leave_inside_out(
     Of two targets of which each lies in the other's ring the one with the cleaner ring stays; no two prints overlap.
     """
     rows = [k for k, one in enumerate(found) if one is not None] + list(refused)
-    costs = {k: one.cost(limits) if (one := found[k]) is not None else np.inf for k in rows}
+    costs = {k: one.square(limits) if (one := found[k]) is not None else np.inf for k in rows}
     inverse = np.linalg.inv(shapes[rows]) if rows else np.zeros((0, 2, 2))
     usual = families[0].outer if families else VENDOR_RADII.outer
     own = [found[k] for k in rows]
@@ -272,6 +280,7 @@ class _Rings:
             & (self.gap <= limits.most_gap)
             & (self.beyond <= limits.most_beyond)
             & (self.level <= limits.most_level)
+            & (_square(np.stack([self.contrast, self.misfit, self.gap, self.beyond]), limits) <= _MOST_SQUARE)
         )
 
     def reading(self, k: int, dictionary: RingDictionary, profiles: RingProfiles) -> RingReading:
@@ -280,6 +289,33 @@ class _Rings:
         measures = (self.contrast[k], self.misfit[k], self.gap[k], self.beyond[k])
         radii = (profiles.inner[k], profiles.outer[k])
         return RingReading(known.code, known.mirrored, word, *map(float, (self.turn_rad[k], *radii, *measures)))
+
+
+def _square(measures: FloatArray, limits: RingLimits) -> FloatArray:
+    """Return the sum of the squared deviations of rings from a perfect one, in standard deviations.
+
+    measures (4, ...): Contrast, misfit, gap and quiet zone, as in `RingLimits`.
+    """
+    contrast, misfit, gap, beyond = measures
+    shares = np.stack([misfit / limits.most_misfit, gap / limits.most_gap, beyond / limits.most_beyond])
+    pale = np.log(np.clip(contrast, 1e-3, 1.0)) / _CONTRAST_SPREAD
+    return np.asarray(_LIMIT_SIGMAS**2 * (shares**2).sum(axis=0) + pale**2)
+
+
+def _most_square() -> float:
+    """Return the square up to which a ring is more likely a target's than clutter.
+
+    Of clutter, the measures lie anywhere within their limits, and the contrasts of spot and surroundings are
+    independent: the logarithm of the ratio of two half-normal ones has the density 1 / pi at 1, and less elsewhere.
+    A target's measures are half-normal, and so is the ratio below 1, which half of the targets have.
+    """
+    measure = log(2 * _LIMIT_SIGMAS / sqrt(2 * pi))
+    contrast = log(pi / (_CONTRAST_SPREAD * sqrt(2 * pi)))
+    return 2 * (3 * measure + contrast - log(_CLUTTER_SHARE))
+
+
+#: Square beyond which odds are against a ring.
+_MOST_SQUARE = _most_square()
 
 
 # --- sectors --------------------------------------------------------------------------------------------------------

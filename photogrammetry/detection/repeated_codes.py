@@ -12,8 +12,6 @@ from photogrammetry.detection.decode import RingLimits, RingReading
 
 #: Odds from which the less likely of two targets with one code is refused alone: 1000 to 1, as a difference of squares.
 _CLEAR_ODDS = 2 * np.log(1000.0)
-#: A measure at its limit is so many standard deviations from a perfect ring.
-_LIMIT_SIGMAS = 3.0
 #: Neighbours with which size and shape are compared, and the least that say something.
 _NEIGHBOURS, _FEWEST = 8, 3
 #: Spread of size (its logarithm) and of shape that neighbours have in any case.
@@ -60,7 +58,7 @@ def _terms(
     k: int, places: FloatArray, features: FloatArray, sure: np.ndarray, reading: RingReading, limits: RingLimits
 ) -> dict[str, float]:
     """Return the squared deviations of a target, in standard deviations, by what they say of it."""
-    terms = {"its ring is less like a print": _LIMIT_SIGMAS**2 * reading.cost(limits)}
+    terms = {"its ring is less like a print": reading.square(limits)}
     if len(sure) < _FEWEST:
         return terms
     near = sure[np.argsort(np.hypot(*(places[sure] - places[k]).T))[:_NEIGHBOURS]]

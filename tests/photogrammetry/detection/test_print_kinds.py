@@ -9,6 +9,7 @@ import pytest
 
 from data_synth.targets import image_truth, render_photo, target_scene, wall_scenes
 from data_synth.targets.code_wall import WallOfCodes
+from data_synth.targets.isolated_target import IsolatedTarget, draw_isolated
 from data_synth.targets.presets import PrintChoice
 from data_synth.targets.scene import Conditions, ScreenPixels, Sharpening
 from heliogauge.images.photos import read_image
@@ -116,3 +117,27 @@ def test_stated_radii_hold(panel) -> None:
     assert len(measure_targets(image, "a", elsewhere).detections) == 0
     stated = replace(elsewhere, radii=RingRadii(2.0, 3.0))
     assert len(measure_targets(image, "a", stated).detections) == 40
+
+
+@pytest.mark.parametrize(("share", "names"), [(0.9, ("52",)), (0.6, ())])
+def test_a_ring_much_paler_than_its_dot_is_no_print(share: float, names: tuple[str, ...]) -> None:
+    one = draw_isolated(IsolatedTarget(16.0, code=CODES.code("52")), np.random.default_rng(0))
+    y, x = np.indices(one.image_dn.shape)
+    beyond = np.hypot(x - one.center_px[0], y - one.center_px[1]) > 1.5 * 8
+    paper = np.median(one.image_dn)
+    paled = np.where(beyond, paper + share * (one.image_dn - paper), one.image_dn)
+    image = np.rint(np.clip(paled, 0, 255)).astype(np.uint8)
+    assert measure_targets(image, "a", TargetSearch(CODES, with_uncoded=False)).detections.names == names
+
+
+@pytest.mark.parametrize("side_radii", [4.0, 4.4, 4.8])
+def test_a_dot_on_a_small_square_of_paper_is_no_code(side_radii: float) -> None:
+    # The ground beyond the paper's sides makes four sectors half as dark as the dot: code 143 of the dictionary.
+    fine, radius = 8, 5.3 * 8
+    image = np.full((64 * fine, 64 * fine), 140, dtype=np.uint8)
+    middle, half = 32.3 * fine, side_radii * radius / 2
+    corners = cv2.boxPoints(((middle, middle), (2 * half, 2 * half), 11.0))
+    cv2.fillPoly(image, [np.rint(corners).astype(np.int32)], 230)
+    cv2.circle(image, (round(middle), round(middle)), round(radius), 40, -1)
+    seen = cv2.GaussianBlur(cv2.resize(image, (64, 64), interpolation=cv2.INTER_AREA), (0, 0), 0.6)
+    assert measure_targets(seen, "a", TargetSearch(CODES)).detections.names == ("u0",)
