@@ -39,18 +39,60 @@ def focal_length(share: float) -> Fault:
     return change
 
 
-def exchanged(folder: Path, rng: np.random.Generator) -> tuple[str, ...]:
-    """Exchange the coordinates of two targets of the list."""
-    path = folder / "targets.csv"
-    with path.open(newline="") as file:
-        rows = list(csv.DictReader(file))
-    a, b = rng.choice(len(rows), 2, replace=False).tolist()
-    for axis in ("x_m", "y_m", "z_m"):
-        rows[a][axis], rows[b][axis] = rows[b][axis], rows[a][axis]
-    with path.open("w", newline="") as file:
+def read_list(folder: Path) -> list[dict[str, str]]:
+    """Return the rows of the list of targets."""
+    with (folder / "targets.csv").open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def write_list(folder: Path, rows: list[dict[str, str]]) -> None:
+    """Write the list of targets anew."""
+    with (folder / "targets.csv").open("w", newline="") as file:
         writer = csv.DictWriter(file, list(rows[0]))
         writer.writeheader()
         writer.writerows(rows)
+
+
+def list_aside(axis: str, by_m: float) -> Fault:
+    """Give all targets of the list too large a coordinate."""
+
+    def change(folder: Path, _: np.random.Generator) -> tuple[str, ...]:
+        rows = read_list(folder)
+        for row in rows:
+            row[axis] = f"{float(row[axis]) + by_m:.6f}"
+        write_list(folder, rows)
+        said = {"x_m": r"too far towards [+-]x", "z_m": "too high" if by_m > 0 else "too low"}[axis]
+        open_which = "|serious: .*x_m of all targets in the list is not" if axis == "x_m" else ""
+        return (rf"serious: targets\.file.*whole list lies .*{said}{open_which}",)
+
+    return change
+
+
+def principal_point(by_px: float) -> Fault:
+    """State the principal point aside."""
+
+    def change(folder: Path, _: np.random.Generator) -> tuple[str, ...]:
+        toml = folder / "measurement.toml"
+        said, count = re.subn(
+            r"(?m)^center_x_px = (.*)$",
+            lambda found: f"center_x_px = {float(found[1]) + by_px:.6f}",
+            toml.read_text(),
+        )
+        if count != 1:
+            raise ValueError(f"{toml}: states center_x_px {count} times")
+        toml.write_text(said)
+        return (r"serious: camera.*center_x_px = .* (does not fit|instead of)",)
+
+    return change
+
+
+def exchanged(folder: Path, rng: np.random.Generator) -> tuple[str, ...]:
+    """Exchange the coordinates of two targets of the list."""
+    rows = read_list(folder)
+    a, b = rng.choice(len(rows), 2, replace=False).tolist()
+    for axis in ("x_m", "y_m", "z_m"):
+        rows[a][axis], rows[b][axis] = rows[b][axis], rows[a][axis]
+    write_list(folder, rows)
     one, other = rows[a]["target"], rows[b]["target"]
     return (f"exchanged in the list: ({one} and {other}|{other} and {one})",)
 
@@ -96,6 +138,10 @@ FAULTS: dict[str, Fault] = {
     "focal length +1 %": focal_length(0.01),
     "focal length -1 %": focal_length(-0.01),
     "two targets exchanged": exchanged,
+    "list 20 mm too high": list_aside("z_m", 0.02),
+    "list 20 mm too low": list_aside("z_m", -0.02),
+    "list 20 mm aside": list_aside("x_m", 0.02),
+    "principal point 20 px aside": principal_point(20.0),
     "every second photo missing": missing("every second"),
     "random half missing": missing("random half"),
     "second half missing": missing("second half"),

@@ -6,6 +6,7 @@ have; then their edges say how high each is, and where all cameras are over the 
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from types import MappingProxyType
 
 import numpy as np
@@ -56,7 +57,8 @@ class PlacedPanels:
 
     doubts: Of the drawing.
     listed: How the list of targets stands beside the mirror; None where the edges do not say it.
-    moved_rad: By how much slopes are others, RMS, with the list put right where the edges contradict it [rad].
+    moved_rad: By how much slopes are others, RMS, with the list put right where the edges contradict it; NaN where too
+        little of the reflection is seen to compare them [rad].
     """
 
     cameras: Cameras
@@ -82,16 +84,16 @@ def place_panels(
         has no gaps, or too little is seen. Where the edges contradict the list the doubts of the drawing are those with
         the list put right.
     InputError: A photo cannot be read.
-    EstimationError: The edges contradict the list, and too little of the reflection is seen.
     """
-    placed = _placed(inputs, cameras, seen, jobs, progress, at_hand)
+    by_edges = partial(_placed, jobs=jobs, progress=progress, at_hand=at_hand)
+    placed = by_edges(inputs, cameras, seen)
     wrong = np.zeros(3) if placed.listed is None else placed.listed.contradicting(inputs.n_modules)
     if not wrong.any():
         return placed
     steps = list_steps(cameras.photos.poses, inputs.collector.rim_height_m) @ wrong
     poses = tuple(pose.moved(step) for pose, step in zip(cameras.photos.poses, steps, strict=True))
     moved, seen_there = _in_poses(inputs, cameras, seen, replace(cameras.photos, poses=poses))
-    mended = _placed(inputs, moved, seen_there, jobs, progress, at_hand)
+    mended = by_edges(inputs, moved, seen_there)
     if mended.listed is not None:
         # Once more from where all is linear, with the shape of panels that comes out there.
         placed = replace(placed, listed=mended.listed.since(wrong))
@@ -99,24 +101,27 @@ def place_panels(
 
 
 def _moved_rad(inputs: Inputs, *placed: PlacedPanels) -> float:
-    """Return by how much slopes of some rows from some photos differ, RMS.
-
-    EstimationError: Too little of the reflection is seen.
-    """
+    """Return by how much slopes of some rows from some photos differ, RMS; NaN where none are measured in both."""
     chosen = evenly(len(placed[0].cameras.files))
-    one, other = (_first_solution(inputs, each.cameras.photos, each.seen, chosen) for each in placed)
+    try:
+        one, other = (_first_solution(inputs, each.cameras.photos, each.seen, chosen) for each in placed)
+    except EstimationError:
+        # What is missing is said where all photos are used.
+        return np.nan
     apart = (one.errors.slopes - other.errors.slopes)[one.measured & other.measured, 0]
-    return float(np.sqrt(np.mean(apart**2)))
+    return float(np.sqrt(np.mean(apart**2))) if apart.size else np.nan
 
 
 def _placed(
     inputs: Inputs,
     cameras: Cameras,
     seen: SeenInPhotos,
+    *,
     jobs: int | None,
     progress: Progress,
-    at_hand: Mapping[str, Image] = MappingProxyType({}),
+    at_hand: Mapping[str, Image],
 ) -> PlacedPanels:
+    """Do as `place_panels` does with the list as it is."""
     unchanged = PlacedPanels(cameras, seen)
     collector = inputs.collector
     if inputs.corners is not None or cameras.photos.moving or collector.panel_gap_m == 0 or collector.n_panels < 2:
@@ -159,7 +164,9 @@ def _placed(
     kept = np.array([line.number not in wrong for line in lattice.along_trough])
     lines = [tuple(one if right else None for one, right in zip(found, kept, strict=True)) for found, _ in looked]
     shown = sum(int(np.count_nonzero(pieces[kept])) for _, pieces in looked)
-    unchanged = replace(unchanged, doubts=doubts, listed=all_aside(stated, lattice))
+    # Where all joints are aside the lines that are left, of rims, hardly say how the list stands.
+    aside = all_aside(stated, lattice)
+    unchanged = replace(unchanged, doubts=doubts, listed=aside)
     if shown == 0:
         return unchanged
     share = sum(line is not None for found in lines for line in found) / shown
@@ -177,7 +184,7 @@ def _placed(
     placed = place_by_edges(sights, ends, shape, cameras.photos, lattice, inputs.prior.along_rad)
     cameras, seen = _in_poses(inputs, cameras, seen, placed.photos)
     doubts = gather_doubts(doubts, _beside_doubt(placed, ends, lattice))
-    return PlacedPanels(cameras, seen, doubts, placed.listed)
+    return PlacedPanels(cameras, seen, doubts, placed.listed if aside is None else aside)
 
 
 def _in_poses(inputs: Inputs, cameras: Cameras, seen: SeenInPhotos, photos: Photos) -> tuple[Cameras, SeenInPhotos]:
@@ -195,21 +202,22 @@ def _in_poses(inputs: Inputs, cameras: Cameras, seen: SeenInPhotos, photos: Phot
 def all_aside(edges: Sequence[StatedEdge], lattice: PanelLattice) -> ListBeside | None:
     """Return how far the list is aside where photos show all joints across the trough to one side of the drawing."""
     seen = [one for one in edges if one.axis == 0 and one.is_seen]
-    if not _to_one_side(seen):
+    aside = float(np.median([one.beside_m for one in seen])) if seen else 0.0
+    # A rim that is elsewhere leaves open which of both is wrong.
+    if not _to_one_side(seen) or any(one.is_rim and abs(one.beside_m - aside) > one.limit_m for one in seen):
         return None
     # Panels that are mounted each for itself.
     sigma = float(np.hypot(lattice.mounting_sigma_m, lattice.corner_sigma_m)) / len(seen) ** 0.5
-    aside = float(np.median([one.beside_m for one in seen]))
     return ListBeside(np.array([aside, 0.0, 0.0]), np.array([sigma, np.inf, np.inf]))
 
 
 def _to_one_side(seen: Sequence[StatedEdge]) -> bool:
-    """Return whether all joints that are seen are to one side of the drawing, and rims not elsewhere than these."""
+    """Return whether all joints that are seen are to one side of the drawing, by the same."""
     joints = [one for one in seen if not one.is_rim]
     if len(joints) < 2 or not all(one.is_beside for one in joints) or len({one.beside_m > 0 for one in joints}) > 1:
         return False
     aside = float(np.median([one.beside_m for one in joints]))
-    return all(abs(one.beside_m - aside) < one.limit_m for one in seen)
+    return all(abs(one.beside_m - aside) < one.limit_m for one in joints)
 
 
 def _first_solution(inputs: Inputs, photos: Photos, seen: SeenInPhotos, chosen: IntArray) -> Reflector:
@@ -271,13 +279,19 @@ def stated_doubts(edges: Sequence[StatedEdge], lattice: PanelLattice) -> Iterato
                 f"{key}: in the photos {_places(joints, stated_m)}; mend these, until then slopes beside them are "
                 "wrong by far more than their sigma"
             )
+            severity = Severity.DOUBT
             if _to_one_side(seen):
                 text += (
-                    "; all that are seen, to the same side: are the list's targets given from the vertex in the middle "
-                    "of the length?"
+                    f"; all that are seen, to the same side by the same: if they are right, {name}_m of all targets in "
+                    "the list is not, and what counts from there; are these given from the vertex in the middle of "
+                    "the length?"
                 )
+                # Across the trough all slopes are wrong with either, not those beside the joints alone.
+                severity = Severity.SERIOUS if axis == 0 else severity
             largest = max((abs(one.beside_m) for one in joints if one.is_seen), default=0.0)
-            yield Doubt("stated_panel_edges_wrong", text, {"entries_count": len(joints), "largest_m": largest})
+            yield Doubt(
+                "stated_panel_edges_wrong", text, {"entries_count": len(joints), "largest_m": largest}, severity
+            )
         if rims:
             text = (
                 f"{key}: in the photos what looks like the rim of the mirror, {_places(rims, stated_m)}; is that the "

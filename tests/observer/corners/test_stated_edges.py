@@ -107,10 +107,14 @@ def test_steps_beside_rims_are_a_note_as_they_may_be_a_frame() -> None:
 def test_all_that_are_seen_to_one_side_ask_for_the_origin_of_the_list() -> None:
     # Entry 3 is behind the receiver in all photos.
     shifted = [edge(0, 1, 0.02), edge(0, 3, 0.02)]
-    named = ("stated_panel_edges_wrong", Severity.DOUBT)
-    assert said(shifted) == [(*named, True)]
-    assert said([*shifted, edge(0, 0, np.nan, is_rim=True)]) == [(*named, True)]
+    named, all_wrong = [("stated_panel_edges_wrong", one) for one in (Severity.DOUBT, Severity.SERIOUS)]
+    assert said(shifted) == [(*all_wrong, True)]
+    assert said([*shifted, edge(0, 0, np.nan, is_rim=True)]) == [(*all_wrong, True)]
+    # A rim, or what looks like one, in its place: the list or the joints.
+    assert said([*shifted, edge(0, 4, -0.008, is_rim=True)]) == [(*all_wrong, True)]
+    assert said([edge(1, 1, 0.02), edge(1, 2, 0.02)]) == [(*named, True)]
     assert said([edge(0, 1, 0.02), edge(0, 3, -0.02)]) == [(*named, False)]
+    assert said([edge(0, 1, 0.02), edge(0, 3, 0.05)]) == [(*named, False)]
     assert said([*shifted, edge(0, 2, 0.0)]) == [(*named, False)]
 
 

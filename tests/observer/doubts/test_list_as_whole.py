@@ -32,3 +32,11 @@ def test_many_modules_are_not_named_by_chance() -> None:
 def test_it_is_serious_where_slopes_are_moved_beyond_their_sigma() -> None:
     found = [list_doubt(listed(0.0, 5e-3, 0.0), moved, 2e-4) for moved in (1.9e-4, 2.1e-4)]
     assert [one.severity for one in found if one] == [Severity.DOUBT, Severity.SERIOUS]
+
+
+def test_it_is_serious_where_slopes_cannot_be_compared() -> None:
+    found = list_doubt(listed(0.0, 5e-3, 0.0), np.nan, 2e-4)
+    assert found is not None
+    assert found.severity is Severity.SERIOUS
+    assert "nan" not in found.text
+    assert "slopes_moved_rad" not in found.numbers

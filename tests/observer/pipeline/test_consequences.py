@@ -27,8 +27,9 @@ def test_a_wrong_camera_or_list_explains_single_places_but_no_scale_bar() -> Non
     place, bar = "known_place_contradicts", "known_value_contradicts"
     for cause in ("camera_contradicts_targets", "focal_length_contradicts_targets", "targets_contradict_list"):
         assert codes(place, bar, cause) == [bar, cause]
-    center = "principal_point_contradicts_targets"
-    assert codes(place, bar, "targets_contradict_list", center) == [bar, center]
+    for camera in ("camera", "focal_length", "principal_point"):
+        cause = f"{camera}_contradicts_targets"
+        assert codes(place, bar, "targets_contradict_list", cause) == [bar, cause]
     assert codes(place, bar) == [place, bar]
 
 

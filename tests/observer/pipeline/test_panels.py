@@ -9,6 +9,7 @@ import pytest
 
 from data_synth.troughs import TroughChoice, TroughOptions, read_trough_truth, trough_scene, write_trough_dataset
 from heliogauge.doubts import Doubt
+from heliogauge.errors import EstimationError
 from heliogauge.measurement.load import load
 from heliogauge.running.progress import SilentProgress
 from observer import Options, Result, run
@@ -106,7 +107,7 @@ def test_a_list_is_put_right_by_poses_to_which_true_places_lie_as_listed_ones_di
     listed, drawn = [ListBeside(wrong, sigma), ListBeside(left, sigma)], [Doubt("drawing", "beside"), Doubt("none", "")]
     asked = []
 
-    def placed(_inputs: object, cameras: Cameras, seen: object, *_: object) -> PlacedPanels:
+    def placed(_inputs: object, cameras: Cameras, seen: object, **_: object) -> PlacedPanels:
         asked.append(cameras.photos.poses)
         return PlacedPanels(cameras, seen, (drawn[len(asked) - 1],), listed[len(asked) - 1])
 
@@ -131,3 +132,24 @@ def test_a_list_is_put_right_by_poses_to_which_true_places_lie_as_listed_ones_di
     assert found.doubts == (drawn[1],)
     np.testing.assert_allclose(found.listed.value, wrong + left)
     assert found.moved_rad == 1.0
+
+
+def test_a_list_put_right_with_which_too_little_is_seen_ends_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The photos are measured with the list as it is, and what is said of the list does not need the other solution."""
+    cameras = Cameras(None, Photos(tuple(Pass(12.0, 2.9, 3).poses()), np.eye(18)), (), ())
+    one, other = (PlacedPanels(cameras, SimpleNamespace(number=number)) for number in range(2))
+    some = np.array([[True, True, False], [False, False, False]])
+    slopes = SimpleNamespace(slopes=np.zeros((2, 3, 2)))
+
+    def apart(*seen: np.ndarray | None) -> float:
+        def solution(_inputs: object, _photos: object, of: SimpleNamespace, _chosen: object) -> SimpleNamespace:
+            if seen[of.number] is None:
+                raise EstimationError("too few edges")
+            return SimpleNamespace(errors=slopes, measured=seen[of.number])
+
+        monkeypatch.setattr(panels, "_first_solution", solution)
+        return panels._moved_rad(SimpleNamespace(), one, other)
+
+    assert np.isnan(apart(some, None))
+    assert np.isnan(apart(some, ~some))
+    assert apart(some, some) == 0.0
