@@ -137,12 +137,36 @@ def import_opencsp_command(
             show_default=False,
         ),
     ] = None,
+    sigmas: Annotated[
+        Literal["laboratory", "hand", "unknown"],
+        typer.Option(
+            "--sigmas",
+            help="How camera and screen were measured, for usual sigmas: laboratory (camera 0.1 % of its focal length, "
+            "screen 1 mrad, 5 mm), hand (0.5 %, 5 mrad, 20 mm); unknown: as well as the images know them.",
+        ),
+    ] = "unknown",
+    sigma_focal_px: Annotated[
+        float | None,
+        typer.Option("--sigma-focal-px", help="Standard deviation of the focal length.", show_default=False),
+    ] = None,
+    sigma_center_px: Annotated[
+        float | None,
+        typer.Option("--sigma-center-px", help="Of each coordinate of the principal point.", show_default=False),
+    ] = None,
+    sigma_screen_mrad: Annotated[
+        float | None,
+        typer.Option("--sigma-screen-mrad", help="Of the screen's rotation about each axis.", show_default=False),
+    ] = None,
+    sigma_screen_mm: Annotated[
+        float | None,
+        typer.Option("--sigma-screen-mm", help="Of the screen's place, width, height and sag.", show_default=False),
+    ] = None,
     force: ForceMeasurement = False,
     quiet: Quiet = False,
     verbose: Verbose = False,
 ) -> None:
     """Write a measurement folder from files made with OpenCSP (SOFAST)."""
-    from deflectometry.exchange.opencsp_import import OpencspOptions, import_opencsp, parse_known_dot
+    from deflectometry.exchange.opencsp_import import OpencspOptions, SetupSigmas, import_opencsp, parse_known_dot
 
     options = OpencspOptions(
         pose_from=pose_from,
@@ -150,6 +174,7 @@ def import_opencsp_command(
         focal_length_m=focal_length_m,
         sigma_distance_mm=sigma_distance_mm,
         known_dots=tuple(parse_known_dot(text) for text in known_dot or ()),
+        sigmas=SetupSigmas(sigmas, sigma_focal_px, sigma_center_px, sigma_screen_mrad, sigma_screen_mm),
     )
     imported = import_opencsp(files, out, options, force=force)
     say_doubts(imported.doubts)

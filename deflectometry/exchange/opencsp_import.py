@@ -2,9 +2,9 @@
 
 import datetime
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -41,6 +41,81 @@ from heliogauge.validate import FloatArray, positive
 
 _T = TypeVar("_T")
 
+#: Usual standard deviations of set-ups: of the camera as shares of its focal length, of the screen in mrad and mm.
+#: laboratory: camera from photos of a board, screen from photogrammetry or a laser tracker. hand: camera from a few
+#: photos or the lens's label, screen with tape and level.
+USUAL_SIGMAS = {"laboratory": (0.001, 1.0, 5.0), "hand": (0.005, 5.0, 20.0)}
+
+
+@dataclass(frozen=True, slots=True)
+class SetupSigmas(ShortRepr):
+    """How well the camera and the screen of other programs' files are known, which the files do not say.
+
+    usual: A set-up of which the usual values hold where nothing else is stated: ``laboratory`` or ``hand``
+        (`USUAL_SIGMAS`); unknown: no sigma is written, so that each value counts as known no better than the images
+        know it.
+    focal_px: Standard deviation of the focal length [px].
+    center_px: Standard deviation of each coordinate of the principal point [px].
+    screen_mrad: Standard deviation of the screen's rotation about each axis [mrad].
+    screen_mm: Standard deviation of the screen's place along each axis, and of its width, height and sag [mm].
+    """
+
+    usual: Literal["laboratory", "hand", "unknown"] = "unknown"
+    focal_px: float | None = None
+    center_px: float | None = None
+    screen_mrad: float | None = None
+    screen_mm: float | None = None
+
+    def of_camera(self, focal_px: float) -> dict[str, float]:
+        """Return the keys of ``[camera]`` for a focal length [px]."""
+        share = USUAL_SIGMAS[self.usual][0] if self.usual in USUAL_SIGMAS else None
+        usual_px = None if share is None else float(f"{share * focal_px:.3g}")
+        return _stated(
+            {
+                "sigma_focal_px": usual_px if self.focal_px is None else self.focal_px,
+                "sigma_center_px": usual_px if self.center_px is None else self.center_px,
+            }
+        )
+
+    def of_screen(self) -> dict[str, float]:
+        """Return the keys of ``[screen]``."""
+        _, usual_mrad, usual_mm = USUAL_SIGMAS.get(self.usual, (None, None, None))
+        length_mm = usual_mm if self.screen_mm is None else self.screen_mm
+        lengths = ("translation", "width", "height", "sag")
+        return _stated(
+            {"sigma_rotation_mrad": usual_mrad if self.screen_mrad is None else self.screen_mrad}
+            | {f"sigma_{name}_mm": length_mm for name in lengths}
+        )
+
+    def words(self) -> str:
+        """Return what is stated in one line."""
+        texts = [
+            f"{name.replace('_', ' ')} {value:g}"
+            for name, value in (
+                ("focal_px", self.focal_px),
+                ("center_px", self.center_px),
+                ("screen_mrad", self.screen_mrad),
+                ("screen_mm", self.screen_mm),
+            )
+            if value is not None
+        ]
+        if self.usual in USUAL_SIGMAS:
+            share, angle_mrad, length_mm = USUAL_SIGMAS[self.usual]
+            usual = f"usual in a {self.usual}" if self.usual == "laboratory" else "usual by hand"
+            texts.append(
+                f"{usual}: camera {share:.1%} of the focal length, screen {angle_mrad:g} mrad and {length_mm:g} mm"
+            )
+        if texts:
+            return f"sigmas of camera and screen: {'; '.join(texts)}"
+        return (
+            "sigmas of camera and screen: unknown; state them (--sigma-focal-px, --sigma-center-px, "
+            "--sigma-screen-mrad, --sigma-screen-mm), or take usual ones: --sigmas laboratory | hand"
+        )
+
+
+def _stated(keys: dict[str, float | None]) -> dict[str, float]:
+    return {key: positive(key, value, key.rsplit("_", 1)[1]) for key, value in keys.items() if value is not None}
+
 
 @dataclass(frozen=True, slots=True)
 class OpencspOptions(ShortRepr):
@@ -54,6 +129,7 @@ class OpencspOptions(ShortRepr):
     sigma_distance_mm: Standard deviation of the measured distance, which the files do not hold [mm].
     known_dots: Dots whose places in the photo someone knows, one for each facet: x and y [px], column and row; empty:
         a point light tells.
+    sigmas: How well camera and screen are known.
     """
 
     pose_from: Path | None = None
@@ -61,6 +137,7 @@ class OpencspOptions(ShortRepr):
     focal_length_m: float | None = None
     sigma_distance_mm: float = 10.0
     known_dots: tuple[tuple[float, float, int, int], ...] = ()
+    sigmas: SetupSigmas = field(default_factory=SetupSigmas)
 
 
 def parse_known_dot(text: str) -> tuple[float, float, int, int]:
@@ -119,6 +196,8 @@ def import_opencsp(
         if of_dots:
             _write_dots(working, parts, chosen)
         elif parts.holds(CalculationRecord) and not parts.holds(FringeRecord):
+            if chosen.sigmas != SetupSigmas():
+                raise InputError("sigmas: slopes have neither camera nor screen; leave them out")
             _write_slopes(working, parts, chosen)
         else:
             _write(working, parts, chosen)
@@ -134,12 +213,12 @@ def _write(working: Path, parts: "_Parts", options: OpencspOptions) -> None:
     date = _date(fringes.date)
     if date is not None:
         content["date"] = date
-    content["camera"] = _camera_section(parts, (height_px, width_px), options.correct_principal_point)
+    content["camera"] = _camera_section(parts, (height_px, width_px), options)
     screen, table = _screen_section(
         parts.needed(RectangleRecord | TableRecord, "a display shape (DisplayShape)"),
         parts.needed(RigidTransform, "the camera's orientation to the screen (SpatialOrientation)"),
     )
-    content["screen"] = screen
+    content["screen"] = screen | options.sigmas.of_screen()
     response = parts.wanted(ResponseRecord)
     if response is not None:
         content["screen"]["response_file"] = "response.csv"
@@ -174,9 +253,9 @@ def _write_dots(working: Path, parts: "_Parts", options: OpencspOptions) -> None
         content["date"] = date
     height_px, width_px = photo.photo_dn.shape
     content["photo"] = "photo.png"
-    content["camera"] = _camera_section(parts, (height_px, width_px), options.correct_principal_point)
+    content["camera"] = _camera_section(parts, (height_px, width_px), options)
     pose = parts.needed(RigidTransform, "the camera's orientation to the screen (SpatialOrientation)")
-    content["screen"] = {"shape": "dots", "file": "dots.csv"} | _pose_keys(pose)
+    content["screen"] = {"shape": "dots", "file": "dots.csv"} | _pose_keys(pose) | options.sigmas.of_screen()
     content["pattern"] = {"dots": "dark", "origin": "light"}
     if options.known_dots:
         known = [{"image_px": [x, y], "column": column, "row": row} for x, y, column, row in options.known_dots]
@@ -294,10 +373,10 @@ class _Parts:
         return record
 
 
-def _camera_section(parts: _Parts, shape: tuple[int, int], correct: bool) -> dict[str, Any]:
+def _camera_section(parts: _Parts, shape: tuple[int, int], options: OpencspOptions) -> dict[str, Any]:
     camera: CameraRecord = parts.needed(CameraRecord, "a camera (Camera)")
     width_px, height_px = camera.size_for(*shape)
-    if correct:
+    if options.correct_principal_point:
         camera = camera.corrected()
     elif camera.averaged > 1.001:
         text = (
@@ -306,6 +385,7 @@ def _camera_section(parts: _Parts, shape: tuple[int, int], correct: bool) -> dic
             " causes; imported as given (import again with correct_principal_point=True to repair it)"
         )
         parts.doubts.append(Doubt("principal_point_not_shifted", text, {"shift_px": camera.principal_point_shift_px}))
+    parts.taken.append(options.sigmas.words())
     k1, k2, p1, p2, k3 = camera.distortion.tolist()
     return {
         "width_px": width_px,
@@ -321,7 +401,7 @@ def _camera_section(parts: _Parts, shape: tuple[int, int], correct: bool) -> dic
         "p1": p1,
         "p2": p2,
         "distortion_direction": "ideal_to_measured",
-    }
+    } | options.sigmas.of_camera(float(camera.matrix[0, 0]))
 
 
 def _screen_section(

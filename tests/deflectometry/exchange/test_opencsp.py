@@ -21,7 +21,7 @@ from deflectometry.exchange.opencsp_files import (
     TableRecord,
     read_opencsp_file,
 )
-from deflectometry.exchange.opencsp_import import OpencspOptions, import_opencsp
+from deflectometry.exchange.opencsp_import import OpencspOptions, SetupSigmas, import_opencsp
 from deflectometry.exchange.slope_files import read_slopes
 from deflectometry.keys import load_deflectometry
 from deflectometry.pipeline.inputs import build_setup
@@ -143,6 +143,40 @@ def test_principal_point_of_averaged_images_is_corrected_on_request(files: dict[
     assert camera["center_x_px"] == pytest.approx((4 * 4.0 - 1.5) / 4)
     (doubt,) = import_opencsp(list(files.values()), tmp_path / "other", OpencspOptions(focal_length_m=1.0)).doubts
     assert (doubt.code, doubt.numbers["shift_px"]) == ("principal_point_not_shifted", pytest.approx(-0.375))
+
+
+def test_usual_sigmas_are_written_and_stated_ones_come_first(files: dict[str, Path], tmp_path: Path) -> None:
+    # Focal length 700 px: a permille of it is 0.7 px.
+    content = _import(files, tmp_path / "out", sigmas=SetupSigmas("laboratory", center_px=0.2))
+    assert (content["camera"]["sigma_focal_px"], content["camera"]["sigma_center_px"]) == (0.7, 0.2)
+    screen = {key: value for key, value in content["screen"].items() if key.startswith("sigma_")}
+    assert screen == {
+        "sigma_rotation_mrad": 1.0,
+        "sigma_translation_mm": 5.0,
+        "sigma_width_mm": 5.0,
+        "sigma_height_mm": 5.0,
+        "sigma_sag_mm": 5.0,
+    }
+    by_hand = _import(files, tmp_path / "hand", sigmas=SetupSigmas("hand", screen_mm=8.0))
+    assert (by_hand["camera"]["sigma_focal_px"], by_hand["screen"]["sigma_rotation_mrad"]) == (3.5, 5.0)
+    assert by_hand["screen"]["sigma_height_mm"] == 8.0
+
+
+def test_sigmas_that_nobody_states_are_asked_for_once(files: dict[str, Path], tmp_path: Path) -> None:
+    imported = import_opencsp(list(files.values()), tmp_path / "out", OpencspOptions(focal_length_m=50.0))
+    (asked,) = [line for line in imported.taken if "sigma" in line]
+    assert "unknown" in asked
+    assert "--sigmas laboratory | hand" in asked
+    content = tomllib.loads((tmp_path / "out" / "measurement.toml").read_text())
+    assert not [key for section in ("camera", "screen") for key in content[section] if key.startswith("sigma_")]
+
+
+def test_sigmas_that_are_none_or_have_nothing_to_belong_to_are_refused(files: dict[str, Path], tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="sigma_focal_px: a positive number of px"):
+        _import(files, tmp_path / "out", sigmas=SetupSigmas(focal_px=-1.0))
+    result = _result_file(tmp_path / "r.h5", [RigidTransform.identity()])
+    with pytest.raises(InputError, match="neither camera nor screen"):
+        import_opencsp([result], tmp_path / "out", OpencspOptions(sigmas=SetupSigmas("hand")))
 
 
 @pytest.mark.parametrize(
