@@ -15,7 +15,8 @@ from tests.architecture.source_tree import REPOSITORY, all_modules
 CORE = {
     "numpy": "arrays",
     "scipy": "solvers, sparse matrices, filters",
-    "opencv-python-headless": "images, markers, video",
+    "opencv-contrib-python-headless": "images, markers, video",
+    "scikit-image": "image operations that OpenCV lacks",
     "h5py": "slope maps",
     "pydantic": "measurement files",
     "typer": "the command line",
@@ -94,6 +95,13 @@ def test_the_core_is_this_list() -> None:
     }
     (every,) = project["optional-dependencies"]["all"]
     assert set(re.findall(r"\[(.*)\]", every)[0].split(",")) == extras
+
+
+def test_the_page_lists_the_core_beside_a_build_of_opencv_that_is_kept() -> None:
+    page = (REPOSITORY / "docs/howto/install.md").read_text(encoding="utf-8")
+    (listed,) = re.findall(r"^pip install (numpy .*)$", page, re.MULTILINE)
+    names = {canonical(re.split(r"[^A-Za-z0-9._-]", one.strip("'"), maxsplit=1)[0]) for one in listed.split()}
+    assert names == set(CORE) - {"opencv-contrib-python-headless"}
 
 
 @pytest.mark.slow
