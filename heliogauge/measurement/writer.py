@@ -1,7 +1,6 @@
 """Write measurement.toml: the little of TOML that a measurement needs, checked before it is written."""
 
 import datetime
-import json
 import math
 import os
 from collections.abc import Mapping, Sequence
@@ -52,7 +51,7 @@ def write_text(file: Path, text: str) -> Path:
 def dump_toml(content: Mapping[str, Any]) -> str:
     """Format tables as TOML: values first, then sub-tables, then lists of tables.
 
-    content: Text, numbers, dates, lists and tables of them.
+    content: Text, numbers, dates, lists and tables of them; arrays and numbers of numpy too; None leaves a key out.
     Returns: TOML that `tomllib` reads back to the same values.
     InputError: A number is not finite, or a value is of a type TOML does not know.
 
@@ -63,57 +62,29 @@ def dump_toml(content: Mapping[str, Any]) -> str:
     focal_px = 1000.0
     <BLANKLINE>
     """
-    return "\n".join(_table_lines(content, "")).strip("\n") + "\n"
+    import tomlkit
 
-
-def _table_lines(table: Mapping[str, Any], path: str) -> list[str]:
-    lines = [f"{key} = {_value_text(value)}" for key, value in table.items() if not _is_tables(value)]
-    for key, value in table.items():
-        name = f"{path}.{key}" if path else key
-        if isinstance(value, Mapping):
-            lines += ["", f"[{name}]", *_table_lines(value, name)]
-        elif _is_tables(value):
-            for item in value:
-                lines += ["", f"[[{name}]]", *_table_lines(item, name)]
-    return lines
-
-
-def _is_tables(value: object) -> bool:
-    if isinstance(value, Mapping):
-        return True
-    return isinstance(value, list) and bool(value) and isinstance(value[0], Mapping)
-
-
-def _value_text(value: object) -> str:
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, int):
-        return str(value)
-    if isinstance(value, float):
-        if not math.isfinite(value):
-            raise InputError(f"a measurement file cannot hold the number {value}")
-        return repr(value)
-    if isinstance(value, str):
-        # A basic string of TOML is a JSON string, but for DEL, which TOML wants escaped.
-        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
-    if isinstance(value, datetime.date):
-        return value.isoformat()
-    if isinstance(value, list):
-        return "[" + ", ".join(_value_text(item) for item in value) + "]"
-    raise InputError(f"a measurement file cannot hold a value of type {type(value).__name__}: {value!r:.60}")
+    return tomlkit.dumps(_plain(content))
 
 
 def _plain(value: Any) -> Any:
-    """Turn tuples, paths and numpy's types into what TOML has; leave out what is None."""
+    """Turn tuples, paths and numpy's types into what TOML has; leave out what is None.
+
+    InputError: A number is not finite, or a value is of a type TOML does not know.
+    """
     if isinstance(value, Mapping):
         return {str(key): _plain(item) for key, item in value.items() if item is not None}
     if isinstance(value, os.PathLike):
         return Path(value).as_posix()
     if hasattr(value, "tolist"):
         return _plain(value.tolist())
-    if isinstance(value, Sequence) and not isinstance(value, str):
+    if isinstance(value, Sequence) and not isinstance(value, str | bytes):
         return [_plain(item) for item in value]
     if isinstance(value, str):
         # An enumeration's member is a text too: keep the text.
         return str(value)
+    if isinstance(value, float) and not math.isfinite(value):
+        raise InputError(f"a measurement file cannot hold the number {value}")
+    if not isinstance(value, float | int | datetime.date):
+        raise InputError(f"a measurement file cannot hold a value of type {type(value).__name__}: {value!r:.60}")
     return value

@@ -19,6 +19,7 @@ CORE = {
     "scikit-image": "image operations that OpenCV lacks",
     "h5py": "slope maps",
     "pydantic": "measurement files",
+    "tomlkit": "measurement files, written",
     "typer": "the command line",
     "rich": "bars of progress; typer needs it anyway",
     "markdown-it-py": "texts of reports; rich needs it anyway",

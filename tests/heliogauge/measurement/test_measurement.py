@@ -195,7 +195,10 @@ SCALARS = st.one_of(
     st.booleans(),
     st.dates(),
 )
-KEYS = st.from_regex(r"[a-z][a-z0-9_]{0,8}", fullmatch=True)
+KEYS = st.one_of(
+    st.from_regex(r"[a-z][a-z0-9_]{0,8}", fullmatch=True),
+    st.text(st.characters(exclude_categories=["Cs"]), min_size=1, max_size=4),
+)
 TABLES = st.recursive(
     st.dictionaries(KEYS, st.one_of(SCALARS, st.lists(SCALARS, max_size=3)), max_size=3),
     lambda inner: st.dictionaries(KEYS, st.one_of(SCALARS, inner, st.lists(inner, min_size=1, max_size=3))),
@@ -235,6 +238,17 @@ class TestWriting:
     def test_not_finite_is_refused(self) -> None:
         with pytest.raises(InputError, match="nan"):
             dump_toml({"a": float("nan")})
+
+    def test_what_toml_does_not_know_is_refused(self) -> None:
+        with pytest.raises(InputError, match="type bytes"):
+            dump_toml({"a": {"b": [b"1"]}})
+
+    def test_names_that_are_no_bare_keys_come_back(self) -> None:
+        content = {"camera 2.1": {"": 1, "a.b": [[{"c": 2}]]}}
+        assert tomllib.loads(dump_toml(content)) == content
+
+    def test_rows_of_numbers_stay_on_a_line(self) -> None:
+        assert dump_toml({"a": [[1.0, 2.0], [3.0, 4.0]]}) == "a = [[1.0, 2.0], [3.0, 4.0]]\n"
 
 
 class TestTemplate:
