@@ -1,10 +1,10 @@
 """Results of a batch: a folder that fills measurement by measurement and can be taken up again at any time."""
 
 import shutil
-from pathlib import Path
 
 from heliogauge.batch.rows import BATCH, INDEX_FILE, MEASURED
 from heliogauge.errors import InputError
+from heliogauge.files.on_disk import put_on_disk
 from heliogauge.results.folder import SUMMARY_FILE, read_json
 from heliogauge.results.growing_folder import Finished, GrowingFolder
 
@@ -29,13 +29,13 @@ class BatchFolder(GrowingFolder):
                 "replace results"
             )
 
-    def is_whole(self, name: str, done: Finished) -> bool:
-        """Return whether the results of a measurement are there still."""
-        return done.row.get("status") == MEASURED and (self.path / Path(name).name / SUMMARY_FILE).is_file()
+    def is_kept(self, done: Finished) -> bool:
+        """Return whether a measurement has results: one that failed is tried again."""
+        return done.row.get("status") == MEASURED
 
     def remove(self, name: str) -> None:
         """Remove what an earlier run left of a measurement that now failed: its numbers are of other inputs."""
-        if name in self.before:
+        if name in self.before or name in self.spoiled:
             shutil.rmtree(self.path / name, ignore_errors=True)
 
     def keep_trace(self, name: str, trace: str) -> str:
@@ -55,4 +55,6 @@ class BatchFolder(GrowingFolder):
         self.close_journal()
         partial = self.path / f".{JOURNAL_FILE}.partial"
         partial.write_text("".join(self.journal_line(name) for name in names), encoding="utf-8")
+        put_on_disk([partial])
         partial.replace(self.path / JOURNAL_FILE)
+        put_on_disk([self.path])

@@ -206,14 +206,17 @@ def _fill(
             earlier = folder.before.get(task.name)
             yield task if earlier is None else replace(task, earlier=earlier.digest)
 
+    named = [task.name for task in tasks]
+    for name, fault in folder.spoiled.items():
+        what = "measured again" if name in named else f"left out of {INDEX_FILE} until its folder is given again"
+        progress.say(f"{name}: {what}: {fault}")
     with progress.stage("measure folders", len(tasks)) as stage:
         for done in run_each(measure_one, shared, fresh(), workers=workers, processes=processes):
             task, outcome = done.task, done.outcome
             if isinstance(outcome, Finished) and not outcome.row:
                 resumed += 1
                 changes = {"folder": str(task.folder), "link": link_to(folder.path / task.name)}
-                row = folder.before[task.name].row | changes
-                folder.note(task.name, outcome.digest, row)
+                folder.take_over(task.name, folder.before[task.name].row | changes)
             elif isinstance(outcome, Finished) and (folder.path / task.name / SUMMARY_FILE).is_file():
                 folder.note(task.name, outcome.digest, outcome.row)
             else:
@@ -223,7 +226,6 @@ def _fill(
                 folder.note(task.name, "", failed_row(task, _kind_name(task.folder), failure.reason, link))
                 progress.say(f"{task.name}: failed: {failure.reason}")
             stage.advance()
-    named = [task.name for task in tasks]
     others = [name for name in folder.before if name not in folder.finished]
     for name in others:
         folder.finished[name] = folder.before[name]
@@ -271,7 +273,7 @@ def measure_one(shared: BatchShared, task: BatchTask) -> Finished:
     digest = input_digest(task.folder, dict(shared.options))
     place = shared.out / task.name
     if digest == task.earlier:
-        if shared.report and not (place / REPORT_HTML).is_file():
+        if shared.report and not _has_report(place):
             add_report(place, SilentProgress())
         return Finished(digest, {})
     start, before = perf_counter(), _stamp(place)
@@ -291,6 +293,14 @@ def measure_one(shared: BatchShared, task: BatchTask) -> Finished:
             raise
         # A worker that the cluster had given up was alive, and moved the same result into place at this moment.
     return Finished(digest, measured_row(task, place, perf_counter() - start))
+
+
+def _has_report(place: Path) -> bool:
+    """Return whether a result has a report that is not empty, as a power cut leaves them."""
+    try:
+        return (place / REPORT_HTML).stat().st_size > 0
+    except OSError:
+        return False
 
 
 def _stamp(place: Path) -> tuple[int, int] | None:

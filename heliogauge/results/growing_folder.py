@@ -2,6 +2,7 @@
 
 import contextlib
 import json
+import os
 import shutil
 from collections.abc import Mapping
 from pathlib import Path
@@ -9,10 +10,14 @@ from types import TracebackType
 from typing import Any, ClassVar, NamedTuple, Self, TextIO
 
 from heliogauge.errors import InputError
+from heliogauge.files.on_disk import put_on_disk
 from heliogauge.files.regular import read_regular
 from heliogauge.files.texts import parse_json
-from heliogauge.results.folder import SUMMARY_FILE
+from heliogauge.results.folder import SUMMARY_FILE, hash_files
 from heliogauge.results.left_over import EARLIER, hidden_beside, sweep
+
+#: Files of a part that `heliogauge report` makes anew at any time; a part is whole without them.
+_MADE_AGAIN = frozenset({"report.html", "report.ipynb"})
 
 
 class Finished(NamedTuple):
@@ -20,10 +25,12 @@ class Finished(NamedTuple):
 
     digest: Of what it was made from.
     row: Its row in the table of all parts.
+    files: Length [bytes] and SHA-256 of each of its files, by the name within the part.
     """
 
     digest: str
     row: dict[str, Any]
+    files: dict[str, tuple[int, str]] = {}  # noqa: RUF012
 
 
 class GrowingFolder:
@@ -33,8 +40,10 @@ class GrowingFolder:
     force: Replace earlier results; without it what is finished in them is taken over.
     InputError: On entering: the folder holds something else, or cannot be written to. On leaving: it became so.
 
-    A part is noted as finished when it is whole. Earlier results that `force` replaces stay until the first part is
-    finished; a folder that this run made, and in which nothing is finished, goes.
+    A part is noted as finished when it is whole and on the disk: its files, its folder and the folder of all, and only
+    then the journal's line, with the length and the digest of each file. So what a power cut has emptied is seen by the
+    next run. Earlier results that `force` replaces stay until the first part is finished; a folder that this run made,
+    and in which nothing is finished, goes.
     """
 
     #: What is finished, one line each.
@@ -46,8 +55,10 @@ class GrowingFolder:
         self._earlier: Path | None = None
         self._is_new = False
         self._journal: TextIO | None = None
-        #: What earlier runs have finished, by name.
+        #: What earlier runs have finished and is there still, by name.
         self.before: dict[str, Finished] = {}
+        #: What earlier runs have finished and is no longer as it was: in which way, by name.
+        self.spoiled: dict[str, str] = {}
         #: What this run has finished or taken over, by name.
         self.finished: dict[str, Finished] = {}
 
@@ -58,8 +69,8 @@ class GrowingFolder:
         InputError: Says why, and what to do.
         """
 
-    def is_whole(self, name: str, done: Finished) -> bool:
-        """Return whether a part that the journal has is there still."""
+    def is_kept(self, done: Finished) -> bool:
+        """Return whether a part that the journal has is one that a later run takes over."""
         return True
 
     def __enter__(self) -> Self:
@@ -75,7 +86,14 @@ class GrowingFolder:
                 self.path.rename(self._earlier)
             self._is_new = not self.path.exists() or not any(self.path.iterdir())
             self.path.mkdir(parents=True, exist_ok=True)
-            self.before = {name: one for name, one in self._read_journal().items() if self.is_whole(name, one)}
+            put_on_disk([self.path.parent])
+            for name, one in self._read_journal().items():
+                if not self.is_kept(one):
+                    continue
+                if fault := _fault(self.path / Path(name).name, one):
+                    self.spoiled[name] = fault
+                else:
+                    self.before[name] = one
             self._journal = (self.path / self.journal_file).open("a", encoding="utf-8")
             _refuse_second_writer(self._journal, self.path)
         except OSError as error:
@@ -104,16 +122,40 @@ class GrowingFolder:
             ) from error
 
     def note(self, name: str, digest: str, row: Mapping[str, Any]) -> None:
-        """Note a part as finished."""
-        self.finished[name] = Finished(digest, dict(row))
-        if self._journal is not None:
+        """Note a part as finished, once the disk has it.
+
+        OSError: The disk does not take it; the file is named in it.
+        """
+        place = self.path / name
+        inside = [Path(here, one) for here, _, names in os.walk(place) for one in names]
+        put_on_disk([*inside, *(Path(here) for here, _, _ in os.walk(place)), self.path])
+        kept = [file for file in inside if file.name not in _MADE_AGAIN]
+        digests = hash_files(kept, place).items()
+        files = {key: (file.stat().st_size, digest) for file, (key, digest) in zip(kept, digests, strict=True)}
+        self.finished[name] = Finished(digest, dict(row), files)
+        self._add_line(name)
+        put_on_disk([self.path / self.journal_file])
+
+    def take_over(self, name: str, row: Mapping[str, Any]) -> None:
+        """Note a part that an earlier run has finished, and that is as it was.
+
+        row: Its row now.
+        """
+        self.finished[name] = self.before[name]._replace(row=dict(row))
+        self._add_line(name)
+
+    def _add_line(self, name: str) -> None:
+        if self._journal is None:
+            return
+        try:
             self._journal.write(self.journal_line(name))
             self._journal.flush()
+        except OSError as error:
+            raise OSError(error.errno, error.strerror, str(self.path / self.journal_file)) from error
 
     def journal_line(self, name: str) -> str:
         """Return the line of the journal of a finished part."""
-        digest, row = self.finished[name]
-        return json.dumps({"name": name, "digest": digest, "row": row}) + "\n"
+        return json.dumps({"name": name, **self.finished[name]._asdict()}) + "\n"
 
     def close_journal(self) -> None:
         """Close the journal."""
@@ -145,10 +187,28 @@ class GrowingFolder:
             return finished
         for line in read_regular(journal).decode("utf-8", "replace").splitlines():
             # The last line may be half: its part is then made again.
-            with contextlib.suppress(InputError, KeyError, TypeError, ValueError):
+            with contextlib.suppress(InputError, KeyError, TypeError, ValueError, AttributeError):
                 entry = parse_json(line, str(journal))
-                finished[str(entry["name"])] = Finished(str(entry["digest"]), dict(entry["row"]))
+                files = {str(name): (int(size), str(digest)) for name, (size, digest) in entry["files"].items()}
+                finished[str(entry["name"])] = Finished(str(entry["digest"]), dict(entry["row"]), files)
         return finished
+
+
+def _fault(place: Path, done: Finished) -> str:
+    """Return in which way the files of a part are no longer as the journal has them; empty: they are."""
+    for name, (size, _) in done.files.items():
+        try:
+            now = (place / name).stat().st_size
+        except OSError:
+            return f"{name} is not there"
+        if now != size:
+            return f"{name} holds {now} of its {size} bytes"
+    try:
+        digests = hash_files([place / name for name in done.files], place)
+    except InputError as error:
+        return str(error)
+    other = next((name for name, (_, digest) in done.files.items() if digests.get(name) != digest), "")
+    return f"{other} has another content" if other else ""
 
 
 def _refuse_second_writer(journal: TextIO, path: Path) -> None:

@@ -6,6 +6,7 @@ from types import TracebackType
 from typing import Any
 
 from heliogauge.errors import InputError
+from heliogauge.files.on_disk import put_on_disk
 from heliogauge.results.growing_folder import GrowingFolder
 
 #: What is finished, one line each; it is gone when the whole field is.
@@ -27,8 +28,9 @@ class FieldFolder(GrowingFolder):
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Keep what is finished; the journal of a whole field goes."""
+        """Keep what is finished; the journal of a whole field goes, once the disk has its tables."""
         if kind is None:
+            put_on_disk([*(one for one in self.path.iterdir() if one.is_file()), self.path])
             self.close_journal()
             (self.path / JOURNAL_FILE).unlink(missing_ok=True)
         super().__exit__(kind, error, trace)

@@ -132,6 +132,9 @@ def _fill(
     failures: dict[str, Failure] = {}
     digests: dict[str, str] = {}
     processes = options.workers.processes(len(campaign.names), worth=WORTH[campaign.shared.thorough])
+    for name in campaign.names:
+        if name in folder.spoiled:
+            progress.say(f"{name}: calibrated again: {folder.spoiled[name]}")
     with progress.stage("calibrate heliostats", len(campaign.names)) as stage:
 
         def fresh() -> Iterator[HeliostatTask]:
@@ -139,7 +142,7 @@ def _fill(
             for task in campaign.source.tasks(campaign.names):
                 digest = task.digest(common)
                 earlier = folder.before.get(task.name)
-                if earlier is not None and earlier[0] == digest and _is_there(folder.path, task.name, earlier[1]):
+                if earlier is not None and earlier.digest == digest:
                     folder.finished[task.name] = earlier
                     stage.advance()
                 else:
@@ -158,11 +161,11 @@ def _fill(
     if len(failures) == len(campaign.names):
         folder.finished.clear()
         refuse_all(failures)
+    resumed = sum(folder.finished[name] is folder.before.get(name) for name in campaign.names)
     compared = _compared(folder, campaign.names)
     rows = worst_first(
         [{key: cell for key, cell in compared.rows[name].items() if key != VIEW} for name in campaign.names]
     )
-    resumed = sum(folder.finished[name] is folder.before.get(name) for name in campaign.names)
     with progress.stage("write results"):
         summary = field_summary(
             measurement.model.name,
@@ -192,6 +195,7 @@ def _compared(folder: FieldFolder, names: Sequence[str]) -> _Compared:
     judgement = judge_field(diagnoses)
     for name, changed in judgement.changed.items():
         rewrite_diagnosis(folder.path / name, diagnoses[name], changed)
+        folder.note(name, folder.finished[name].digest, folder.finished[name].row)
         rows[name] = changed_row(rows[name], diagnoses[name], changed)
     return _Compared(rows, tuple(one.doubt for one in judgement.findings))
 
@@ -227,11 +231,6 @@ def _common(field: Field | None) -> tuple[Any, ...]:
         (names, group, model.units, model.helps, [f"{value:.3g}" for value in (*model.mean, *model.scatter)])
         for (names, group), model in models
     ]
-
-
-def _is_there(folder: Path, name: str, row: dict[str, Any]) -> bool:
-    # A failure has no files; it is tried again only when something changed.
-    return row.get("status") == "failed" or (folder / name / "summary.json").is_file()
 
 
 def _finish(shared: Shared, task: HeliostatTask) -> _Finished:

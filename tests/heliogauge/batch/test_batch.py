@@ -265,6 +265,89 @@ def test_half_a_line_of_the_journal_costs_its_measurement_alone(days: Path, tmp_
     assert measure(days, tmp_path / "out").resumed == 1
 
 
+class Said(SilentProgress):
+    """Keeps the lines for the person who waits."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.lines: list[str] = []
+
+    def say(self, text: str) -> None:
+        self.lines.append(text)
+
+
+def test_what_a_power_cut_emptied_or_changed_is_measured_again(days: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    measure(days, out)
+    whole = numbers(out)
+    (out / "monday_field" / "summary.json").write_bytes(b"")
+    table = out / "tuesday_field" / "residuals.csv"
+    content = table.read_bytes()
+    table.write_bytes(b"\0" * len(content))
+    said = Said()
+    result = measure_batch([days], out, HERE, said, {"thorough": False}, report=False)
+    assert result.resumed == 0
+    assert numbers(out) == whole
+    assert table.read_bytes() == content
+    size = (out / "monday_field" / "summary.json").stat().st_size
+    assert said.lines[0].startswith("monday_field: measured again: summary.json holds 0 of its ")
+    assert int(said.lines[0].split()[-2]) == pytest.approx(size, rel=0.01)
+    assert said.lines[1] == "tuesday_field: measured again: residuals.csv has another content"
+    # What a person adds, and the report that is made at any time, are no part of it.
+    (out / "monday_field" / "notes.txt").write_text("by hand", encoding="utf-8")
+    (out / "monday_field" / "report.html").write_text("", encoding="utf-8")
+    assert measure(days, out).resumed == 2
+
+
+def test_a_spoiled_result_of_another_folder_is_left_out_and_said(days: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    measure(days, out)
+    (out / "monday_field" / "summary.json").unlink()
+    said = Said()
+    measure_batch([days / "tuesday"], out, HERE, said, {"thorough": False}, report=False)
+    assert said.lines == [
+        "monday_field: left out of index.csv until its folder is given again: summary.json is not there"
+    ]
+    assert "monday_field" not in index(out)
+
+
+@pytest.mark.skipif(not Path("/proc/self/fd").is_dir(), reason="names of open files are needed")
+def test_the_journal_says_finished_when_the_disk_has_all(
+    days: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A model of the disk: it holds what was waited for, as it was then; names, where the folder was waited for."""
+    out = tmp_path / "out"
+    on_disk: dict[Path, bytes] = {}
+    folders: set[Path] = set()
+    fulls: list[int] = []
+    wait = os.fsync
+
+    def recorded(number: int) -> None:
+        wait(number)
+        path = Path(os.readlink(f"/proc/self/fd/{number}"))
+        if path.is_dir():
+            folders.add(path)
+            return
+        on_disk[path] = path.read_bytes()
+        if path.name == JOURNAL_FILE:
+            # What a power cut at this moment leaves: every part that the journal has must be whole.
+            for line in on_disk[path].decode().splitlines():
+                name, files = json.loads(line)["name"], json.loads(line)["files"]
+                assert {out / name, out} <= folders
+                assert {file: size for file, (size, _) in files.items()} == {
+                    file: len(on_disk.get(out / name / file, b"")) for file in files
+                }
+                fulls.append(len(files))
+
+    monkeypatch.setattr(os, "fsync", recorded)
+    measure(days, out)
+    assert len(fulls) == 1 + 2
+    assert min(fulls) >= 3
+    # The line is not even handed to the system before: it may write it at any time.
+    first = list(on_disk)
+    assert first.index(out / JOURNAL_FILE) > first.index(out / "monday_field" / "summary.json")
+
+
 @pytest.mark.slow
 def test_ctrl_c_costs_nothing_where_the_journal_was_lost(days: Path, tmp_path: Path) -> None:
     measure(days, tmp_path / "out")

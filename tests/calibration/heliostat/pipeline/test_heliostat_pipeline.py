@@ -262,6 +262,28 @@ class TestField:
         journal.write_text(journal.read_text(encoding="utf-8")[:-40], encoding="utf-8")
         assert self.calibrate(folder).resumed == 3
 
+    def test_what_a_power_cut_emptied_or_changed_is_done_again(
+        self, folder: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        self.interrupt(folder, monkeypatch, 4)
+        out = folder.parent / "out"
+        whole = (out / "H2" / "heliostat.json").read_bytes()
+        (out / "H1" / "heliostat.json").write_bytes(b"")
+        (out / "H2" / "heliostat.json").write_bytes(whole.replace(b"1", b"2"))
+        said: list[str] = []
+
+        class Said(SilentProgress):
+            def say(self, text: str) -> None:
+                said.append(text)
+
+        result = run_into(load_heliostat(folder), out, QUICK, Said())
+        # Two are whole of the four that were finished: H4, and the one without enough rows, which has no files.
+        assert result.resumed == 2
+        assert (out / "H1" / "heliostat.json").stat().st_size > 0
+        assert (out / "H2" / "heliostat.json").read_bytes() == whole
+        assert said[0].startswith("H1: calibrated again: heliostat.json holds 0 of its ")
+        assert said[1] == "H2: calibrated again: heliostat.json has another content"
+
     @pytest.mark.slow
     def test_force(self, folder: Path) -> None:
         self.calibrate(folder)
