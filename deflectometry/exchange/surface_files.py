@@ -1,16 +1,14 @@
 """Measured surfaces of other programs, as slopes: NURBS of the PAINT database and ARTIST, PLY, points with normals."""
 
-import re
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from deflectometry.exchange.slope_points import SlopePoints, refuse_implausible
 from heliogauge.errors import InputError
 from heliogauge.files.hdf5 import open_hdf5
-from heliogauge.files.regular import read_regular
+from heliogauge.files.ply import read_ply_columns
 from heliogauge.geometry.rigid import rotation_between
 from heliogauge.results.tables import read_columns_csv
 from heliogauge.validate import FloatArray
@@ -18,25 +16,6 @@ from heliogauge.validate import FloatArray
 _POINTS = ("x_m", "y_m", "z_m", "normal_x", "normal_y", "normal_z")
 #: Places on a NURBS surface along each of its directions: several for each of 20 control points.
 _PLACES = 60
-_MOST_BYTES = 2_000_000_000
-_PLY_TYPES = {
-    "char": "i1",
-    "int8": "i1",
-    "uchar": "u1",
-    "uint8": "u1",
-    "short": "i2",
-    "int16": "i2",
-    "ushort": "u2",
-    "uint16": "u2",
-    "int": "i4",
-    "int32": "i4",
-    "uint": "u4",
-    "uint32": "u4",
-    "float": "f4",
-    "float32": "f4",
-    "double": "f8",
-    "float64": "f8",
-}
 
 
 def read_surface(
@@ -176,50 +155,3 @@ def _read_ply(file: Path) -> tuple[FloatArray, FloatArray]:
     normals = np.column_stack([columns[name] for name in ("nx", "ny", "nz")])
     good = np.isfinite(points).all(axis=1) & np.isfinite(normals).all(axis=1) & (np.abs(normals).max(axis=1) > 0)
     return points[good], normals[good]
-
-
-def read_ply_columns(file: Path) -> dict[str, FloatArray]:
-    """Read what a PLY file says of its vertices.
-
-    InputError: Not a PLY file, other elements before the vertices, or vertices without x, y, z.
-    """
-    content = read_regular(file, "a PLY file", _MOST_BYTES)
-    head, found, body = content.partition(b"end_header\n")
-    if not content.startswith(b"ply") or not found:
-        head, found, body = content.partition(b"end_header\r\n")
-    lines = head.decode("latin-1").split("\n")
-    form = re.search(r"^format (\S+)", head.decode("latin-1"), re.MULTILINE)
-    if not found or form is None:
-        raise InputError(f"{file}: not a PLY file; its header is not whole")
-    fields, count, before = _vertex_fields(lines)
-    if before or not {"x", "y", "z"} <= {name for name, _ in fields}:
-        raise InputError(f"{file}: vertices with x, y, z are needed, as the first element")
-    try:
-        if form[1] == "ascii":
-            rows = [line.split()[: len(fields)] for line in body.decode("latin-1").splitlines()[:count]]
-            table = np.array(rows, dtype=np.float64).reshape(count, len(fields))
-            columns = {name: table[:, k] for k, (name, _) in enumerate(fields)}
-        else:
-            order = ">" if form[1] == "binary_big_endian" else "<"
-            kind = np.dtype([(name, order + _PLY_TYPES[of]) for name, of in fields])
-            values: npt.NDArray[Any] = np.frombuffer(body, dtype=kind, count=count)
-            columns = {name: values[name].astype(np.float64) for name, _ in fields}
-    except (KeyError, ValueError, TypeError) as error:
-        raise InputError(f"{file}: the vertices cannot be read ({error})") from None
-    return columns
-
-
-def _vertex_fields(lines: list[str]) -> tuple[list[tuple[str, str]], int, bool]:
-    """Return names and types of a vertex, the number of vertices, and whether another element comes before them."""
-    fields: list[tuple[str, str]] = []
-    count, element, before = 0, "", False
-    for line in lines:
-        words = line.split()
-        if words[:1] == ["element"] and len(words) == 3:
-            element = words[1]
-            before |= element != "vertex" and count == 0
-            if element == "vertex" and words[2].isdecimal():
-                count = int(words[2])
-        elif words[:1] == ["property"] and element == "vertex":
-            fields.append((words[-1], words[1]))
-    return fields, count, before

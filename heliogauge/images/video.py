@@ -17,15 +17,9 @@ import numpy.typing as npt
 
 from heliogauge.doubts import Doubt, Severity
 from heliogauge.errors import InputError
-from heliogauge.files.regular import open_regular
+from heliogauge.files.videos import open_video
 from heliogauge.images.video_names import FRAME
 
-#: Largest frame that is read; 8K video has 33 million pixels.
-MOST_FRAME_PIXELS = 134_000_000
-
-_BOXES = frozenset({b"ftyp", b"moov", b"mdat", b"free", b"wide", b"skip", b"pnot"})
-_NEEDED = "an undamaged MP4, MOV, AVI, MKV or MPEG file is needed, or photos"
-_MATROSKA, _MPEG, _TRANSPORT_BYTES = b"\x1a\x45\xdf\xa3", (b"\0\0\1\xba", b"\0\0\1\xb3"), 188
 #: Each thread reads on from where it was; it comes to its frames in ascending order.
 _OWN = threading.local()
 
@@ -58,7 +52,7 @@ def list_frames(video: Path, *, every_nth: int = 1) -> VideoFrames:
     every_nth: Take only every nth frame, the first one included.
     Returns: Its frames; exact copies of the frame taken before are left out, because they measure nothing new.
     """
-    capture = _open(video)
+    capture = open_video(video)
     files, copies, number = [], 0, 0
     before: npt.NDArray[Any] | None = None
     while capture.grab():
@@ -93,7 +87,7 @@ def frames_per_second(video: Path) -> float | None:
 
     InputError: It cannot be opened.
     """
-    rate = float(_open(video).get(cv2.CAP_PROP_FPS))
+    rate = float(open_video(video).get(cv2.CAP_PROP_FPS))
     return rate if np.isfinite(rate) and rate > 0 else None
 
 
@@ -109,7 +103,7 @@ def read_frame(path: Path) -> npt.NDArray[np.uint8]:
     video, number = path.with_name(found["video"]), int(found["number"])
     reader: _Reader | None = getattr(_OWN, "reader", None)
     if reader is None or reader.video != video or number < reader.following - 1:
-        reader = _OWN.reader = _Reader(video, _open(video))
+        reader = _OWN.reader = _Reader(video, open_video(video))
     while reader.following < number and reader.capture.grab():
         reader.following += 1
     if reader.following == number:
@@ -120,32 +114,3 @@ def read_frame(path: Path) -> npt.NDArray[np.uint8]:
         _OWN.reader = None
         raise InputError(f"{video}: frame {number} cannot be decoded; has the file changed?")
     return reader.latest
-
-
-def _is_container(content: bytes) -> bool:
-    """Return whether a file begins as those do that hold frames themselves."""
-    is_avi = content.startswith(b"RIFF") and content[8:12] == b"AVI "
-    is_stream = content[:1] == b"G" and content[_TRANSPORT_BYTES:] == b"G"
-    return is_avi or is_stream or content[4:8] in _BOXES or content.startswith((_MATROSKA, *_MPEG))
-
-
-def _open(video: Path) -> Any:
-    with open_regular(video, "a video") as file:
-        beginning = file.read(_TRANSPORT_BYTES + 1)
-    if not _is_container(beginning):
-        # The decoder also takes lists of other files and addresses, and follows them.
-        raise InputError(f"{video}: cannot be opened as a video ({video.stat().st_size} bytes); {_NEEDED}")
-    try:
-        capture = cv2.VideoCapture(str(video), cv2.CAP_FFMPEG)
-    except cv2.error as error:
-        raise InputError(f"{video}: cannot be opened as a video ({error.err})") from None
-    if not capture.isOpened():
-        raise InputError(f"{video}: cannot be opened as a video ({video.stat().st_size} bytes); {_NEEDED}")
-    width, height = (int(capture.get(one)) for one in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT))
-    if not 0 < width * height <= MOST_FRAME_PIXELS:
-        capture.release()
-        raise InputError(
-            f"{video}: frames of {width} x {height} px; at most {MOST_FRAME_PIXELS / 1e6:.0f} million pixels are read"
-        )
-    capture.set(cv2.CAP_PROP_ORIENTATION_AUTO, 0)
-    return capture

@@ -12,16 +12,15 @@ ALLOWED = {
     "heliogauge.images.photos": ("cv2.imdecode", "np.frombuffer"),  # bytes whose header was checked
     "heliogauge.images.thumbnails": ("cv2.imdecode", "np.frombuffer"),  # bytes whose header was checked
     "heliogauge.results.tables": ("np.frombuffer",),  # a text that was read
-    "heliogauge.images.video": ("cv2.VideoCapture",),  # a file whose beginning was checked
     "heliogauge.results.slope_map_file": ("h5py.File", "json.loads"),  # writes in memory; attributes of an open file
     "heliogauge.results.failure": ("cv2.imdecode", "np.frombuffer"),  # thumbnails that were made in this process
     "heliogauge.results.json_file": ("json.loads",),  # the name of a key that it writes
     "heliogauge.results.opened": ("pandas.read_csv",),  # bytes that were read
     "photogrammetry.exchange.colmap_files": ("np.frombuffer",),  # bytes that were read
-    "deflectometry.exchange.surface_files": ("np.frombuffer",),  # bytes that were read
     "calibration.camera.files.opencv_files": ("cv2.FileStorage",),  # a text that was read
     "calibration.heliostat.files.store_artist": ("h5py.File",),  # writes a file
     "calibration.heliostat.observations.rows": ("csv.reader",),  # one line of text
+    "calibration.survey.files.parquet_store": ("read_parquet(",),  # files that this program wrote
     "calibration.heliostat.files.store_heliostat": ("json.loads",),  # a text that was checked when it was read
 }
 #: Calls that open, decode or parse files. A method is looked for on any value.
@@ -64,6 +63,38 @@ CALLS = frozenset(
     }
 )
 METHODS = frozenset({"read_text", "read_bytes"})
+#: Functions of libraries that open the containers of other programs by name, whatever the library is called.
+CONTAINER_METHODS = frozenset(
+    {
+        "E57",
+        "ImageFile",
+        "VideoCapture",
+        "Reconstruction",
+        "load_dataset",
+        "open_dataset",
+        "load_mesh",
+        "read_feather",
+        "read_parquet",
+        "read_point_cloud",
+        "read_triangle_mesh",
+        "read_triangle_model",
+        "read_table",
+        "read_hdf",
+        "read_excel",
+        "from_parquet",
+    }
+)
+#: Functions of SQL that open files, and libraries that nothing but a door needs.
+SQL_READERS = (
+    "read_parquet(",
+    "parquet_scan(",
+    "read_csv(",
+    "read_csv_auto(",
+    "read_json(",
+    "read_blob(",
+    "read_text(",
+)
+CONTAINER_LIBRARIES = frozenset({"pye57", "h5netcdf"})
 _SHORT = {"numpy": "np", "xr": "xarray", "pd": "pandas"}
 
 
@@ -81,10 +112,20 @@ def opened(tree: ast.Module) -> list[tuple[int, str]]:
         is_resource = "files(" in name
         modes = [one.value for one in [*node.args, *(k.value for k in node.keywords)] if isinstance(one, ast.Constant)]
         writes = any(isinstance(mode, str) and mode[:1] in ("w", "a", "x") for mode in modes)
-        if name in CALLS or ("." in name and method in METHODS and not is_resource):
+        library = (
+            node.args[0].value if method == "of_extra" and node.args and isinstance(node.args[0], ast.Constant) else ""
+        )
+        if method in CONTAINER_METHODS and "." in name and name not in CALLS:
+            found.append((node.lineno, method))
+        elif library in CONTAINER_LIBRARIES:
+            found.append((node.lineno, f"of_extra({library})"))
+        elif name in CALLS or ("." in name and method in METHODS and not is_resource):
             found.append((node.lineno, name if name in CALLS else method))
         elif method == "open" and "." in name and first != "webbrowser" and not writes and node.args:
             found.append((node.lineno, "open"))
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Constant) and isinstance(node.value, str):
+            found += [(node.lineno, reader) for reader in SQL_READERS if reader in node.value]
     return found
 
 
@@ -122,6 +163,11 @@ def test_every_exception_is_used() -> None:
         ("xr.open_dataset(path)", ["xarray.open_dataset"]),
         ("files(home).joinpath(name).read_text()", []),
         ("read_text(path)", []),
+        ("library.E57(str(file))", ["E57"]),
+        ("of_extra('pye57')", ["of_extra(pye57)"]),
+        ("of_extra('duckdb')", []),
+        ("open3d.io.read_triangle_mesh(name)", ["read_triangle_mesh"]),
+        ("connection.execute(f'SELECT * FROM read_parquet({files})')", ["read_parquet("]),
     ],
 )
 def test_the_search_itself(source: str, names: list[str]) -> None:

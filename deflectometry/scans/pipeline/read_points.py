@@ -5,9 +5,9 @@ from pathlib import Path
 
 import numpy as np
 
-from deflectometry.exchange.surface_files import read_ply_columns
 from heliogauge.errors import InputError
-from heliogauge.files.extras import of_extra
+from heliogauge.files.e57 import read_e57_columns
+from heliogauge.files.ply import read_ply_columns
 from heliogauge.results.tables import read_columns_csv, read_table_csv
 from heliogauge.validate import FloatArray
 
@@ -45,7 +45,7 @@ def read_points(file: Path, unit: str) -> ScannedPoints:
     elif suffix == ".ply":
         columns, size = read_ply_columns(file), _SIZES[unit]
     elif suffix == ".e57":
-        columns, size = _read_e57(file), _SIZES[unit]
+        columns, size = read_e57_columns(file), _SIZES[unit]
     else:
         raise InputError(f"{file}: points of CSV, PLY or E57 are needed")
     missing = [name for name in "xyz" if name not in columns]
@@ -83,19 +83,3 @@ def _read_csv(file: Path) -> dict[str, FloatArray]:
     names = (*PLACES, *(NORMALS if all(name in known for name in NORMALS) else ()))
     _, table = read_columns_csv(file, (), names)
     return dict(zip(("x", "y", "z", "nx", "ny", "nz"), (table[name] for name in names), strict=False))
-
-
-def _read_e57(file: Path) -> dict[str, FloatArray]:
-    library = of_extra("pye57")
-    try:
-        scans = library.E57(str(file))
-        found = [scans.read_scan(number, ignore_missing_fields=True) for number in range(scans.scan_count)]
-    except Exception as error:
-        # The library raises types of its own, which are no part of its face.
-        raise InputError(f"{file}: cannot be read as E57 ({str(error)[:200]})") from error
-    if not found:
-        raise InputError(f"{file}: holds no scan")
-    return {
-        name: np.concatenate([np.asarray(one[f"cartesian{name.upper()}"], np.float64) for one in found])
-        for name in "xyz"
-    }
