@@ -7,9 +7,14 @@ import cv2
 import numpy as np
 
 from calibration.beam.light.beam_size import LightPicture
-from heliogauge.validate import FloatArray, IntArray
+from heliogauge.validate import FloatArray
 
 __all__ = ["Contour", "beam_contours"]
+
+#: A line has a vertex where it crosses a side between pixels, one or two for each pixel of way: every third is kept.
+_EVERY = 3
+#: Vertices of a line around five pixels and fewer: a speck of noise.
+_LEAST_VERTICES = 13
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -32,31 +37,24 @@ def beam_contours(picture: LightPicture, smoothing_px: float, shares: Sequence[f
     smoothing_px: Standard deviation of the Gaussian that smooths it [px].
     shares: Of its peak.
     """
+    from skimage.measure import find_contours
+
     light = np.where(picture.region, picture.values_dn, 0.0)
     smooth = np.asarray(cv2.GaussianBlur(light, (0, 0), max(smoothing_px, 0.3)), dtype=np.float64)
     peak = float(smooth[picture.inside].max()) if picture.inside.any() else 0.0
     found = []
+    # A beam may reach the picture's edge: its line is closed there.
+    bordered = np.pad(smooth, 1)
     for share in shares:
-        above = smooth >= share * peak
-        area = float(np.count_nonzero(above)) * picture.pixel_m2
-        outlines, _ = cv2.findContours(above.astype(np.uint8), cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
-        lines = tuple(
-            _refined(np.asarray(outline[:, 0, :], dtype=np.intp), smooth, share * peak, picture)
-            for outline in outlines
-            if len(outline) > 5
-        )
-        found.append(Contour(share, lines, area))
+        area = float(np.count_nonzero(smooth >= share * peak)) * picture.pixel_m2
+        lines = find_contours(bordered, share * peak) if peak > 0 else []
+        thinned = (line[:-1:_EVERY] - 1.0 for line in lines if len(line) > _LEAST_VERTICES)
+        found.append(Contour(share, tuple(_on_target(line, picture) for line in thinned), area))
     return tuple(found)
 
 
-def _refined(pixels: IntArray, smooth: FloatArray, level: float, picture: LightPicture) -> FloatArray:
-    """Move the pixels of an outline along the gradient to the level itself, by at most one pixel; every third one."""
-    column, row = pixels[::3, 0], pixels[::3, 1]
-    down, across = (np.gradient(smooth, axis=axis)[row, column] for axis in (0, 1))
-    steep = across**2 + down**2
-    step = (level - smooth[row, column]) / np.where(steep > 1e-12, steep, np.inf)
-    length = np.abs(step) * np.sqrt(steep)
-    step = step / np.maximum(length, 1.0)
-    x = picture.x_m[0] + (column + step * across) * (picture.x_m[1] - picture.x_m[0])
-    y = picture.y_m[0] + (row + step * down) * (picture.y_m[1] - picture.y_m[0])
+def _on_target(line: FloatArray, picture: LightPicture) -> FloatArray:
+    """Return where vertices (n, 2), by row and column, lie on the target [m]."""
+    x = picture.x_m[0] + line[:, 1] * (picture.x_m[1] - picture.x_m[0])
+    y = picture.y_m[0] + line[:, 0] * (picture.y_m[1] - picture.y_m[0])
     return np.stack([x, y], axis=1).round(4)
