@@ -12,6 +12,7 @@ from heliogauge.errors import InputError
 from heliogauge.results.slope_map_file import (
     open_file,
     plain_value,
+    stored_values,
     write_global_attributes,
     write_variable,
     written_at_once,
@@ -67,7 +68,7 @@ def read_arrays(path: Path, needed: Sequence[str] = ()) -> tuple[dict[str, npt.N
     needed: Variables that must be there.
     """
     with open_file(path) as file:
-        arrays = {name: item[...] for name, item in file.items()}
+        arrays = {name: stored_values(item) for name, item in file.items()}
         attributes = {name: plain_value(value) for name, value in file.attrs.items() if not name.startswith("_")}
     missing = [name for name in needed if name not in arrays]
     if missing:

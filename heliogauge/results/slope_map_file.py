@@ -221,7 +221,7 @@ def read_pixels(path: Path) -> dict[str, npt.NDArray[Any]]:
     Returns (n_rows, n_columns): The arrays by name.
     """
     with open_file(path) as file:
-        return {name: file[name][...] for name in file if name in PIXEL_VARIABLES}
+        return {name: stored_values(file[name]) for name in file if name in PIXEL_VARIABLES}
 
 
 @contextmanager
@@ -231,7 +231,7 @@ def open_file(path: Path) -> Iterator[Any]:
     InputError: As `heliogauge.files.hdf5.open_hdf5`; or written by another program, or a later version.
     """
     with open_hdf5(path) as file:
-        schema = int(file.attrs.get("heliogauge_schema", 0))
+        schema = int(plain_value(file.attrs.get("heliogauge_schema", 0)))
         if not 1 <= schema <= SLOPE_MAP_SCHEMA:
             raise InputError(
                 f"{path}: heliogauge_schema {schema} is not one this version reads (1 to {SLOPE_MAP_SCHEMA}); "
@@ -277,9 +277,11 @@ def write_global_attributes(file: Any, attributes: Mapping[str, Any]) -> None:
 def plain_value(value: Any) -> Any:
     """Return an attribute as a Python value; JSON is read.
 
-    value: As HDF5 gives it.
-    Returns: Text, number, list or dict.
+    value: As HDF5 gives it. xarray and h5netcdf write each number as an array of one.
+    Returns: Text, number, list or dict; an array of several as it is.
     """
+    if isinstance(value, np.ndarray) and value.size == 1:
+        value = value.reshape(-1)[0]
     if isinstance(value, bytes):
         value = value.decode("utf-8")
     if isinstance(value, str) and value[:1] in ("{", "["):
@@ -288,6 +290,20 @@ def plain_value(value: Any) -> Any:
         except (ValueError, RecursionError):
             return value
     return value.item() if isinstance(value, np.generic) else value
+
+
+def stored_values(variable: Any) -> npt.NDArray[Any]:
+    """Return the values of a variable; those that another program packed into whole numbers are unpacked."""
+    values: npt.NDArray[Any] = variable[...]
+    packed = [name for name in ("scale_factor", "add_offset") if name in variable.attrs]
+    if not packed:
+        return values
+    scale, offset = (
+        float(plain_value(variable.attrs.get(*one))) for one in (("scale_factor", 1.0), ("add_offset", 0.0))
+    )
+    unpacked = scale * values.astype(np.float64) + offset
+    missing = [plain_value(variable.attrs[name]) for name in ("_FillValue", "missing_value") if name in variable.attrs]
+    return np.asarray(np.where(np.isin(values, missing), np.nan, unpacked))
 
 
 def _write_bare_dimension(group: Any, name: str, size: int) -> Any:
@@ -397,18 +413,21 @@ def _write_common_modes(group: Any, common: CommonModes) -> None:
 
 
 def _read_map(group: Any, where: str) -> SlopeMap:
-    missing = [name for name in ("x", "y", "flag", "aperture", *(row[0] for row in _FIELDS)) if name not in group]
+    # In NetCDF a group has the dimensions of the one above it: xarray leaves out coordinates that are the same there.
+    axes = {name: home[name] for name in "xy" for home in (group.parent, group) if name in home}
+    known = {*axes, *group}
+    missing = [name for name in ("x", "y", "flag", "aperture", *(row[0] for row in _FIELDS)) if name not in known]
     if missing:
         raise InputError(f"{where}: no slope map, the variables {', '.join(missing)} are missing")
     fields: dict[str, Any] = {
-        attribute: group[name][...] for name, attribute, _, _ in _FIELDS if not name.startswith("slope_error")
+        attribute: stored_values(group[name]) for name, attribute, _, _ in _FIELDS if not name.startswith("slope_error")
     }
     return SlopeMap(
-        x_m=group["x"][...],
-        y_m=group["y"][...],
-        flags=group["flag"][...],
-        aperture=group["aperture"][...] != 0,
-        noise_correlation=float(group.attrs["noise_correlation"]),
+        x_m=stored_values(axes["x"]),
+        y_m=stored_values(axes["y"]),
+        flags=stored_values(group["flag"]),
+        aperture=stored_values(group["aperture"]) != 0,
+        noise_correlation=float(plain_value(group.attrs["noise_correlation"])),
         fine_share=np.asarray(group.attrs.get("fine_share", np.zeros(2))),
         common=_read_common_modes(group),
         design=str(plain_value(group.attrs["design"])),
@@ -422,6 +441,6 @@ def _read_common_modes(group: Any) -> CommonModes:
     if "common_coefficients" not in group:
         return no_common_modes()
     variable = group["common_coefficients"]
-    center = np.array([variable.attrs["center_x_m"], variable.attrs["center_y_m"]])
+    center = np.array([plain_value(variable.attrs[name]) for name in ("center_x_m", "center_y_m")])
     sources = tuple(plain_value(variable.attrs["sources"]))
-    return CommonModes(sources, variable[...], center, float(variable.attrs["scale_m"]))
+    return CommonModes(sources, stored_values(variable), center, float(plain_value(variable.attrs["scale_m"])))

@@ -5,6 +5,7 @@ import json
 import math
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
 import xarray
@@ -114,6 +115,31 @@ def test_a_slope_map_comes_back_as_float32(tmp_path: Path, common: CommonModes |
     write_slope_map(tmp_path / "slope_map.nc", {"facet": slope_map})
     assert_same_map(read_slope_map(tmp_path / "slope_map.nc"), slope_map)
     assert facet_names(tmp_path / "slope_map.nc") == ()
+
+
+def test_a_slope_map_that_xarray_wrote_again_is_the_same(tmp_path: Path) -> None:
+    """Through h5netcdf each attribute that is a number becomes an array of one."""
+    slope_map, path = make_map(), tmp_path / "slope_map.nc"
+    write_slope_map(path, {"": slope_map, "left": make_map(seed=4)}, {"name": "facet", "exposure_s": 0.5})
+    xarray.open_datatree(path, engine="h5netcdf").to_netcdf(tmp_path / "again.nc", engine="h5netcdf")
+    with h5py.File(tmp_path / "again.nc") as file:
+        assert np.shape(file.attrs["noise_correlation"]) == (1,)
+    assert_same_map(read_slope_map(tmp_path / "again.nc"), slope_map)
+    assert_same_map(read_slope_map(tmp_path / "again.nc", "left"), make_map(seed=4))
+    attributes = read_slope_map_attributes(tmp_path / "again.nc")
+    assert (attributes["name"], attributes["exposure_s"]) == ("facet", 0.5)
+
+
+def test_a_slope_map_that_xarray_packed_is_unpacked(tmp_path: Path) -> None:
+    """Whole numbers with a scale are a usual way to save space; read as they stand a slope of 1e-3 would be 1000."""
+    slope_map, path = make_map(), tmp_path / "slope_map.nc"
+    write_slope_map(path, {"": slope_map})
+    packed = {"dtype": "int32", "scale_factor": 1e-9, "add_offset": 1e-3, "_FillValue": -(2**31)}
+    encoding = dict.fromkeys(("slope_x", "slope_y"), packed) | {"height": {"zlib": True}}
+    xarray.open_dataset(path, engine="h5netcdf").to_netcdf(tmp_path / "again.nc", engine="h5netcdf", encoding=encoding)
+    again = read_slope_map(tmp_path / "again.nc")
+    np.testing.assert_allclose(again.slope_x, slope_map.slope_x, atol=1e-9, rtol=1e-6)
+    np.testing.assert_array_equal(again.valid, slope_map.valid)
 
 
 def test_xarray_reads_a_slope_map_as_the_contract_says(tmp_path: Path) -> None:
