@@ -24,7 +24,10 @@ from heliogauge.sunlight.sun_shapes import GaussianSun, PillboxSun, SunShape, Ta
 
 #: SolTrace takes files of versions up to its own.
 _VERSION = "# SOLTRACE VERSION 3.0.0 INPUT FILE"
-_ELEMENT_CELLS, _OPTIC_CELLS = 30, 15
+#: Cells of a line; the comment of an element, its last cell, may be missing.
+_ELEMENT_CELLS, _OPTIC_CELLS = 29, 15
+#: Beyond this many digits a count is none.
+_MOST_DIGITS = 9
 #: Grating, surface number and order of an optic as SolTrace writes them anew, and imaginary index and grating lines.
 _PLAIN_OPTIC = ("3", "1", "4", "0", "1.1", "1.2", "1.3", "1.4")
 
@@ -74,23 +77,28 @@ class _Lines:
     def fault(self, what: str) -> InputError:
         return InputError(f"{self.path}, line {self.number}: {what}")
 
-    def words(self, *starts: str) -> list[str]:
-        """Return the cells of the next line, which must begin with one of some words."""
+    def starting(self, *starts: str) -> str:
+        """Return the next line, which must begin with one of some words."""
         line = self.next()
         if not line.startswith(starts):
             raise self.fault(f"{starts[0]!r} is needed here, not {line[:40]!r}; is this a system of SolTrace?")
-        return line.split("\t")
+        return line
+
+    def words(self, start: str) -> list[str]:
+        """Return the words of the next line, which must begin with one; SolTrace takes any spaces between these."""
+        return self.starting(start).split()
 
     def count(self, start: str) -> int:
         line = self.next()
         text = line.removeprefix(start).strip()
-        if not line.startswith(start) or not text.isdecimal():
+        if not line.startswith(start) or not text.isdecimal() or len(text) > _MOST_DIGITS:
             raise self.fault(f"{start!r} and a number are needed here, not {line[:40]!r}")
         return int(text)
 
     def numbers(self, cells: list[str]) -> list[float]:
+        """Return cells as numbers; an empty one is 0, as SolTrace reads it."""
         try:
-            found = [float(cell) for cell in cells]
+            found = [float(cell) if cell.strip() else 0.0 for cell in cells]
         except ValueError as error:
             raise self.fault(str(error)) from None
         if not np.isfinite(found).all():
@@ -113,14 +121,15 @@ def read_system(path: Path) -> SolTraceSystem:
     known = {one.name for one in optics}
     for stage in stages:
         for element in stage.elements:
-            if element.optics not in known:
+            # Rays pass a virtual stage, and an element that is off, without any optics: their cell is empty, or old.
+            if element.is_on and not stage.is_virtual and element.optics not in known:
                 raise InputError(f"{path}: {element.describe()} has the optics {element.optics!r}, which are not there")
     return SolTraceSystem(sun, optics, stages)
 
 
 def _read_sun(lines: _Lines) -> SystemSun:
-    cells = lines.words("SUN\t")
-    places = lines.words("XYZ\t")
+    cells = lines.words("SUN")
+    places = lines.words("XYZ")
     if len(cells) < 9 or len(places) < 10:
         raise lines.fault("the two lines of the sun have too few cells")
     sigma, half_width = lines.numbers([cells[6], cells[8]])
@@ -140,24 +149,25 @@ def _read_sun(lines: _Lines) -> SystemSun:
 
 
 def _read_pair(lines: _Lines) -> OpticPair:
-    name = lines.words("OPTICAL PAIR\t")[1].strip()
+    name = lines.starting("OPTICAL PAIR").removeprefix("OPTICAL PAIR").strip()
     return OpticPair(name, _read_optic(lines), _read_optic(lines))
 
 
 def _read_optic(lines: _Lines) -> Optic:
-    cells = lines.words("OPTICAL\t", "OPTICAL.v2\t")
+    cells = lines.starting("OPTICAL\t", "OPTICAL.v2\t").split("\t")
     if len(cells) < _OPTIC_CELLS:
         raise lines.fault(f"a line of optics has {len(cells)} cells, {_OPTIC_CELLS} are needed")
     reflectance, transmittance, slope, specularity, index = lines.numbers(cells[5:10])
     tables: list[str] = []
     for use, count in zip(cells[15::2], cells[16::2], strict=False):
-        tables += [lines.next() for _ in range(int(count) if use.strip() not in ("", "0") else 0)]
+        used, rows = lines.numbers([use, count])
+        tables += [lines.next() for _ in range(int(rows) if used > 0 else 0)]
     more = (*cells[2:5], *cells[10:], *tables)
     return Optic(reflectance, transmittance, 1e-3 * slope, 1e-3 * specularity, cells[1].strip() or "g", index, more)
 
 
 def _read_stage(lines: _Lines) -> SystemStage:
-    cells = lines.words("STAGE\t")
+    cells = lines.words("STAGE")
     try:
         at = {word: cells.index(word) for word in ("XYZ", "AIM", "ZROT", "VIRTUAL", "MULTIHIT", "ELEMENTS")}
         origin, aim = (lines.numbers(cells[at[word] + 1 : at[word] + 4]) for word in ("XYZ", "AIM"))
@@ -178,10 +188,11 @@ def _read_element(lines: _Lines) -> SystemElement:
     if len(cells) < _ELEMENT_CELLS:
         raise lines.fault(f"an element has {len(cells)} cells, {_ELEMENT_CELLS} are needed")
     on, *place = lines.numbers(cells[:8])
-    aperture, surface = cells[8].strip(), cells[17].strip()
+    # Empty cells are what a new element of SolTrace has.
+    aperture, surface = cells[8].strip() or "r", cells[17].strip() or "f"
     if aperture not in APERTURES or surface not in SURFACES:
         raise lines.fault(f"aperture {aperture!r} and surface {surface!r}: one of them is none of SolTrace's")
-    if place[:3] == place[3:6]:
+    if on and place[:3] == place[3:6]:
         raise lines.fault("origin and aim point of an element are one point")
     return SystemElement(
         np.array(place[:3]),
@@ -195,7 +206,7 @@ def _read_element(lines: _Lines) -> SystemElement:
         cells[27].strip(),
         cells[28].strip() == "2",
         on != 0,
-        cells[29].strip(),
+        cells[29].strip() if len(cells) > _ELEMENT_CELLS else "",
     )
 
 

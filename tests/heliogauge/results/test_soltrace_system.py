@@ -275,6 +275,75 @@ def test_a_damaged_system_is_refused_with_its_line(
         read_system(file)
 
 
+ELEMENT = "1 0 0 0 0 0 1 0 r 2 2 0 0 0 0 0 0 p 0.05 0.05 0 0 0 0 0 0 - glass 2 mirror"
+STAGE = "STAGE XYZ 0 0 {} AIM 0 0 9 ZROT 0 VIRTUAL {} MULTIHIT 1 ELEMENTS {} TRACETHROUGH 0"
+
+
+def element(**cells: str) -> str:
+    """An element's line, cells changed by their number ("-": empty)."""
+    line = ELEMENT.split()
+    for number, cell in cells.items():
+        line[int(number.removeprefix("c"))] = cell
+    return "\t".join("" if cell == "-" else cell for cell in line)
+
+
+def system(file: Path, *stages: tuple[int, list[str]], separator: str = "\t", table: str = "") -> Path:
+    """Write a system of SolTrace: whether each stage is virtual, and its elements."""
+    optic = "\t".join(["OPTICAL", "g", "3", "1", "4", "0.9", "0", "0.5", "0.2", "1", "1", "0", "0", "0", "0"])
+    lines = [
+        "# SOLTRACE VERSION 2012.7.9 INPUT FILE",
+        separator.join(["SUN", "PTSRC", "0", "SHAPE", "p", "SIGMA", "2.73", "HALFWIDTH", "4.65"]),
+        separator.join(["XYZ", "0", "0", "100", "USELDH", "0", "LDH", "0", "0", "0"]),
+        f"USER SHAPE DATA{separator}0",
+        f"OPTICS LIST COUNT{separator}1",
+        "OPTICAL PAIR\tglass",
+        optic + table,
+        *(["0 1", "900 0.5"] if table else []),
+        optic,
+        f"STAGE LIST COUNT{separator}{len(stages)}",
+    ]
+    for number, (virtual, elements) in enumerate(stages):
+        lines += [separator.join(STAGE.format(number, virtual, len(elements)).split()), "", *elements]
+    file.write_text("\n".join(lines) + "\n")
+    return file
+
+
+def test_what_soltrace_reads_is_read(tmp_path: Path) -> None:
+    """Lines that SolTrace scans for numbers may have any spaces; cells of others may be empty, the last one missing."""
+    empty = element(c27="-")
+    found = read_system(system(tmp_path / "a.stinput", (0, [element()]), (1, [empty, element(c27="of old")]), (0, [])))
+    assert [len(stage.elements) for stage in found.stages] == [1, 2, 0]
+    assert [one.optics for one in found.stages[1].elements] == ["", "of old"]
+    # What is read can be written, and read again.
+    write_system(tmp_path / "again.stinput", found)
+    assert read_system(tmp_path / "again.stinput").stages[1].elements[0].optics == ""
+    # An element that is off needs neither optics nor a direction.
+    off = element(c0="0", c27="-", c6="0")
+    assert not read_system(system(tmp_path / "off.stinput", (0, [off]))).stages[0].elements[0].is_on
+    spaced = read_system(system(tmp_path / "b.stinput", (0, [element()]), separator="   "))
+    assert (spaced.stages[0].elements[0].surface_numbers[0], spaced.sun.towards_m[2]) == (0.05, 100.0)
+    bare = read_system(
+        system(tmp_path / "c.stinput", (0, [element(c8="-", c17="-", c16="-").removesuffix("\tmirror")]))
+    )
+    one = bare.stages[0].elements[0]
+    assert (one.aperture, one.surface, one.aperture_m[7], one.comment) == ("r", "f", 0.0, "")
+    assert len(read_system(system(tmp_path / "d.stinput", (0, [element()]), table="\t1\t2\t0\t0")).optics) == 1
+
+
+def test_elements_that_rays_meet_have_optics(tmp_path: Path) -> None:
+    for bad in (element(c27="-"), element(c27="steel")):
+        with pytest.raises(InputError, match=r"optics .*, which are not there"):
+            read_system(system(tmp_path / "a.stinput", (0, [bad])))
+    with pytest.raises(InputError, match="are one point"):
+        read_system(system(tmp_path / "b.stinput", (0, [element(c6="0")])))
+    with pytest.raises(InputError, match="line 7"):
+        read_system(system(tmp_path / "c.stinput", (0, [element()]), table="\t1\tmany"))
+    text = system(tmp_path / "d.stinput", (0, [element()])).read_text()
+    (tmp_path / "d.stinput").write_text(text.replace("STAGE LIST COUNT\t1", "STAGE LIST COUNT\t" + "9" * 5000))
+    with pytest.raises(InputError, match="STAGE LIST COUNT"):
+        read_system(tmp_path / "d.stinput")
+
+
 def test_commands(shared_data: Path, tmp_path: Path) -> None:
     result = trough_result(tmp_path / "result", 1e-3, 0)
     out = tmp_path / "t.stinput"
