@@ -71,5 +71,9 @@ class ReportWarning(UserWarning):
     """A report could not be made; the results it would have shown are complete on disk."""
 
 
+class UnexplainedNumberWarning(UserWarning):
+    """A summary says of a number that it is not determined, but not why: a fault of this software, not of the data."""
+
+
 class NotConvergedError(EstimationError):
     """An adjustment ended where there is no minimum to the stated tolerance."""

@@ -3,15 +3,16 @@
 import hashlib
 import math
 import os
+import warnings
 from collections.abc import Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
 from heliogauge import __version__
 from heliogauge.doubts import Doubt, doubt_content, read_doubt
-from heliogauge.errors import InputError
+from heliogauge.errors import InputError, UnexplainedNumberWarning
 from heliogauge.files.regular import open_regular
 from heliogauge.results.json_file import read_json, write_json
 from heliogauge.results.slope_map_file import (
@@ -42,11 +43,13 @@ from heliogauge.results.whole_folder import FolderKind, WholeFolder
 __all__ = [
     "ASSEMBLED",
     "SUMMARY_FILE",
+    "UNEXPLAINED",
     "CutOut",
     "PhotoPose",
     "PointTable",
     "ResultFolder",
     "Summary",
+    "explained",
     "facet_names",
     "find_copies",
     "hash_files",
@@ -74,6 +77,8 @@ __all__ = [
 
 SUMMARY_FILE = "summary.json"
 SUMMARY_SCHEMA = 1
+#: The reason of a number that is not determined and came without one.
+UNEXPLAINED = "not determined; the reason was not recorded"
 RESULTS = FolderKind(content="results", mark=SUMMARY_FILE, strangers=frozenset({"measurement.toml"}))
 
 #: A key of a number ends with one of these: the unit it is in.
@@ -151,36 +156,57 @@ def unit_of(key: str) -> tuple[str, str]:
     raise InputError(f"{key}: the name of a number must end with its unit, one of {', '.join(UNITS)}")
 
 
+def explained(summary: Summary) -> Summary:
+    """Return a summary in which each number is finite, or None with a reason.
+
+    A sigma without a reason of its own has that of its number. A number without any keeps its result: it gets
+    `UNEXPLAINED`, and an `UnexplainedNumberWarning` says so, which stops every test.
+
+    InputError: A key without a unit.
+    """
+    numbers = {key: _finite(key, value) for key, value in summary.numbers.items()}
+    facets = {name: {key: _finite(key, one) for key, one in own.items()} for name, own in summary.facets.items()}
+    reasons = dict(summary.not_determined)
+    # Dictionaries keep their order: the same number is named first each time.
+    missing = dict.fromkeys(key for own in (numbers, *facets.values()) for key, value in own.items() if value is None)
+    for key in [one for one in missing if one not in reasons]:
+        reason = reasons.get(key.removeprefix("sigma_"))
+        if reason is None:
+            warnings.warn(
+                f"{summary.kind}: {key} is not determined, and the result does not say why; the other numbers are "
+                "right. Please report this",
+                UnexplainedNumberWarning,
+                stacklevel=2,
+            )
+        reasons[key] = reason or UNEXPLAINED
+    return replace(summary, numbers=numbers, facets=facets, not_determined=reasons)
+
+
 def write_summary(path: Path, summary: Summary) -> None:
     """Write ``summary.json``.
 
-    InputError: A key without a unit; a number that is missing or not finite without a reason; the file cannot be
-        written.
+    InputError: A key without a unit; the file cannot be written.
     """
     write_json(path, summary_content(summary))
 
 
 def summary_content(summary: Summary) -> dict[str, Any]:
-    """Return the content of ``summary.json``.
+    """Return the content of ``summary.json``, each number finite or with a reason (`explained`).
 
-    InputError: A key without a unit; a number that is missing or not finite without a reason.
+    InputError: A key without a unit.
     """
-    numbers = {key: _finite_or_reason(key, value, summary) for key, value in summary.numbers.items()}
-    facets = {
-        name: {key: _finite_or_reason(key, value, summary, name) for key, value in facet.items()}
-        for name, facet in summary.facets.items()
-    }
+    summary = explained(summary)
     return {
         "schema_version": SUMMARY_SCHEMA,
         "kind": summary.kind,
         "name": summary.name,
         "software": "heliogauge",
         "software_version": summary.version,
-        "numbers": numbers,
+        "numbers": dict(summary.numbers),
         "not_determined": dict(summary.not_determined),
         "doubts": [doubt_content(one) for one in summary.doubts],
         "texts": dict(summary.texts),
-        "facets": facets,
+        "facets": {name: dict(own) for name, own in summary.facets.items()},
         "geometry_m": dict(summary.geometry_m),
         "durations_s": {stage: round(float(seconds), 4) for stage, seconds in summary.durations_s.items()},
         "input_sha256": dict(summary.input_sha256),
@@ -242,16 +268,12 @@ def _check_values(path: Path, key: str, value: Any, kind: Any, what: str) -> Non
             raise InputError(f"{path}: {key}.{name} = {one}: finite {what} are needed here")
 
 
-def _finite_or_reason(
-    key: str, value: float | int | None, summary: Summary, facet: str | None = None
-) -> float | int | None:
+def _finite(key: str, value: float | int | None) -> float | int | None:
+    """Return a number as JSON has it, None where it is not finite."""
     unit_of(key)
-    if value is not None and math.isfinite(value):
-        return value if isinstance(value, int) else float(value)
-    if key not in summary.not_determined:
-        where = f" of facet {facet}" if facet else ""
-        raise InputError(f"summary: {key}{where} is {value}; a finite number or a reason in not_determined is needed")
-    return None
+    if value is None or not math.isfinite(value):
+        return None
+    return value if isinstance(value, int) else float(value)
 
 
 def hash_files(paths: Iterable[Path], relative_to: Path | None = None, most_bytes: int | None = None) -> dict[str, str]:

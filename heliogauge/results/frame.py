@@ -10,7 +10,7 @@ from typing import Any, ClassVar, TypeVar
 from heliogauge.doubts import Doubt
 from heliogauge.errors import MetrologyError, ReportWarning
 from heliogauge.results.failure import pictures_of_failure
-from heliogauge.results.folder import SUMMARY_FILE, ResultFolder, Summary, write_summary
+from heliogauge.results.folder import SUMMARY_FILE, ResultFolder, Summary, explained, write_summary
 from heliogauge.running.progress import Progress
 
 #: Headline numbers by name with unit; None where one is not determined.
@@ -80,18 +80,20 @@ class InstrumentResult(ABC):
         facets: Mapping[str, Numbers] | None = None,
         geometry_m: Mapping[str, Any] | None = None,
     ) -> Summary:
-        """Return a summary with what every result has."""
-        return Summary(
-            self.kind,
-            self.name,
-            numbers,
-            texts,
-            self.doubts,
-            self.durations_s,
-            self.input_sha256,
-            not_determined or {},
-            facets or {},
-            geometry_m or {},
+        """Return a summary with what every result has, each number finite or None with a reason."""
+        return explained(
+            Summary(
+                self.kind,
+                self.name,
+                numbers,
+                texts,
+                self.doubts,
+                self.durations_s,
+                self.input_sha256,
+                not_determined or {},
+                facets or {},
+                geometry_m or {},
+            )
         )
 
 

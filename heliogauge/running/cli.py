@@ -26,7 +26,7 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 from heliogauge import __version__
-from heliogauge.errors import InputError, MetrologyError, ReportWarning, SweptWarning
+from heliogauge.errors import InputError, MetrologyError, ReportWarning, SweptWarning, UnexplainedNumberWarning
 from heliogauge.instruments import Instrument, instruments, resolve
 from heliogauge.running.commands import (
     AsJson,
@@ -46,6 +46,8 @@ from heliogauge.running.help_text import HelpContext, show_whole, write_commands
 
 #: Objects with references, made and still there, before cycles among them are looked for; Python's own number is 700.
 _NEW_OBJECTS = 100_000
+#: What is said to the user in one line, each time.
+_SAID = (ReportWarning, SweptWarning, UnexplainedNumberWarning)
 
 
 def group_of(instrument: Instrument) -> Any:
@@ -336,7 +338,7 @@ def _show_warning(
 ) -> None:
     text = (
         f"warning: {message}\n"
-        if issubclass(category, ReportWarning | SweptWarning)
+        if issubclass(category, _SAID)
         else warnings.formatwarning(message, category, filename, lineno, line)
     )
     (file or sys.stderr).write(text)
@@ -360,8 +362,8 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
     # One message for one fault: OpenCV's own remarks on a damaged file would stand beside ours. The user's wish counts.
     os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")
     warnings.showwarning = _show_warning
-    warnings.simplefilter("always", ReportWarning)
-    warnings.simplefilter("always", SweptWarning)
+    for said in _SAID:
+        warnings.simplefilter("always", said)
     try:
         typer.main.get_command(app).main(args=arguments, prog_name="heliogauge")
     except MetrologyError as error:

@@ -140,20 +140,23 @@ def shutter_numbers(motions: RowMotions | None) -> Numbers:
     return numbers
 
 
-def surface_numbers(reflector: Reflector) -> Numbers:
+def surface_numbers(reflector: Reflector) -> tuple[Numbers, dict[str, str]]:
     """Return what the reflection says of the mirror's heights and of its slopes along the trough.
 
     Returns: Factor of the heights that the slopes integrate to with its sigma, what they matter, and how large
-        slopes along the trough were taken to be, beside what slopes across tell of them where these make a surface.
+        slopes along the trough were taken to be, beside what slopes across tell of them where these make a surface;
+        why the factor is not determined.
     """
     shape = reflector.shape
     known = np.isfinite(shape.sigma)
-    return {
+    numbers: Numbers = {
         "height_factor_ratio": shape.share if known else None,
         "sigma_height_factor_ratio": shape.sigma if known else None,
         "height_effect_rms_rad": shape.effect_rad,
         "slope_along_assumed_rad": reflector.roughness.along_rad,
     }
+    why = "the heights that the slopes integrate to are too small to be seen in the reflection"
+    return numbers, {} if known else {"height_factor_ratio": why}
 
 
 def surface_text(reflector: Reflector) -> str:

@@ -121,14 +121,15 @@ class Result(InstrumentResult):
     def summarise(self) -> Summary:
         """Collect the headline numbers of a result with their sigmas, doubts and provenance."""
         bundle = self.network.solved.bundle
-        collected, not_collected = intercept_numbers(self.intercept)
+        collected, missing = intercept_numbers(self.intercept)
+        surface, unseen = surface_numbers(self.reflector)
         numbers = {
             **slope_numbers(self.slope_map, self.angles, self.visible),
             **absorber_numbers(self.absorber, self.collector, self.absorber_solution),
             **shape_numbers(self.absorber, self.absorber_solution, self.collector, self.orientation_rad),
             "orientation_rad": self.orientation_rad,
             **edge_numbers(self.reflector),
-            **surface_numbers(self.reflector),
+            **surface,
             **halves_numbers(self.reflector, self.n_modules),
             **collected,
             "photos_count": len(bundle.problem.observations.photos),
@@ -148,7 +149,7 @@ class Result(InstrumentResult):
             "sign": "slope_x = dz/dx; theta_r = -(its angle error), positive where the normal is turned towards +x",
             "rejected": f"{len(self.network.refused)} image points and photos, see rejected.csv",
         }
-        return self._summary(numbers, texts, not_collected)
+        return self._summary(numbers, texts, missing | unseen)
 
     def write_files(self, folder: Path) -> None:
         """Write maps, edges, cameras and tables into an existing folder."""

@@ -135,8 +135,8 @@ def network_numbers(solved: Solved, lengths: LengthStatement) -> tuple[Numbers, 
             "no redundancy",
         ),
     }
-    missing = {key: reasons[key] for key, value in numbers.items() if value is None or not np.isfinite(value)}
-    return {key: None if key in missing else value for key, value in numbers.items()}, missing
+    known = {key: value if value is not None and np.isfinite(value) else None for key, value in numbers.items()}
+    return known, {key: why for key, why in reasons.items() if known[key] is None}
 
 
 def _length_numbers(lengths: LengthStatement) -> Numbers:

@@ -12,6 +12,7 @@ from calibration.beam.mirror.flux_fit import FluxFit, FluxPhoto, MirrorStand
 from heliogauge.results.arrays import LabelledArray, write_arrays
 from heliogauge.results.folder import Summary, write_table_csv
 from heliogauge.results.frame import InstrumentResult
+from heliogauge.sunlight.sun_shapes import SOLAR_DISC_RAD
 from heliogauge.validate import FloatArray
 
 __all__ = ["CANTING_FILE", "COMPARISON_FILE", "EXPECTED_FILE", "Comparison", "PhotoComparison"]
@@ -60,22 +61,46 @@ class Comparison(InstrumentResult):
     after: FluxFit | None
     left_out: Mapping[str, str] = field(default_factory=dict)
 
+    def why_canting_is_open(self) -> str:
+        """Say why the photos do not determine the canting; empty where they do, or where nothing was fitted."""
+        after = self.after
+        if after is None or after.is_canting_told:
+            return ""
+        if after.may_be_exchanged:
+            odds = np.exp(min(after.rival_log_odds, 50.0))
+            return f"with facets exchanged the photos fit nearly as well (odds {odds:.2g} to 1)"
+        wide_m = float(np.median([np.ptp(one.points_m[:, :2], axis=0).max() for one in self.mirror.facets]))
+        away_m = float(np.linalg.norm(self.photos[0].target.center_m - self.stand.position_m))
+        sun_m = 2 * SOLAR_DISC_RAD * away_m
+        sigma_mrad = 1e3 * float(np.sqrt(np.mean(after.sigma_canting_rad**2)))
+        where = "the only photo" if len(self.photos) == 1 else f"all {len(self.photos)} photos"
+        return (
+            f"sigma {sigma_mrad:.1f} mrad, for the sun's picture of {sun_m:.2f} m on the target is as wide as "
+            f"{sun_m / wide_m:.1f} facets, so their pictures overlap in {where}"
+        )
+
     def summarise(self) -> Summary:
         """Collect the headline numbers with their sigmas, doubts and provenance."""
         rows, after = self.rows, self.after
         relative = np.array([one.d90_expected_m / one.d90_m - 1 for one in rows])
+        known = np.abs(relative[np.isfinite(relative)])
+        reasons = {}
         numbers: dict[str, float | int | None] = {
             "photos_count": len(rows),
             "facets_count": len(self.mirror.facets),
             "least_correlation_ratio": float(min(one.correlation for one in rows)),
             "median_correlation_ratio": float(np.median([one.correlation for one in rows])),
-            "largest_d90_difference_share": float(np.abs(relative).max()),
+            "largest_d90_difference_share": float(known.max()) if known.size else None,
             "largest_center_off_m": float(max(one.center_off_m for one in rows)),
         }
+        if not known.size:
+            reasons["largest_d90_difference_share"] = "in every photo the beam's middle is at the end of the grey scale"
         if after is not None:
             numbers["least_correlation_fitted_ratio"] = float(min(one.correlation_fitted for one in rows))
             told = after.is_canting_told
             numbers["largest_canting_rad"] = float(np.hypot(*after.canting_rad.T).max()) if told else None
+            if not told:
+                reasons["largest_canting_rad"] = self.why_canting_is_open()
             numbers["sigma_largest_canting_rad"] = float(after.sigma_canting_rad.max())
             numbers["curvature_per_m"] = after.curvature_1pm
             numbers["sigma_curvature_per_m"] = after.sigma_curvature_1pm
@@ -94,7 +119,7 @@ class Comparison(InstrumentResult):
             "dirt, haze, blur of the photo; the bound takes all of it for slope errors (95 %)",
             "sigma": "1 standard deviation, from residuals in blocks as wide as the sun's disc on the target",
         }
-        return self._summary(numbers, texts)
+        return self._summary(numbers, texts, reasons)
 
     def write_files(self, folder: Path) -> None:
         """Write comparison.csv, canting.csv and expected.nc into an existing folder."""
@@ -155,10 +180,12 @@ class Comparison(InstrumentResult):
     def headline(self) -> str:
         """Return correlation, D90 and canting."""
         numbers = self.summarise().numbers
+        d90 = numbers["largest_d90_difference_share"]
         lines = [
             f"{self.name}: {len(self.rows)} photos against {self.mirror.source}",
-            f"  correlation {numbers['least_correlation_ratio']:.4f} or better, D90 within "
-            f"{numbers['largest_d90_difference_share']:.1%}, centres within {numbers['largest_center_off_m']:.3f} m",
+            f"  correlation {numbers['least_correlation_ratio']:.4f} or better, D90 "
+            f"{'not determined' if d90 is None else f'within {d90:.1%}'}, centres within "
+            f"{numbers['largest_center_off_m']:.3f} m",
         ]
         after = self.after
         if after is not None:

@@ -38,14 +38,13 @@ from heliogauge.errors import EstimationError, InputError
 from heliogauge.results.folder import hash_files, read_columns_csv
 from heliogauge.running.progress import Progress, SilentProgress
 from heliogauge.short_repr import ShortRepr
-from heliogauge.sunlight.sun_shapes import BuieSun, SunShape, TabulatedSun
+from heliogauge.sunlight.sun_shapes import SOLAR_DISC_RAD, BuieSun, SunShape, TabulatedSun
 from heliogauge.validate import FloatArray
 
 __all__ = ["CompareOptions", "run"]
 
 #: Pixels across the sun's radius on the target: its edge is then followed to a few percent.
 _PIXELS_PER_RADIUS = 5
-_SUN_RADIUS_RAD = 4.65e-3
 #: Correlation below which measured and expected flux are not those of one mirror: the published mean of such work is
 #: 0.958, and a wrong facet order or time zone gives less than 0.9.
 _LEAST_CORRELATION = 0.9
@@ -250,9 +249,9 @@ def _flux_photo(
 
 def _grid(light: LightPicture, stand: MirrorStand, photos: BeamPhotos, row: int) -> FluxGrid:
     distance = float(np.linalg.norm(photos.planes[photos.targets[row]].center_m - stand.position_m))
-    step = max(_SUN_RADIUS_RAD * distance / _PIXELS_PER_RADIUS, abs(float(light.x_m[1] - light.x_m[0])))
+    step = max(SOLAR_DISC_RAD * distance / _PIXELS_PER_RADIUS, abs(float(light.x_m[1] - light.x_m[0])))
     # What the beam and its skirts light, and a sun's disc around it.
-    margin = 2 * _SUN_RADIUS_RAD * distance
+    margin = 2 * SOLAR_DISC_RAD * distance
     x, y = light.x_m[light.region.any(axis=0)], light.y_m[light.region.any(axis=1)]
     low_x, high_x = max(float(light.x_m.min()), x.min() - margin), min(float(light.x_m.max()), x.max() + margin)
     low_y, high_y = max(float(light.y_m.min()), y.min() - margin), min(float(light.y_m.max()), y.max() + margin)
@@ -326,24 +325,14 @@ def _doubts(result: Comparison) -> list[Doubt]:
         )
     after = result.after
     if after is not None and not after.is_canting_told:
-        facets = result.mirror.facets
-        wide_m = float(np.median([np.ptp(one.points_m[:, :2], axis=0).max() for one in facets]))
-        away_m = float(np.linalg.norm(result.photos[0].target.center_m - result.stand.position_m))
-        sun_m = 2 * _SUN_RADIUS_RAD * away_m
-        sigma_mrad = 1e3 * float(np.sqrt(np.mean(after.sigma_canting_rad**2)))
-        overlap = (
-            f"sigma {sigma_mrad:.1f} mrad, for the sun's picture of {sun_m:.2f} m on the target is as wide as "
-            f"{sun_m / wide_m:.1f} facets, so their pictures overlap in all {len(result.photos)} photos"
-        )
-        odds = np.exp(min(after.rival_log_odds, 50.0))
-        exchanged = f"with facets exchanged the photos fit nearly as well (odds {odds:.2g} to 1)"
+        facets, sigma_rad = result.mirror.facets, float(np.sqrt(np.mean(after.sigma_canting_rad**2)))
         doubts.append(
             Doubt(
                 "canting_not_determined",
                 f"the canting of {len(facets)} facets is not determined: "
-                f"{exchanged if after.may_be_exchanged else overlap}; more suns far apart (`beam plan` says which), or "
+                f"{result.why_canting_is_open()}; more suns far apart (`beam plan` says which), or "
                 "fewer facets in the light at a time (cover the others)",
-                {"sigma_canting_rad": 1e-3 * sigma_mrad, "facets_count": len(facets)},
+                {"sigma_canting_rad": sigma_rad, "facets_count": len(facets)},
             )
         )
     if result.left_out:

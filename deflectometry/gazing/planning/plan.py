@@ -47,7 +47,14 @@ class GazingPlanResult(InstrumentResult):
             "with the slopes that are expected",
             "not_included": "places, levels and profile of the sun, which all points share",
         }
-        return self._summary(numbers, texts)
+        nothing = "no point of the mirror would be measured: every sigma is above largest_sigma_mrad"
+        reasons = {
+            "sigma_measured_rad": nothing,
+            "sigma_at_zero_slope_rad": "near zero slope all cameras would see the same even part of the sun's disc",
+        }
+        return self._summary(
+            numbers, texts, {key: why for key, why in reasons.items() if not np.isfinite(numbers[key] or 0.0)}
+        )
 
     def write_files(self, folder: Path) -> None:
         """Write the table of all spacings into an existing folder."""
@@ -57,10 +64,14 @@ class GazingPlanResult(InstrumentResult):
     def headline(self) -> str:
         """Return the best spacing in a few lines for the terminal."""
         best = self.best
+
+        def said(value_rad: float, words: str = "") -> str:
+            return f"{1e3 * value_rad:.3f} mrad{words}" if np.isfinite(value_rad) else "not determined"
+
         return (
             f"{self.name}: cameras in a square of {best.side_m:.2g} m\n"
-            f"  slopes           {1e3 * best.sigma_rad:.3f} mrad each way where measured\n"
-            f"  near zero slope  {1e3 * best.sigma_at_zero_rad:.3f} mrad\n"
+            f"  slopes           {said(best.sigma_rad, ' each way where measured')}\n"
+            f"  near zero slope  {said(best.sigma_at_zero_rad)}\n"
             f"  measured share   {100 * best.measured_share:.0f} %, blind {100 * best.blind_share:.0f} %"
         )
 

@@ -107,12 +107,10 @@ class PlannedOverlay:
         found, names = self.turns(scene), scene.photos
         sigma_m = 1e-3 * self.measurement.model.source.sigma_center_mm
         doubts = doubts_of_turns(scene.facets, scene.source, found, names, sigma_m)
-        promised = _promised(found)
-        alone = "a single facet has no canting against others"
         return SigmaProspect(
-            promised=promised,
+            promised=_promised(found),
             labels=_LABELS,
-            not_determined={name: alone for name, one in promised.items() if np.isnan(one)},
+            not_determined=_reasons(found),
             numbers={"facets_count": len(scene.facets), "photos_count": len(names)},
             shares={"shown_share": float(found.known.mean())},
             share_labels=_SHOWN,
@@ -318,6 +316,16 @@ def _promised(found: JointTurns) -> dict[str, float]:
     each = np.diag(of_canting).reshape(-1, 2)
     canting = np.sqrt(np.nanmean(each, axis=0)) if found.known.sum() > 1 else np.full(2, np.nan)
     return dict(zip(_LABELS, [*canting.tolist(), *np.sqrt(np.diag(of_mean)).tolist()], strict=True))
+
+
+def _reasons(found: JointTurns) -> dict[str, str]:
+    """Say why numbers of the mirror, or of one of its facets, are not determined."""
+    alone = "a single facet has no canting against others"
+    reasons = {name: alone for name, one in _promised(found).items() if np.isnan(one)}
+    if not found.known.all():
+        hidden = "no photo will show enough of the source's edge in the facet"
+        reasons |= dict.fromkeys(("canting_x_rad", "canting_y_rad"), hidden)
+    return reasons
 
 
 def _texts(found: JointTurns) -> dict[str, str]:

@@ -65,7 +65,7 @@ class PlanResult(InstrumentResult):
         }
         flat = {key: "a flat design has none" for key in numbers if numbers[key] is None and "focal_length" in key}
         reasons = flat | {key: "no facet is measured" for key in numbers if numbers[key] is None and key not in flat}
-        each = {}
+        each: dict[str, dict[str, float | int | None]] = {}
         for one in prospect.facets if len(prospect.facets) > 1 else ():
             x, y = one.sigma_canting_rad.tolist()
             each[one.name] = {
@@ -73,6 +73,8 @@ class PlanResult(InstrumentResult):
                 "sigma_canting_x_rad": _or_none(x),
                 "sigma_canting_y_rad": _or_none(y),
             }
+        unknown = [key for own in each.values() for key, value in own.items() if value is None]
+        reasons |= dict.fromkeys(unknown, f"the facet will not be measured; {FACETS_FILE} says why")
         return self._summary(numbers, texts, reasons, facets=each)
 
     def _best(self) -> str:

@@ -77,7 +77,10 @@ class StarsPlanResult(InstrumentResult):
                 self.facets, best.stars.tolist(), best.sigma_canting_rad.tolist(), strict=True
             )
         }
-        return self._summary(numbers, texts, facets=each)
+        unknown = "the facet's stars cannot be named at the best time"
+        keys = ("sigma_canting_x_rad", "sigma_canting_y_rad")
+        reasons = dict.fromkeys(keys, unknown) if best.unknown else {}
+        return self._summary(numbers, texts, reasons, facets=each)
 
     def write_files(self, folder: Path) -> None:
         """Write the tables of all times, and of each facet at each, into an existing folder."""

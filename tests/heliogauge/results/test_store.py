@@ -16,10 +16,11 @@ from heliogauge import __version__
 from heliogauge.camera.distortion import BrownDistortion, DistortionDirection
 from heliogauge.camera.model import PARAMETER_NAMES, Camera
 from heliogauge.doubts import Doubt, Severity
-from heliogauge.errors import InputError
+from heliogauge.errors import InputError, UnexplainedNumberWarning
 from heliogauge.flags import SampleFlag
 from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.results.folder import (
+    UNEXPLAINED,
     CutOut,
     PhotoPose,
     PointTable,
@@ -271,14 +272,18 @@ def test_the_summary_comes_back(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, None, np.float64("nan")])
 def test_a_number_that_is_none_needs_a_reason(tmp_path: Path, value: float | None) -> None:
-    with pytest.raises(InputError, match=r"sdx_rad is .*reason"):
-        write_summary(tmp_path / "summary.json", make_summary(numbers={"sdx_rad": value}))
-    with pytest.raises(InputError, match="facet A1"):
-        write_summary(tmp_path / "summary.json", make_summary(facets={"A1": {"sdx_rad": value}}))
-    assert not (tmp_path / "summary.json").exists()
+    """Without one the result is kept, a warning says so to the user, and stops a test that does not await it."""
+    file = tmp_path / "summary.json"
+    for more in ({"numbers": {"sdx_rad": value}}, {"numbers": {}, "facets": {"A1": {"sdx_rad": value}}}):
+        with pytest.warns(UnexplainedNumberWarning, match=r"sdx_rad is not determined"):
+            write_summary(file, make_summary(**more))
+        assert read_summary(file).not_determined["sdx_rad"] == UNEXPLAINED
     reason = {"sdx_rad": "nothing measured"}
-    write_summary(tmp_path / "summary.json", make_summary(numbers={"sdx_rad": value}, not_determined=reason))
-    assert read_summary(tmp_path).numbers == {"sdx_rad": None}
+    numbers = {"sdx_rad": value, "sigma_sdx_rad": value}
+    write_summary(file, make_summary(numbers=numbers, not_determined=reason))
+    assert read_summary(tmp_path).numbers == dict.fromkeys(numbers)
+    # A sigma is not determined for the reason of its number.
+    assert read_summary(tmp_path).not_determined == dict.fromkeys(numbers, "nothing measured")
 
 
 def test_numbers_name_their_unit(tmp_path: Path) -> None:
