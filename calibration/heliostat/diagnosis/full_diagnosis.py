@@ -16,11 +16,18 @@ from calibration.heliostat.diagnosis.hypotheses import (
     mirrored_finding,
     site_finding,
 )
+from calibration.heliostat.diagnosis.kinds import contradiction_finding
 from calibration.heliostat.diagnosis.misfit import ODDS_OF_A_FAULT, criterion, effective_components
 from calibration.heliostat.diagnosis.numbers import Loosened, loosened_finding, number_findings
 from calibration.heliostat.diagnosis.residual_terms import Looked, residual_findings
 from calibration.heliostat.diagnosis.rivals import STRONG
-from calibration.heliostat.diagnosis.rows import Records, explained_rows, outlier_finding, record_findings
+from calibration.heliostat.diagnosis.rows import (
+    Records,
+    explained_rows,
+    newest_finding,
+    outlier_finding,
+    record_findings,
+)
 from calibration.heliostat.fitting.fit_result import HeliostatFit
 from calibration.heliostat.kinematic_model.design import PlaneTarget
 from heliogauge.errors import InputError
@@ -33,6 +40,8 @@ __all__ = ["Diagnosis", "Finding", "Records", "diagnose"]
 FEW_ROWS = 20
 # What is wrong with single rows or days shows once the whole is mended; what that model lacks is no further fault.
 _OF_ROWS = ("episode", "wrong_target", "outliers")
+# What is said of single rows, whichever kind of observation they are.
+_OF_SINGLE_ROWS = ("wrong_target", "outliers")
 # What the records show by themselves, whatever the heliostat.
 _OF_RECORDS = ("duplicates", "constant_column", "units")
 #: Faults of heliostat or records as a whole, which can be undone by calculation.
@@ -87,7 +96,12 @@ def diagnose(
         more = [one for one in behind.findings if one.kind in _OF_ROWS and one.kind not in kinds]
         found = replace(found, findings=(*found.findings, *more))
     rows = int((fit.used | fit.rejected).sum())
-    findings = ordered([_by_few(one, rows) for one in found.findings])
+    apart = contradiction_finding(fit, significance)
+    listed = found.findings if apart is None else [_while_apart(one) for one in found.findings]
+    findings = ordered([_by_few(one, rows) for one in listed])
+    if apart is not None:
+        # What all else rests on is said first.
+        findings = (_by_few(apart, rows), *findings)
     # What is not decided is not undone.
     sure = any(one.severity == "fault" and one.kind in REMEDIED for one in findings)
     return replace(found, findings=findings, remedied=found.remedied if sure else None)
@@ -98,6 +112,14 @@ def _by_few(finding: Finding, rows: int) -> Finding:
     if rows >= FEW_ROWS or finding.severity != "fault" or finding.kind in _OF_RECORDS:
         return finding
     text = f"{finding.text} {rows} rows are too few to decide it: {FEW_ROWS} are needed."
+    return replace(finding, severity="doubt", text=text)
+
+
+def _while_apart(finding: Finding) -> Finding:
+    """Return a finding as it stands while kinds of observation contradict each other."""
+    if finding.severity != "fault" or finding.kind in (*_OF_RECORDS, *_OF_SINGLE_ROWS):
+        return finding
+    text = f"{finding.text} It is open, because kinds of observation contradict each other."
     return replace(finding, severity="doubt", text=text)
 
 
@@ -134,9 +156,16 @@ def _diagnosed(
     found = decided.findings
     if decided.remedied is not None:
         numbers = [one for one in numbers if one.kind != found[0].kind]
-    left = fit.rejected & ~explained & fit.residuals.computable & ~(looked.lengths < _UNDONE)
-    outliers = outlier_finding(fit, left, images, () if records is None else records.ids)
-    findings += [*numbers, *explained_findings, *found, *([outliers] if outliers is not None else [])]
+    left, undone = fit.rejected & ~explained & fit.residuals.computable, looked.lengths < _UNDONE
+    if any(one.severity == "fault" for one in looked.findings):
+        left &= ~undone
+    newest = newest_finding(fit, left)
+    if newest is not None:
+        left &= ~np.isin(fit.observations.row, newest.rows)
+    # All are counted; those that a hint brings back accuse nobody.
+    outliers = outlier_finding(fit, left, images, () if records is None else records.ids, accusing=left & ~undone)
+    findings += [*numbers, *explained_findings, *found]
+    findings += [one for one in (newest, outliers) if one is not None]
     if fit.rejected.mean() > REJECTED and not any(one.severity == "fault" for one in [*found, *explained_findings]):
         found_by_trial, remedied = hypothesis_finding(fit, known, site)
         return Diagnosis(ordered([*findings, found_by_trial]), looked.checks, significance, remedied)

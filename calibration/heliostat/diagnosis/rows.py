@@ -35,6 +35,8 @@ _ALL = 0.9
 _MANY_OF_A_TARGET = 0.3
 # The fit rejects any good row at all with this chance.
 _REJECTED_BY_CHANCE = FitOptions().significance
+# Of rows that are rejected one by one, a third at most, the newest five are all rejected in 0.4 % of the heliostats.
+_NEWEST = 5
 # Outliers up to this share (and number) are of single rows; more of them have one cause. Of six healthy real
 # heliostats 1.4 % of the rows are outliers at most.
 _MANY, _MANY_SHARE = 4, 0.035
@@ -140,13 +142,14 @@ def binomial_tail(count: int, tries: int, chance: float) -> float:
 
 
 def outlier_finding(
-    fit: HeliostatFit, rows: BoolArray, images: Sequence[str], ids: Sequence[str] = ()
+    fit: HeliostatFit, rows: BoolArray, images: Sequence[str], ids: Sequence[str], accusing: BoolArray
 ) -> Finding | None:
     """Return the rows that nothing explains, or None without any.
 
     Shapes: rows (n,), images length n.
     ids: What a person calls each row of the table.
-    Returns: With date and photo; a fault of the records if there are many.
+    accusing (n,): Those of the rows that count as a fault of the records if they are many.
+    Returns: With date and photo.
     """
     count = int(rows.sum())
     if not count:
@@ -162,9 +165,40 @@ def outlier_finding(
         f"{count} of {len(rows)} rows contradict the others; the worst is {where}: "
         f"{fit.reason[worst] or 'far from the fit'}."
     )
-    many = count >= _MANY and count > _MANY_SHARE * len(rows)
+    accused = int(accusing.sum())
+    many = accused >= _MANY and accused > _MANY_SHARE * len(rows)
     finding = _row_finding(fit, rows, "outliers", "fault" if many else "rows", text, images)
     return replace(finding, chance=binomial_tail(count, len(rows), _REJECTED_BY_CHANCE / len(rows)))
+
+
+def newest_finding(fit: HeliostatFit, rows: BoolArray) -> Finding | None:
+    """Return that something changed before the newest rows; None where one of the newest five agrees with the others.
+
+    rows (n,): Rejected rows that nothing else explains.
+    Returns: The days between which it changed, and all rows since.
+    """
+    times = fit.observations.time
+    asked = fit.residuals.computable & ~np.isnat(times) & (rows | ~fit.rejected)
+    order = np.flatnonzero(asked)[np.argsort(times[asked], kind="stable")]
+    good = np.flatnonzero(~rows[order])
+    if not good.size or order.size - good[-1] - 1 < _NEWEST:
+        return None
+    since = np.zeros(rows.size, dtype=np.bool_)
+    since[order[good[-1] + 1 :]] = True
+    count = int(since.sum())
+    before, after = times[order[good[-1]]], times[since].min()
+    dates = (str(before.astype("datetime64[D]")), str(after.astype("datetime64[D]")))
+    angles = fit.residuals.beam_angle_rad[since]
+    angles = np.where(np.isfinite(angles), angles, fit.residuals.normal_angle_rad[since])
+    known = angles[np.isfinite(angles)]
+    far = f", {1e3 * float(np.median(known)):.1f} mrad in the median" if known.size else ""
+    text = (
+        f"Between {dates[0]} and {dates[1]} something changed: all {count} rows since then, the newest of {rows.size}, "
+        f"contradict the earlier ones{far}; they are left out."
+    )
+    share = (float(np.count_nonzero(rows & ~since)) + 1) / (good[-1] + 2)
+    found = _row_finding(fit, since, "change_point", "fault", text)
+    return replace(found, chance=min(1.0, share**count), dates=dates)
 
 
 def record_findings(fit: HeliostatFit, records: Records | None, targets: Mapping[str, PlaneTarget]) -> list[Finding]:
