@@ -61,6 +61,14 @@ class Actuator:
 
 
 @dataclass(frozen=True)
+class IdealActuator:
+    """An ideal actuator: ``actuators_ideal.py`` returns the motor position as the angle."""
+
+    def angle(self, motor: float) -> float:
+        return motor
+
+
+@dataclass(frozen=True)
 class Artist:
     """A heliostat as ARTIST has it.
 
@@ -70,7 +78,7 @@ class Artist:
 
     position: Array
     deviations: Mapping[str, float]
-    actuators: tuple[Actuator, Actuator]
+    actuators: tuple[Actuator | IdealActuator, Actuator | IdealActuator]
 
     def orientation(self, motors: Array) -> Array:
         """Return ``motor_positions_to_orientations`` without the turn of the flat surface model, 4 x 4."""

@@ -9,7 +9,12 @@ import numpy as np
 
 from calibration.heliostat.kinematic_model.aiming import aim
 from calibration.heliostat.kinematic_model.design import HeliostatDesign, PlaneTarget
-from calibration.heliostat.kinematic_model.presets import ActuatorNumbers, azimuth_elevation, linear_actuators
+from calibration.heliostat.kinematic_model.presets import (
+    ActuatorNumbers,
+    azimuth_elevation,
+    ideal_actuators,
+    linear_actuators,
+)
 from heliogauge.geometry.geodesy import geodetic_from_enu
 from heliogauge.geometry.sun import Site, angles_from_direction, sun_directions
 from heliogauge.measurement.writer import dump_toml
@@ -31,6 +36,8 @@ ACTUATORS = (
     ActuatorNumbers(0.0137, 0.0757, 0.335308, 0.338095, 154166.6667, False, (0.0, 69001.0)),
     ActuatorNumbers(0.9371, 0.0784, 0.340771, 0.3191, 154166.6667, True, (0.0, 75454.0)),
 )
+#: Of ideal actuators that turn as far.
+LIMITS_RAD = [(-1.6, 0.1), (-1.0, 1.0)]
 TILTS = {"tilt_1_n": 3e-3, "tilt_1_u": -2e-3, "tilt_2_e": 4e-3, "tilt_2_n": 1e-3}
 SIGMA_M = 0.02
 
@@ -102,17 +109,19 @@ def write_field(
 
 
 def write_paint(
-    folder: Path, *, names: tuple[str, ...] = ("AA11",), observations: int = 40, seed: int = 0
+    folder: Path, *, names: tuple[str, ...] = ("AA11",), observations: int = 40, seed: int = 0, ideal: bool = False
 ) -> dict[str, HeliostatDesign]:
-    """Write a field as the PAINT database has it; return the true designs."""
+    """Write a field as the PAINT database has it; return the true designs.
+
+    ideal: Motor positions are the angles of the axes.
+    """
     rng = np.random.default_rng(seed)
     origin = (SITE.latitude_deg, SITE.longitude_deg, SITE.altitude_m)
     truths, stamps = {}, {}
     for number, name in enumerate(names):
         position = np.array([10.0 * number - 15.0, 70.0 + 5.0 * number, 2.0])
-        truths[name] = linear_actuators(name, position, ACTUATORS).with_value(
-            {key: value * rng.uniform(0.5, 1.5) for key, value in TILTS.items()}
-        )
+        plain = ideal_actuators(name, position, LIMITS_RAD) if ideal else linear_actuators(name, position, ACTUATORS)
+        truths[name] = plain.with_value({key: value * rng.uniform(0.5, 1.5) for key, value in TILTS.items()})
         seen = sightings(truths[name], observations, rng)
         home = folder / name / "calibration"
         home.mkdir(parents=True)

@@ -179,6 +179,8 @@ def _preset_of(design: HeliostatDesign) -> str:
     if isinstance(design.drives[0], LinearActuator):
         return "linear-actuators"
     names = design.parameters.names
+    if "initial_angle_1" in names:
+        return "ideal-actuators"
     return "six-error" if "canting" in names else "drone" if "pylon_length" in names else "azimuth-elevation"
 
 

@@ -45,6 +45,9 @@ TRANSLATIONS = {
     "concentrator": ("concentrator_translation_{}", "concentrator_translation_{}"),
 }
 SOUTH = (0.0, -1.0, 0.0)
+_LINEAR, _IDEAL = "linear", "ideal"
+#: An axis turns by less than this either way; motor positions of linear actuators are counts, some ten thousand [rad].
+TURN_RAD = 2 * np.pi
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,7 +83,8 @@ class PaintProperties:
     """The content of a properties file.
 
     position: Latitude [deg], longitude [deg], altitude [m].
-    actuators: Numbers of both linear actuators, by the names of `ACTUATOR_KEYS`.
+    actuators: Numbers of both actuators, by the names of `ACTUATOR_KEYS`; empty where they are ideal and have none.
+    is_ideal: Whether both are ideal: a motor position may then be the angle of the axis itself [rad].
     translations_m: East, north, up of ``joint_1``, ``joint_2``, ``concentrator`` [m].
     size_m: Width and height of the mirror [m]; NaN where not given.
     doubts: What was assumed.
@@ -88,6 +92,7 @@ class PaintProperties:
 
     position: FloatArray
     actuators: tuple[dict[str, float], dict[str, float]]
+    is_ideal: bool
     translations_m: dict[str, tuple[float, ...]]
     size_m: tuple[float, float]
     doubts: tuple[Doubt, ...]
@@ -207,7 +212,7 @@ def parse_properties(text: str, where: str) -> PaintProperties:
 
     text: The file's content.
     where: The file, for messages.
-    InputError: Not JSON, a key is missing, a number that cannot be meant, or drives of another kind.
+    InputError: Not JSON, a key is missing, a number that cannot be meant, or drives of another kind or of two kinds.
     """
     content = _parsed(text, where)
     kinematics = next((content[key] for key in KINEMATICS if isinstance(content.get(key), dict)), None)
@@ -226,9 +231,13 @@ def parse_properties(text: str, where: str) -> PaintProperties:
             )
             doubts.append(Doubt("paint_translations_left_out", text))
         translations = dict.fromkeys(TRANSLATIONS, (0.0, 0.0, 0.0))
+    (first_kind, first), (second_kind, second) = (_actuator(kinematics, axis, where) for axis in (1, 2))
+    if first_kind != second_kind:
+        raise InputError(f"{where}: one actuator is {first_kind}, the other {second_kind}; two of a kind can be read")
     return PaintProperties(
         position=_position(content, where),
-        actuators=(_actuator(kinematics, 1, where), _actuator(kinematics, 2, where)),
+        actuators=(first, second),
+        is_ideal=first_kind == _IDEAL,
         translations_m=translations,
         size_m=(float(content.get("width", np.nan)), float(content.get("height", np.nan))),
         doubts=tuple(doubts),
@@ -268,28 +277,35 @@ def _translation(kinematics: Mapping[str, Any], keys: tuple[str, str]) -> tuple[
     return tuple(found)
 
 
-def _actuator(kinematics: Mapping[str, Any], axis: int, where: str) -> dict[str, float]:
+def _actuator(kinematics: Mapping[str, Any], axis: int, where: str) -> tuple[str, dict[str, float]]:
+    """Return the kind of an actuator and its numbers; of an ideal one only if it has all of them."""
     listed = kinematics.get("actuators")
     if listed is not None and (not isinstance(listed, list) or len(listed) != 2):
         raise InputError(f"{where}: actuators: two are needed")
     table = kinematics if listed is None else listed[axis - 1]
-    kind = str(table.get("type_axis", table.get(f"Type_axis_{axis}", "linear"))).casefold()
-    if kind != "linear":
-        raise InputError(f"{where}: actuator {axis} is of type {kind!r}; linear ones can be read")
-    numbers = {}
-    for name, (key, letter) in ACTUATOR_KEYS.items():
-        chosen = key if listed is not None else f"{letter}{axis}"
-        if chosen not in table:
-            raise InputError(f"{where}: actuator {axis}: the key {chosen!r} is missing")
-        numbers[name] = _finite(table[chosen], f"{where}: actuator {axis}: {chosen}")
+    kind = str(table.get("type_axis", table.get(f"Type_axis_{axis}", _LINEAR))).casefold()
+    if kind not in (_LINEAR, _IDEAL):
+        raise InputError(f"{where}: actuator {axis} is of type {kind!r}; linear and ideal ones can be read")
+    chosen = {name: key if listed is not None else f"{letter}{axis}" for name, (key, letter) in ACTUATOR_KEYS.items()}
+    missing = [key for key in chosen.values() if key not in table]
+    if missing and kind == _IDEAL:
+        return kind, {}
+    if missing:
+        raise InputError(f"{where}: actuator {axis}: the key {missing[0]!r} is missing")
+    numbers = {name: _finite(table[key], f"{where}: actuator {axis}: {key}") for name, key in chosen.items()}
     for name in ("increment", "initial_stroke", "offset", "pivot_radius"):
         if numbers[name] <= 0:
             raise InputError(f"{where}: actuator {axis}: {name} = {numbers[name]:g}: a positive number is needed")
-    return numbers
+    return kind, numbers
 
 
 def parse_calibrations(
-    records: Sequence[tuple[str, str]], times: Sequence[str], *, label: str, origin: tuple[float, float, float]
+    records: Sequence[tuple[str, str]],
+    times: Sequence[str],
+    *,
+    label: str,
+    origin: tuple[float, float, float],
+    is_ideal: bool = False,
 ) -> Rows:
     """Read calibration records of a heliostat.
 
@@ -297,6 +313,7 @@ def parse_calibrations(
     times: Time of each (ISO 8601 with zone), empty where not known.
     label: Method of the beam's centre: "UTIS" or "HeliOS".
     origin: Latitude [deg], longitude [deg], altitude [m] of the field's frame.
+    is_ideal: Whether its actuators are ideal: motor positions are angles then, unless they are larger than those are.
     """
     names = ("axis_1_counts", "axis_2_counts", "sun_azimuth_deg", "sun_elevation_deg", "lat", "lon", "alt")
     values, targets, verdicts = np.full((len(records), len(names)), np.nan), [""] * len(records), []
@@ -309,7 +326,10 @@ def parse_calibrations(
             verdicts.append(("label", str(error)))
         except InputError as error:
             verdicts.append(("unreadable", str(error)))
-    columns: dict[str, Any] = dict(zip(names[:4], values[:, :4].T, strict=True))
+    readings = values[:, :2][np.isfinite(values[:, :2])]
+    unit = "rad" if is_ideal and readings.size and np.abs(readings).max() <= TURN_RAD else "counts"
+    columns: dict[str, Any] = {f"axis_{axis}_{unit}": values[:, axis - 1] for axis in (1, 2)}
+    columns |= dict(zip(names[2:4], values[:, 2:4].T, strict=True))
     if len(records):
         columns |= dict(zip(("e_m", "n_m", "u_m"), _in_field(values[:, 4:], origin).T, strict=True))
     columns["target"] = targets

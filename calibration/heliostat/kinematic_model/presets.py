@@ -211,6 +211,49 @@ def linear_actuators(
     plant counts axis 1 from the mirror that looks at the zenith, hence its -pi/2.
     """
     drives = (_actuator(1, actuators[0], -np.pi / 2), _actuator(2, actuators[1], 0.0))
+    tables = [_actuator_table(drive, numbers) for drive, numbers in zip(drives, actuators, strict=True)]
+    steps, table = _south_chain(position_m, concentrator_m, joints_m, tables)
+    limits = np.array([numbers.count_limits for numbers in actuators])
+    return HeliostatDesign(name, steps, drives, _SOUTH, Parameters.of(table), limits, "counts", _LINEAR_FREE_SETS)
+
+
+def ideal_actuators(
+    name: str,
+    position_m: npt.ArrayLike,
+    limits_rad: Sequence[tuple[float, float]],
+    *,
+    concentrator_m: Sequence[float] = (0.0, 0.175, 0.0),
+    joints_m: Sequence[Sequence[float]] = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0)),
+) -> HeliostatDesign:
+    """Return a heliostat of the chain of `linear_actuators` whose motor positions are the angles of its axes.
+
+    position_m (3,): Where its first axis stands: east, north, up [m].
+    limits_rad: Lowest and highest angle of axis 1 (about east) and axis 2 (about up); a turn either way where they
+        are no angles, as the counts that public files keep beside ideal actuators [rad].
+    concentrator_m: From the second axis to the mirror's centre, in the frame of the mirror that looks south [m].
+    joints_m: Shifts of the first and of the second joint [m].
+    Returns: Readings are radians, counted from the mirror that looks south; angle = reading + initial angle, which is
+        0. Free sets: ``"4"`` the tilts, ``"5"`` with the second axis' initial angle, ``"8"`` with the position.
+        Axis 1's initial angle and tilt_2_e are the same turn, as in `linear_actuators`.
+    InputError: Numbers that cannot be.
+
+    ARTIST's ``IdealActuators`` return a motor position as the joint's angle, whatever their other numbers say.
+    """
+    tables = [{start: Quantity(0.0, "rad")} for start in _IDEAL_STARTS]
+    steps, table = _south_chain(position_m, concentrator_m, joints_m, tables)
+    first, second = (RotaryDrive(start) for start in _IDEAL_STARTS)
+    limits = np.array(limits_rad, dtype=np.float64)
+    limits = np.where((np.abs(limits) <= _TURN).all(axis=1, keepdims=True), limits, [-_TURN, _TURN])
+    return HeliostatDesign(name, steps, (first, second), _SOUTH, Parameters.of(table), limits, "rad", _IDEAL_FREE_SETS)
+
+
+def _south_chain(
+    position_m: npt.ArrayLike,
+    concentrator_m: Sequence[float],
+    joints_m: Sequence[Sequence[float]],
+    drives: Sequence[dict[str, Quantity]],
+) -> tuple[tuple[Step, ...], dict[str, Quantity]]:
+    """Return the chain of a mirror that looks south at angles 0, and its numbers with those of both drives."""
     table = _position(position_m)
     steps: list[Step] = [Shift(POSITION)]
     for axis, (first, second), driven in ((1, "nu", Driven(_EAST, 0)), (2, "en", Driven(_UP, 1))):
@@ -219,12 +262,9 @@ def linear_actuators(
         steps += [Turn(directions[first], f"tilt_{axis}_{first}"), Turn(directions[second], f"tilt_{axis}_{second}")]
         steps += [joint, driven]
         table |= {f"tilt_{axis}_{first}": Quantity(0.0, "rad"), f"tilt_{axis}_{second}": Quantity(0.0, "rad")}
-        table |= _lengths(joint, joints_m[axis - 1]) | _actuator_table(drives[axis - 1], actuators[axis - 1])
+        table |= _lengths(joint, joints_m[axis - 1]) | drives[axis - 1]
     concentrator = Shift(("concentrator_e", "concentrator_n", "concentrator_u"))
-    steps.append(concentrator)
-    parameters = Parameters.of(table | _lengths(concentrator, concentrator_m))
-    limits = np.array([numbers.count_limits for numbers in actuators])
-    return HeliostatDesign(name, tuple(steps), drives, _SOUTH, parameters, limits, "counts", _LINEAR_FREE_SETS)
+    return (*steps, concentrator), table | _lengths(concentrator, concentrator_m)
 
 
 _LINEAR_TILTS = ("tilt_1_n", "tilt_1_u", "tilt_2_e", "tilt_2_n")
@@ -234,6 +274,12 @@ _LINEAR_FREE_SETS = {
     "4": _LINEAR_TILTS,
     "8": _LINEAR_TILTS + _LINEAR_STARTS,
     "15": _LINEAR_TILTS + _LINEAR_STARTS + _LINEAR_SIDES + POSITION,
+}
+_IDEAL_STARTS = ("initial_angle_1", "initial_angle_2")
+_IDEAL_FREE_SETS = {
+    "4": _LINEAR_TILTS,
+    "5": (*_LINEAR_TILTS, _IDEAL_STARTS[1]),
+    "8": (*_LINEAR_TILTS, _IDEAL_STARTS[1], *POSITION),
 }
 
 

@@ -15,6 +15,7 @@ from calibration.heliostat.kinematic_model.presets import (
     ActuatorNumbers,
     azimuth_elevation,
     drone_heliostat,
+    ideal_actuators,
     linear_actuators,
     six_error,
     two_axes,
@@ -26,17 +27,21 @@ from heliogauge.errors import InputError
 _POSITION_CELLS = frozenset({"e_m", "n_m", "u_m", "lat_deg", "lon_deg", "alt_m"})
 
 
-def nominal_design(task: HeliostatTask, plant: Plant, kinematics: KinematicsSection) -> HeliostatDesign:
+def nominal_design(
+    task: HeliostatTask, plant: Plant, kinematics: KinematicsSection, *, readings_are_angles: bool = False
+) -> HeliostatDesign:
     """Return a heliostat as it is known before any observation.
 
     task: Its row of the table, or its properties.
     plant: Origin of the field's frame.
     kinematics: Preset, terms, numbers and priors that all share.
+    readings_are_angles: As in `paint_design`.
     Returns: All parameters, those of the chosen free set and those with a prior free.
     InputError: A number that is missing or cannot be, a parameter that does not exist.
     """
     if task.properties:
-        design = paint_design(parse_properties(task.properties, f"properties of {task.name}"), task.name, plant)
+        properties = parse_properties(task.properties, f"properties of {task.name}")
+        design = paint_design(properties, task.name, plant, readings_are_angles=readings_are_angles)
     else:
         design = _preset(task, plant, kinematics)
     for drive in (0, 1) if kinematics.terms else ():
@@ -45,12 +50,31 @@ def nominal_design(task: HeliostatTask, plant: Plant, kinematics: KinematicsSect
     return _with_knowledge(design, task.cells, kinematics)
 
 
-def paint_design(properties: PaintProperties, name: str, plant: Plant) -> HeliostatDesign:
+def paint_design(
+    properties: PaintProperties, name: str, plant: Plant, *, readings_are_angles: bool = False
+) -> HeliostatDesign:
     """Return the heliostat that a properties file of PAINT describes.
 
     plant: Origin of the field's frame.
-    Returns: Two linear actuators, all parameters held.
+    readings_are_angles: Whether its records hold angles [rad], as those of ideal actuators; otherwise counts.
+    Returns: Two linear actuators, or two ideal ones; all parameters held.
+    InputError: Counts of ideal actuators whose numbers the file does not have.
+
+    Public files say "ideal" of heliostats whose records hold the plant's counts; the numbers beside that word turn
+    those into angles as they do for linear actuators.
     """
+    shifts = properties.translations_m
+    latitude, longitude, altitude = properties.position.tolist()
+    place = plant.place_of(latitude, longitude, altitude, f"heliostat_position of {name}")
+    joints = (shifts["joint_1"], shifts["joint_2"])
+    limits = [(one.get("lowest", -np.inf), one.get("highest", np.inf)) for one in properties.actuators]
+    if readings_are_angles:
+        return ideal_actuators(name, place, limits, concentrator_m=shifts["concentrator"], joints_m=joints)
+    if not all(properties.actuators):
+        raise InputError(
+            f"properties of {name}: the actuators are ideal, so motor positions are angles of the axes in radians, but "
+            "the records hold counts; give the actuators' increment, initial_stroke_length, offset and pivot_radius"
+        )
     numbers = [
         ActuatorNumbers(
             initial_angle_rad=one["initial_angle"],
@@ -59,18 +83,12 @@ def paint_design(properties: PaintProperties, name: str, plant: Plant) -> Helios
             pivot_radius_m=one["pivot_radius"],
             increment_per_m=one["increment"],
             clockwise=bool(one["clockwise"]),
-            count_limits=(one["lowest"], one["highest"]),
+            count_limits=limit,
         )
-        for one in properties.actuators
+        for one, limit in zip(properties.actuators, limits, strict=True)
     ]
-    shifts = properties.translations_m
-    latitude, longitude, altitude = properties.position.tolist()
     return linear_actuators(
-        name,
-        plant.place_of(latitude, longitude, altitude, f"heliostat_position of {name}"),
-        (numbers[0], numbers[1]),
-        concentrator_m=shifts["concentrator"],
-        joints_m=(shifts["joint_1"], shifts["joint_2"]),
+        name, place, (numbers[0], numbers[1]), concentrator_m=shifts["concentrator"], joints_m=joints
     )
 
 

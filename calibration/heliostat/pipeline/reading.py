@@ -7,7 +7,7 @@ import numpy as np
 
 from calibration.heliostat.files.result import Shared
 from calibration.heliostat.files.sources import HeliostatTask
-from calibration.heliostat.files.store_paint import parse_calibrations
+from calibration.heliostat.files.store_paint import parse_calibrations, parse_properties
 from calibration.heliostat.keys import HeliostatCameraSection
 from calibration.heliostat.kinematic_model.design import HeliostatDesign
 from calibration.heliostat.observations.observations import Place
@@ -42,23 +42,38 @@ def read_task(task: HeliostatTask, shared: Shared) -> Given:
     if task.fault:
         raise InputError(f"{task.name}: {task.fault}")
     model = shared.model
-    nominal = nominal_design(task, shared.plant, model.kinematics)
-    rows, beams = _rows(task, shared)
+    if task.header:
+        nominal = nominal_design(task, shared.plant, model.kinematics)
+        rows, beams = _rows(task, shared)
+    else:
+        # Whether a reading of an ideal actuator is an angle or a count shows in the records.
+        rows, beams = _records(task, shared), None
+        are_angles = "axis_1_rad" in rows.numbers
+        nominal = nominal_design(task, shared.plant, model.kinematics, readings_are_angles=are_angles)
     cameras = tuple(_place(section) for section in model.camera)
     spot_sigma_m = 1e-3 * model.evaluation.spot_sigma_mm
     return Given(nominal, observed(rows, nominal, shared.plant, cameras, spot_sigma_m), beams)
 
 
-def _rows(task: HeliostatTask, shared: Shared) -> tuple[Rows, "BeamMeasurements | None"]:
-    if task.header:
-        rows = parse_rows(task.header, {int(number): text for number, text in task.records})
-        if not shared.model.images:
-            return rows, None
-        # OpenCV costs 0.1 s, which only photos are worth.
-        from calibration.heliostat.pipeline.photo_beams import with_measured_beams
+def _records(task: HeliostatTask, shared: Shared) -> Rows:
+    properties = parse_properties(task.properties, f"properties of {task.name}")
+    return parse_calibrations(
+        task.records,
+        task.times,
+        label=shared.label,
+        origin=shared.plant.origin,
+        is_ideal=properties.is_ideal,
+    )
 
-        return with_measured_beams(rows, shared.folder, shared.plant, shared.model)
-    return parse_calibrations(task.records, task.times, label=shared.label, origin=shared.plant.origin), None
+
+def _rows(task: HeliostatTask, shared: Shared) -> tuple[Rows, "BeamMeasurements | None"]:
+    rows = parse_rows(task.header, {int(number): text for number, text in task.records})
+    if not shared.model.images:
+        return rows, None
+    # OpenCV costs 0.1 s, which only photos are worth.
+    from calibration.heliostat.pipeline.photo_beams import with_measured_beams
+
+    return with_measured_beams(rows, shared.folder, shared.plant, shared.model)
 
 
 def _place(section: HeliostatCameraSection) -> Place:

@@ -15,7 +15,7 @@ from calibration.heliostat.files.store_artist import properties_content, write_s
 from calibration.heliostat.files.store_heliostat import read_heliostat, stored_site
 from calibration.heliostat.keys import load_heliostat
 from calibration.heliostat.kinematic_model.kinematics import mirror_poses
-from calibration.heliostat.kinematic_model.presets import linear_actuators, with_drive_terms
+from calibration.heliostat.kinematic_model.presets import ideal_actuators, linear_actuators, with_drive_terms
 from calibration.heliostat.kinematic_model.store_design import design_from
 from calibration.heliostat.pipeline.export import ExportOptions, run
 from calibration.heliostat.pipeline.field import run_into
@@ -90,6 +90,32 @@ def test_where_nothing_is_lost_the_mirror_is_the_same_to_rounding(tmp_path: Path
     assert np.abs(normals - poses.normals(design)).max() < 1e-9
     assert np.abs(centres - poses.centre_m).max() < 1e-9
     assert said.loss.largest_rad < 1e-9
+
+
+def test_ideal_actuators_turn_the_mirror_as_artist_does() -> None:
+    """Axis 1 about east and axis 2 about up, from the mirror that looks south; -pi/2 and 0 is the zenith."""
+    position, joints, concentrator = [25.0, 60.0, 1.5], ((0.02, -0.03, 0.04), (0.05, 0.06, 0.3)), (0.0, 0.17, 0.1)
+    counts = [(0.0, 69525.0), (0.0, 74920.0)]
+    design = ideal_actuators("AC43", position, counts, concentrator_m=concentrator, joints_m=joints)
+    names = ("first_joint_translation", "second_joint_translation", "concentrator_translation")
+    moved = {
+        f"{name}_{axis}": value
+        for name, shift in zip(names, (*joints, concentrator), strict=True)
+        for axis, value in zip("enu", shift, strict=True)
+    }
+    tilts = ("first_joint_tilt_n", "first_joint_tilt_u", "second_joint_tilt_e", "second_joint_tilt_n")
+    ideal = artist.IdealActuator()
+    theirs = artist.Artist(np.array(position), moved | dict.fromkeys(tilts, 0.0), (ideal, ideal))
+    readings = np.array([[-np.pi / 2, 0.0], [0.0, 0.0], [-0.4, 0.7], [-1.1, -0.9]])
+    normals, centres = theirs.mirror(readings)
+    poses = mirror_poses(design, design.parameters.values, readings)
+    np.testing.assert_allclose(poses.normals(design), normals, atol=1e-15)
+    np.testing.assert_allclose(poses.centre_m, centres, atol=1e-14)
+    np.testing.assert_allclose(poses.normals(design)[:2], [[0.0, 0.0, 1.0], [0.0, -1.0, 0.0]], atol=1e-15)
+    # Limits in counts say nothing of angles; those in radians hold.
+    np.testing.assert_array_equal(design.limits, [[-2 * np.pi, 2 * np.pi]] * 2)
+    own = ideal_actuators("AC43", position, [(-1.6, 0.1), (-0.96, 0.92)])
+    np.testing.assert_array_equal(own.limits, [[-1.6, 0.1], [-0.96, 0.92]])
 
 
 @pytest.mark.parametrize("tilt", ["tilt_1_n", "tilt_2_n"])

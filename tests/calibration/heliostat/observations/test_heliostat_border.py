@@ -14,6 +14,8 @@ from calibration.heliostat.keys import load_heliostat
 from calibration.heliostat.observations.observed import Observed, observed
 from calibration.heliostat.observations.residuals import evaluate
 from calibration.heliostat.observations.rows import parse_rows
+from calibration.heliostat.pipeline.measure import Options
+from calibration.heliostat.pipeline.measure import run as measure
 from calibration.heliostat.pipeline.nominal_design import nominal_design
 from heliogauge.errors import InputError
 from heliogauge.measurement.writer import dump_toml
@@ -28,11 +30,11 @@ def see(folder: Path) -> Observed:
     measurement = load_heliostat(folder)
     source = open_source(measurement)
     (task,) = source.tasks(source.names[:1])
-    design = nominal_design(task, source.plant, measurement.model.kinematics)
     if task.header:
         rows = parse_rows(task.header, {int(number): text for number, text in task.records})
     else:
         rows = parse_calibrations(task.records, task.times, label="UTIS", origin=source.plant.origin)
+    design = nominal_design(task, source.plant, measurement.model.kinematics)
     return observed(rows, design, source.plant, (), 1e-3 * measurement.model.evaluation.spot_sigma_mm)
 
 
@@ -306,6 +308,49 @@ class TestPaint:
             open_source(load_heliostat(tmp_path))
 
 
+def call_ideal(folder: Path, *, with_numbers: bool = True) -> None:
+    """Call the actuators of a heliostat ideal, as public files do that keep the numbers of the linear ones."""
+    file = folder / "AA11" / "AA11_properties.json"
+    content = json.loads(file.read_text(encoding="utf-8"))
+    for one in actuators(content):
+        one["type_axis"] = "ideal"
+        if not with_numbers:
+            one.pop("increment")
+    file.write_text(json.dumps(content), encoding="utf-8")
+
+
+class TestIdealActuators:
+    def test_counts_are_turned_into_angles_by_the_numbers_beside_the_word(self, tmp_path: Path) -> None:
+        write_paint(tmp_path / "linear", observations=12)
+        write_paint(tmp_path / "ideal", observations=12)
+        call_ideal(tmp_path / "ideal")
+        fits = [measure(load_heliostat(tmp_path / name), Options()).heliostats[0] for name in ("linear", "ideal")]
+        linear, ideal = (one.fit for one in fits)
+        np.testing.assert_array_equal(linear.values, ideal.values)
+        assert linear.names == ideal.names
+
+    def test_counts_without_numbers_are_refused(self, tmp_path: Path) -> None:
+        write_paint(tmp_path, observations=6)
+        call_ideal(tmp_path, with_numbers=False)
+        with pytest.raises(InputError, match=r"motor positions are angles .* but the records hold counts"):
+            see(tmp_path)
+
+    @pytest.mark.parametrize("with_numbers", [True, False])
+    def test_angles_are_taken_as_they_are(self, tmp_path: Path, with_numbers: bool) -> None:
+        truth = write_paint(tmp_path, observations=30, ideal=True)["AA11"]
+        call_ideal(tmp_path, with_numbers=with_numbers)
+        found = measure(load_heliostat(tmp_path), Options()).heliostats[0].fit
+        assert found.design.reading_unit == "rad"
+        assert {name: found.nominal.parameters.value(name) for name in ("initial_angle_1", "tilt_1_n")} == {
+            "initial_angle_1": 0.0,
+            "tilt_1_n": 0.0,
+        }
+        for name in ("tilt_1_n", "tilt_1_u", "tilt_2_e", "tilt_2_n"):
+            index = found.names.index(name)
+            error = found.values[index] - truth.parameters.value(name)
+            assert abs(error) < 4 * found.sigma[index]
+
+
 def actuators(content: Any) -> list[dict[str, Any]]:
     return content["kinematics_properties"]["actuators"]
 
@@ -358,7 +403,8 @@ class TestProperties:
             (lambda c: actuators(c).pop(), "actuators: two are needed"),
             (lambda c: actuators(c)[1].pop("offset"), "actuator 2: the key 'offset' is missing"),
             (lambda c: actuators(c)[0].update(pivot_radius=-0.3), "a positive number is needed"),
-            (lambda c: actuators(c)[0].update(type_axis="ideal"), "linear ones can be read"),
+            (lambda c: actuators(c)[0].update(type_axis="ideal"), "one actuator is ideal, the other linear"),
+            (lambda c: actuators(c)[0].update(type_axis="worm"), "linear and ideal ones can be read"),
         ],
     )
     def test_edited_by_hand(self, change: Callable[[Any], Any], wanted: str) -> None:
