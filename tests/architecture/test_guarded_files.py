@@ -20,7 +20,6 @@ ALLOWED = {
     "calibration.camera.files.opencv_files": ("cv2.FileStorage",),  # a text that was read
     "calibration.heliostat.files.store_artist": ("h5py.File",),  # writes a file
     "calibration.heliostat.observations.rows": ("csv.reader",),  # one line of text
-    "calibration.survey.files.parquet_store": ("read_parquet(",),  # files that this program wrote
     "calibration.heliostat.files.store_heliostat": ("json.loads",),  # a text that was checked when it was read
 }
 #: Calls that open, decode or parse files. A method is looked for on any value.

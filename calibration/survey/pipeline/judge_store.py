@@ -7,7 +7,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from calibration.survey.files.parquet_store import query
+from calibration.survey.files.moments import BEYOND, FIRST, read_day
+from calibration.survey.files.parquet_store import query, strangers
 from calibration.survey.judgement import chance, changes, trends
 from heliogauge.doubts import Doubt, gather_doubts
 from heliogauge.errors import InputError
@@ -165,6 +166,8 @@ def run(store: Path, options: SurveyOptions | None = None, progress: Progress | 
     are enlarged by Birge's ratio. Results without a sigma have no weight.
     """
     options, progress = options or SurveyOptions(), progress or SilentProgress()
+    for name in strangers(store):
+        progress.say(f"{store}: {name} is not in the manifest and does not count; `heliogauge survey check {store}`")
     with query(store) as connection, progress.stage("query"):
         where = _between(options)
         # Rows without a sigma have no weight: they are counted in the overview alone.
@@ -224,13 +227,10 @@ def run(store: Path, options: SurveyOptions | None = None, progress: Progress | 
 
 def _between(options: SurveyOptions) -> str:
     parts = ["TRUE"]
-    for day, sign in ((options.since, ">="), (options.until, "<=")):
+    for name, day, sign in (("since", options.since, ">="), ("until", options.until, "<")):
         if day is not None:
-            try:
-                # The text is made of the parsed day, never of what was typed.
-                parts.append(f"time {sign} TIMESTAMP '{np.datetime64(day, 'D')}'")
-            except ValueError:
-                raise InputError(f"{day!r}: a day such as 2026-06-21 is needed") from None
+            # The text is made of the parsed day, never of what was typed.
+            parts.append(f"time {sign} TIMESTAMP '{read_day(day, name)}'")
     return " AND ".join(parts)
 
 
@@ -317,9 +317,8 @@ def _events(connection: Any) -> dict[str, Sequence[Any]]:
     # Of each subject the results from its event before to its next event.
     connection.execute(
         "CREATE TABLE spans AS SELECT s.subject AS subject, e.event_time, e.what, coalesce(lag(e.event_time) "
-        "OVER p, TIMESTAMP "
-        "'1900-01-01') AS since, coalesce(lead(e.event_time) OVER p, TIMESTAMP '2200-01-01') AS until FROM "
-        "(SELECT DISTINCT "
+        f"OVER p, TIMESTAMP '{FIRST}') AS since, coalesce(lead(e.event_time) OVER p, TIMESTAMP '{BEYOND}') AS until "
+        "FROM (SELECT DISTINCT "
         "subject FROM weighted) s JOIN events e ON s.subject GLOB e.subject WINDOW p AS (PARTITION BY "
         "s.subject ORDER BY "
         "e.event_time)"

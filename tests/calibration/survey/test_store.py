@@ -10,9 +10,10 @@ from heliogauge.results.folder import Summary, read_table_csv, write_summary, wr
 pytest.importorskip("duckdb")
 
 from calibration.survey.cli import app
-from calibration.survey.files.parquet_store import add_event, query
+from calibration.survey.files.parquet_store import query
 from calibration.survey.pipeline.add import AddOptions, add
 from calibration.survey.pipeline.judge_store import SurveyOptions, run
+from calibration.survey.pipeline.keep_store import add_event
 
 
 def write_result(folder, name, date, numbers, facets=None):

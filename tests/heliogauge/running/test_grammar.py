@@ -101,6 +101,8 @@ COMMANDS = FOR_ALL + [
     "survey add",
     "survey event",
     "survey report",
+    "survey check",
+    "survey remove",
 ]
 
 
@@ -158,18 +160,22 @@ def test_help_uses_the_width_of_the_terminal(monkeypatch: pytest.MonkeyPatch) ->
     assert 170 < max(len(line) for line in one.get_help(context).splitlines()) <= 200
 
 
-@pytest.mark.parametrize("words", [words for words in COMMANDS if words not in ("check", "view", "camera compare")])
+@pytest.mark.parametrize(
+    "words", [words for words in COMMANDS if words not in ("check", "view", "camera compare", "survey check")]
+)
 def test_what_writes_has_the_options_of_all_that_write(words: str) -> None:
     known = options(words)
     verb = words.split()[-1] if words in FOR_ALL else words.split()[1]
     # A note is one line; there is no more to say of it.
     wanted = {"--quiet", "-q"} if words == "survey event" else {"--quiet", "-q", "--verbose", "-v"}
-    # A store takes what is new and keeps what it has.
-    if words not in ("report", "survey add", "survey event"):
+    # What is done to a store that is there replaces no folder.
+    if words not in ("report", "survey event", "survey remove"):
         wanted |= {"--force"}
         wanted |= {"-o", "--out"} if verb not in ("init", "synth") else {"folder"}
     if verb == "measure":
         wanted |= {"--no-report", "--jobs", "--json"}
+    if words.startswith("survey "):
+        wanted |= {"--json"}
     assert wanted <= known.keys()
 
 

@@ -161,13 +161,13 @@ def sun_camera_test(tests: HeliostatTests, section: SunCameraSection) -> Outcome
     entries = [
         make.entry("normal_rms_rad", "Shift of the normal since the start while following the sun, RMS", found.rms),
         make.entry("normal_spread_rad", "The same about its mean", found.spread),
-        make.largest("normal_largest_rad", "Largest shift of the normal since the start", series),
+        make.entry("normal_largest_rad", "Largest shift of the normal since the start", found.largest),
     ]
     try:
         for k, (key, word) in enumerate((("right", "to the right"), ("up", "upwards"))):
             one = wander(series.times_s, series.beam_rad[:, k], series.sigma_rad[:, k])
             entries.append(
-                make.drift(f"drift_{key}_normal_rad", f"Drift of the normal {word}, range of the cubic", one)
+                make.entry(f"drift_{key}_normal_rad", f"Drift of the normal {word}, range of the cubic", one.drift)
             )
     except EstimationError as error:
         entries.append(make.missing("drift_right_normal_rad", "Drift of the normal", str(error)))
@@ -207,19 +207,7 @@ def _sun_table(
     if section.sigma_mrad is None:
         raise InputError("sun_camera.sigma_mrad is needed with a table: the uncertainty of one reading")
     instants = instants[order]
-    known = np.isfinite(angles).all(axis=1)
-    keep = known.copy()
-    # Each time once: the first reading of it that has both angles.
-    keep[np.flatnonzero(known)[1:]] = np.diff(instants[known]) > np.timedelta64(0)
-    lost = int(np.count_nonzero(~keep))
-    if keep.sum() < 3:
-        raise EstimationError(f"{path.name}: {int(keep.sum())} of {keep.size} readings can be used, 3 are needed")
-    if lost:
-        twice = lost - int(np.count_nonzero(~known))
-        text = f"{path.name}: {lost} of {keep.size} readings are left out ({lost - twice} without an angle, {twice} of "
-        doubts.append(
-            Doubt("rows_left_out", f"{text}the time of another)", {"left_out_count": lost, "rows_count": keep.size})
-        )
+    keep = np.append(True, np.diff(instants) > np.timedelta64(0)) & np.isfinite(angles).all(axis=1)
     times = np.asarray((instants[keep] - instants[keep][0]) / _SECOND, dtype=np.float64)
     sigma = np.full((times.size, 2), 1e-3 * section.sigma_mrad)
     return times, angles[keep], sigma, str(instants[0].astype("datetime64[D]"))
