@@ -192,7 +192,8 @@ def run(store: Path, options: SurveyOptions | None = None, progress: Progress | 
             raise InputError(f"{store}: no results between these days")
         quantities = _quantities(options, overview)
         connection.execute("CREATE TABLE wanted (quantity VARCHAR)")
-        connection.executemany("INSERT INTO wanted VALUES (?)", [[one] for one in quantities])
+        # A store may have no quantity with a sigma: then trends, worst and history are empty.
+        connection.execute("INSERT INTO wanted SELECT unnest(?::VARCHAR[])", [quantities])
         connection.execute(_RESULTS)
         connection.execute(
             "CREATE TABLE centers AS SELECT quantity, median(value) AS y0, min(time) AS t0 FROM results GROUP "
@@ -381,19 +382,20 @@ def _doubts(
     events: Mapping[str, Sequence[Any]],
 ) -> tuple[Doubt, ...]:
     found = []
+    columns = (overview["quantity"], overview["rows"], overview["with_sigma"])
     without = [
         str(name)
-        for name, rows, known in zip(overview["quantity"], overview["rows"], overview["with_sigma"], strict=True)
-        if name in quantities and known < rows
+        for name, rows, known in zip(*columns, strict=True)
+        if known < rows and (name in quantities or not quantities)
     ]
     if without:
-        found.append(
-            Doubt(
-                "results_without_sigma",
-                f"results without an uncertainty have no weight in means and trends: some of {', '.join(without[:5])}",
-                {"quantities_count": len(without)},
-            )
+        text = (
+            f"results without an uncertainty have no weight in means and trends: some of {', '.join(without[:5])}"
+            if quantities
+            else f"none of {len(without)} quantities has an uncertainty, so that none has a weight: overview.csv lists "
+            "them, and there are neither means nor trends"
         )
+        found.append(Doubt("results_without_sigma", text, {"quantities_count": len(without)}))
     wide = [ratio for ratio in table["birge_ratio"] if ratio > 3]
     if wide:
         found.append(

@@ -58,6 +58,24 @@ def rows_of(store, columns="value"):
 # --- what goes in, and when it was measured
 
 
+def test_report_of_results_without_a_sigma(tmp_path):
+    """Calibrations of heliostats have none: the report says so, and lists them."""
+    for month in (1, 2, 3):
+        write_result(
+            tmp_path / "all" / f"r{month}", sigma=None, texts={"date": f"2026-{month:02d}-01"}, value=month * 1e-3
+        )
+    add([tmp_path / "all"], tmp_path / "store")
+    done = CliRunner().invoke(app, ["report", str(tmp_path / "store"), "-o", str(tmp_path / "out")])
+    assert done.exit_code == 0, done.output
+    assert (tmp_path / "out" / "report.html").is_file()
+    result = run(tmp_path / "store")
+    assert result.overview["quantity"] == ["sd_rad"]
+    assert result.trends["subject"] == []
+    assert [one.code for one in result.doubts] == ["results_without_sigma"]
+    chosen = run(tmp_path / "store", SurveyOptions(quantities=("sd_rad",)))
+    assert [one.code for one in chosen.doubts] == ["results_without_sigma"]
+
+
 def write_field(folder):
     """A field without a date, and two heliostats whose rows have times."""
     write_result(folder, "field", sigma=None, kind="heliostat-field", texts={})
