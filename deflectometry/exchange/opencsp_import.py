@@ -479,7 +479,7 @@ def _design_keys(parts: _Parts, options: OpencspOptions) -> dict[str, Any]:
     if start is None:
         text = (
             "no file given holds the design focal length; the design is written as a plane, so slope errors will"
-            " contain the mirror's curvature (give focal_length_m, or edit [mirror] in measurement.toml)"
+            " contain the mirror's curvature (give focal_length_m=F, or edit [mirror] in measurement.toml)"
         )
         parts.doubts.append(Doubt("design_focal_length_missing", text))
         return {"design": "plane"}

@@ -11,7 +11,6 @@ error, exit 2. Any other exception is a bug and shows its traceback. Ctrl-C ends
 import atexit
 import gc
 import os
-import re
 import signal
 import sys
 import warnings
@@ -39,6 +38,7 @@ from heliogauge.running.commands import (
     ResultsFolder,
     Scheduler,
     Verbose,
+    on_command_line,
     say_doubts,
     say_ending,
 )
@@ -287,21 +287,6 @@ def demo(
     from heliogauge.running.terminal import terminal_progress
 
     run_demo(out, terminal_progress(quiet=quiet, verbose=verbose), force=force, report=not no_report)
-
-
-#: How messages name an argument, so that it is right in Python: ``force=True``, ``only=BE36``.
-_ARGUMENT = re.compile(r"(?<![\w./`'\"])([a-z][a-z_]+)=(True\b)?")
-
-
-def on_command_line(message: str) -> str:
-    """Respell the arguments that a message names as options.
-
-    >>> on_command_line("facet: holds files already; choose another folder or give force=True to replace results")
-    'facet: holds files already; choose another folder or give --force to replace results'
-    >>> on_command_line("hold_out=check_*: no photo of that name shows the board")
-    '--hold-out check_*: no photo of that name shows the board'
-    """
-    return _ARGUMENT.sub(lambda found: f"--{found[1].replace('_', '-')}{'' if found[2] else ' '}", message)
 
 
 @app.command()

@@ -5,6 +5,7 @@ and imports it only when it is called. Flags that mean the same everywhere are t
 have one name, one help text and one meaning.
 """
 
+import re
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from inspect import Parameter, signature
@@ -177,10 +178,25 @@ def say_ending(result: Ended, out: Path, *, quiet: bool, as_json: bool = False, 
 _SEVERITY_WORDS = {Severity.NOTE: "note", Severity.DOUBT: "warning", Severity.SERIOUS: "serious"}
 
 
+#: How messages name an argument, so that it is right in Python: ``force=True``, ``only=BE36``.
+_ARGUMENT = re.compile(r"(?<![\w./`'\"])([a-z][a-z_]+)=(True\b)?")
+
+
+def on_command_line(message: str) -> str:
+    """Respell the arguments that a message names as options.
+
+    >>> on_command_line("facet: holds files already; choose another folder or give force=True to replace results")
+    'facet: holds files already; choose another folder or give --force to replace results'
+    >>> on_command_line("hold_out=check_*: no photo of that name shows the board")
+    '--hold-out check_*: no photo of that name shows the board'
+    """
+    return _ARGUMENT.sub(lambda found: f"--{found[1].replace('_', '-')}{'' if found[2] else ' '}", message)
+
+
 def say_doubts(doubts: Iterable[Doubt]) -> None:
     """Write doubts on standard error, each with how much it weighs, the heaviest first."""
     for _, one in heaviest_first(doubts):
-        typer.echo(f"{_SEVERITY_WORDS[one.severity]}: {one.text}", err=True)
+        typer.echo(f"{_SEVERITY_WORDS[one.severity]}: {on_command_line(one.text)}", err=True)
 
 
 def parse_periods(text: str) -> tuple[float, ...]:
