@@ -96,7 +96,9 @@ class Finding:
     def doubt(self) -> Doubt:
         """The finding as a doubt: its kind is the code."""
         weight = doubts.Severity.SERIOUS if self.severity == "fault" else doubts.Severity.DOUBT
-        return Doubt(self.kind, f"{self.text} ({self.significance}) {self.remedy}", self.evidence, weight)
+        return Doubt(
+            self.kind, f"{self.text.removesuffix('.')} ({self.significance}). {self.remedy}", self.evidence, weight
+        )
 
     def content(self) -> dict[str, Any]:
         """Return the finding as JSON has it."""

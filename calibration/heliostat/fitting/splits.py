@@ -238,7 +238,7 @@ def _beyond_training(prediction: Prediction) -> Doubt | None:
     return Doubt(
         "test_positions_beyond_training",
         f"{beyond} of {len(prediction.extrapolated)} test positions lie beyond those of training, "
-        f"up to {np.degrees(far):.2g} degrees away; expect errors of about {1e3 * expected:.2g} mrad of the beam",
+        f"up to {np.degrees(far):.0f} degrees away; expect errors of about {1e3 * expected:.2g} mrad of the beam",
         {"beyond_count": beyond, "farthest_rad": far, "expected_beam_rad": expected},
     )
 
