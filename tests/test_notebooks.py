@@ -5,9 +5,10 @@ from pathlib import Path
 
 import pytest
 
+from heliogauge.instruments import instruments
 from tests.kernel import read, run_in_jupyter
 
-NOTEBOOKS = ("beam", "camera", "deflectometry", "heliostat", "observer", "photogrammetry", "screen")
+NOTEBOOKS = ("beam", "camera", "deflectometry", "heliostat", "observer", "photogrammetry", "screen", "survey")
 NUMBER = re.compile(r"[-+]?\d+\.\d+(?:e[-+]?\d+)?")
 
 
@@ -31,8 +32,9 @@ def test_notebook_is_kept_with_its_outputs(repository, name):
     assert file.stat().st_size < 800_000
 
 
-def test_every_notebook_is_run(repository):
+def test_there_is_one_notebook_for_each_instrument(repository):
     assert sorted(file.stem for file in (repository / "notebooks").glob("*.ipynb")) == list(NOTEBOOKS)
+    assert sorted(instruments()) == list(NOTEBOOKS)
 
 
 @pytest.mark.slow
