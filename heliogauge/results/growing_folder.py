@@ -10,6 +10,7 @@ from types import TracebackType
 from typing import Any, ClassVar, NamedTuple, Self, TextIO
 
 from heliogauge.errors import InputError
+from heliogauge.files.locks import try_lock
 from heliogauge.files.on_disk import put_on_disk
 from heliogauge.files.regular import read_regular
 from heliogauge.files.texts import parse_json
@@ -216,15 +217,7 @@ def _refuse_second_writer(journal: TextIO, path: Path) -> None:
 
     InputError: Another run has it.
     """
-    try:
-        import fcntl
-    except ImportError:
-        # Windows keeps a file that is open from being replaced, which the second run then says.
-        return
-    try:
-        fcntl.flock(journal, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        raise InputError(f"{path}: another run is writing there; wait until it ends, or choose another --out") from None
-    except OSError:
-        # Drives of a network that have no locks: there nobody is told.
-        return
+    # Drives of a network that have no locks: there nobody is told.
+    with contextlib.suppress(OSError):
+        if not try_lock(journal):
+            raise InputError(f"{path}: another run is writing there; wait until it ends, or choose another --out")
