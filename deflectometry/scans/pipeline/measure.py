@@ -224,11 +224,12 @@ def _placed(
         good[np.flatnonzero(good)[stray]] = False
         if not stray.any():
             break
-    if np.count_nonzero(good) < _LEAST_GOOD * good.size:
-        raise EstimationError(
-            f"{np.count_nonzero(~good)} of {good.size} points are far from the surface of their neighbours: what "
-            "stands before or behind the mirror is in the scan; cut the points to the mirror"
-        )
+        if np.count_nonzero(good) < _LEAST_GOOD * good.size:
+            raise EstimationError(
+                f"{np.count_nonzero(~good)} of {good.size} points are far from the surface of their neighbours: what "
+                f"stands before or behind the mirror is in the scan, or {design.describe()} is not its design; cut the "
+                "points to the mirror, or correct [mirror]"
+            )
     found, noisy = noise_of_points(_deviations(points[good], design))
     odd = ~good
     odd[np.flatnonzero(good)[noisy]] = True

@@ -260,3 +260,11 @@ def test_true_slopes_stand_beside_the_scan(tmp_path: Path) -> None:
     _, near = cKDTree(np.column_stack([true["x_m"], true["y_m"]])).query(np.column_stack([x, y]))
     # Half a step of 27 mm on a trough of 1.71 m, and the fitted place.
     assert np.abs(one.slope_x[one.valid] - true["slope_x"][near]).max() < 0.5 * 0.027 / 3.42 + 0.006
+
+
+@pytest.mark.parametrize("focal_length_m", [0.02, 0.1])
+def test_a_design_of_another_mirror_is_refused(tmp_path: Path, focal_length_m: float) -> None:
+    """No point is near it: nothing is left to place the mirror by."""
+    folder = scanned(tmp_path / "scan", PointScene(), mirror__focal_length_m=focal_length_m)
+    with pytest.raises(EstimationError, match=f"focal length {focal_length_m:g} m"):
+        measured(folder)
