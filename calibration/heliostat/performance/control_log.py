@@ -6,6 +6,7 @@ tried three times.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -90,7 +91,7 @@ def answers(times_s: FloatArray, events: Sequence[str], states: Sequence[str], w
         raise InputError(f"event {unknown[0]!r} is not known; there are: {', '.join(DUE)}")
     starts = [row for row, event in enumerate(events) if event]
     found: dict[str, list[tuple[bool, float]]] = {}
-    for start, following in zip(starts, [*starts[1:], len(events)], strict=True):
+    for start, following in pairwise([*starts, len(events)]):
         due = DUE[events[start]]
         reached = [row for row in range(start, following) if states[row] == due]
         delay = float(times[reached[0]] - times[start]) if reached else float("nan")

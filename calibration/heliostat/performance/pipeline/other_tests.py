@@ -179,6 +179,10 @@ def sun_camera_test(tests: HeliostatTests, section: SunCameraSection) -> Outcome
     return Outcome(tuple(entries), tuple(doubts), {"sun_camera_rows": rows})
 
 
+#: The shift from a first reading needs a second one.
+_FEWEST_READINGS = 2
+
+
 def _sun_table(
     tests: HeliostatTests, section: SunCameraSection, doubts: list[Doubt]
 ) -> tuple[FloatArray, FloatArray, FloatArray, str]:
@@ -208,6 +212,11 @@ def _sun_table(
         raise InputError("sun_camera.sigma_mrad is needed with a table: the uncertainty of one reading")
     instants = instants[order]
     keep = np.append(True, np.diff(instants) > np.timedelta64(0)) & np.isfinite(angles).all(axis=1)
+    if np.count_nonzero(keep) < _FEWEST_READINGS:
+        raise InputError(
+            f"{path}: {np.count_nonzero(keep)} of {keep.size} rows have both angles; {_FEWEST_READINGS} are needed, "
+            "the first of which the others are counted from"
+        )
     times = np.asarray((instants[keep] - instants[keep][0]) / _SECOND, dtype=np.float64)
     sigma = np.full((times.size, 2), 1e-3 * section.sigma_mrad)
     return times, angles[keep], sigma, str(instants[0].astype("datetime64[D]"))

@@ -63,6 +63,8 @@ def numbers_of(path: Path, table: dict[str, list[str]], name: str) -> FloatArray
                 values[row] = float(cell)
             except ValueError:
                 raise InputError(f"{path}: {name}, row {row + 1}: {cell!r} is no number") from None
+            if np.isinf(values[row]):
+                raise InputError(f"{path}, row {row + 1}: {name} = {cell} is not finite; leave the cell empty")
     return values
 
 

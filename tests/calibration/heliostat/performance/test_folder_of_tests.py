@@ -151,6 +151,32 @@ def test_column_without_a_unit_is_refused(drawn, tmp_path):
         run(load_tests(folder), Options("sun_camera"))
 
 
+@pytest.mark.parametrize("cell", ["nan", "", "inf"])
+@pytest.mark.parametrize("column", ["azimuth_mrad", "elevation_mrad"])
+def test_angles_of_the_sun_camera_that_are_none_are_refused(drawn, tmp_path, column, cell):
+    def emptied(text):
+        head, *rows = text.splitlines()
+        place = head.split(",").index(column)
+        cells = [row.split(",") for row in rows]
+        return "\n".join([head, *(",".join([*c[:place], cell, *c[place + 1 :]]) for c in cells)]) + "\n"
+
+    folder = edited(drawn, tmp_path, "sun_camera.csv", emptied)
+    with pytest.raises(InputError, match=r"sun_camera.csv.*(0 of \d+ rows have both angles|is not finite)"):
+        run(load_tests(folder), Options("sun_camera"))
+
+
+def test_a_log_without_events_is_refused(drawn, tmp_path):
+    def emptied(text):
+        head, *rows = text.splitlines()
+        place = head.split(",").index("event")
+        cells = [row.split(",") for row in rows]
+        return "\n".join([head, *(",".join([*c[:place], "", *c[place + 1 :]]) for c in cells)]) + "\n"
+
+    folder = edited(drawn, tmp_path, "control.csv", emptied)
+    with pytest.raises(InputError, match="no row has an event"):
+        run(load_tests(folder), Options("control"))
+
+
 def test_pixels_as_metres_are_noticed(drawn, tmp_path):
     def enlarged(text):
         head, *rows = text.splitlines()
