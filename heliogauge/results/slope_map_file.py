@@ -279,16 +279,22 @@ def plain_value(value: Any) -> Any:
 
     value: As HDF5 gives it. xarray and h5netcdf write each number as an array of one.
     Returns: Text, number, list or dict; an array of several as it is.
+    ValueError: A text is no UTF-8; no file of ours could hold it.
     """
     if isinstance(value, np.ndarray) and value.size == 1:
         value = value.reshape(-1)[0]
     if isinstance(value, bytes):
         value = value.decode("utf-8")
+    if isinstance(value, str):
+        # h5py hands on bytes that are no UTF-8 as halves of characters.
+        value.encode("utf-8")
     if isinstance(value, str) and value[:1] in ("{", "["):
         try:
-            return json.loads(value)
+            content = json.loads(value)
         except (ValueError, RecursionError):
             return value
+        json.dumps(content, ensure_ascii=False).encode("utf-8")
+        return content
     return value.item() if isinstance(value, np.generic) else value
 
 

@@ -196,6 +196,18 @@ def test_more_hashes_than_an_attribute_holds_become_one(tmp_path: Path) -> None:
     assert digest in read_slope_map_attributes(tmp_path / "slope_map.nc")["input_sha256"]
 
 
+@pytest.mark.parametrize("name", ["design", "name"])
+@pytest.mark.parametrize("value", [b"\xff\xfe", '["\\ud800"]'])
+def test_texts_that_no_file_could_hold_are_refused(tmp_path: Path, name: str, value: bytes | str) -> None:
+    """They would come out again in summary.json, which is UTF-8."""
+    path = tmp_path / "slope_map.nc"
+    write_slope_map(path, {"facet": make_map()})
+    with h5py.File(path, "r+") as file:
+        file.attrs[name] = value
+    with pytest.raises(InputError, match="a text in it is not UTF-8"):
+        read_slope_map_attributes(path)
+
+
 def test_files_that_are_no_slope_maps_are_refused(tmp_path: Path) -> None:
     (tmp_path / "text.nc").write_text("x")
     for path in (tmp_path / "text.nc", tmp_path / "absent.nc"):
