@@ -259,13 +259,17 @@ def _check_workers(client: Any, address: str, patience_s: float) -> int:
         if monotonic() > end:
             raise InputError(f"scheduler={address}: the cluster has no workers; start some")
         sleep(_AGAIN_S)
-    try:
-        versions: Mapping[str, str] = client.run(_version_there)
-    except ImportError as error:
+    # As values: a cluster tells of a missing package in errors of several types.
+    versions: Mapping[str, str | Exception] = client.run(_version_there, on_error="return")
+    faults = [version for version in versions.values() if isinstance(version, Exception)]
+    if (lost := next((fault for fault in faults if isinstance(fault, OSError)), None)) is not None:
+        raise lost
+    if faults:
         raise InputError(
-            f"scheduler={address}: its workers cannot import heliogauge ({error}); install {__version__} there"
-        ) from error
-    others = {version for version in versions.values() if version != __version__}
+            f"scheduler={address}: {len(faults)} of {len(versions)} workers cannot import heliogauge "
+            f"({str(faults[0])[:120]}); install heliogauge {__version__} there"
+        )
+    others = {str(version) for version in versions.values()} - {__version__}
     if others:
         raise InputError(
             f"scheduler={address}: workers have heliogauge {', '.join(sorted(others))}, here is {__version__}; "

@@ -158,6 +158,38 @@ class TestCluster:
             list(run_each(halve, 0.5, [2], workers=Workers(scheduler=address)))
 
 
+_WITHOUT_PACKAGE = """
+import sys
+
+class Absent:
+    def find_spec(self, name, path=None, target=None):
+        if name.split(".")[0] == "heliogauge":
+            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
+
+sys.meta_path.insert(0, Absent())
+"""
+
+
+@pytest.mark.slow
+def test_workers_without_the_package_end_in_one_sentence(tmp_path: Path) -> None:
+    distributed = pytest.importorskip("distributed")
+    # What Python imports before anything else: in the worker the package is not there.
+    (tmp_path / "sitecustomize.py").write_text(_WITHOUT_PACKAGE, encoding="utf-8")
+    environment = {**os.environ, "PYTHONPATH": str(tmp_path)}
+    with distributed.LocalCluster(n_workers=0, processes=False, dashboard_address=None, protocol="tcp") as cluster:
+        command = [sys.executable, "-m", "distributed.cli.dask_worker", cluster.scheduler_address, "--no-dashboard"]
+        worker = subprocess.Popen(
+            [*command, "--nthreads", "1", "--no-nanny", "--local-directory", str(tmp_path)],
+            env=environment, cwd=tmp_path, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+        )  # fmt: skip
+        try:
+            with pytest.raises(InputError, match=r"1 of 1 workers cannot import heliogauge .*; install heliogauge"):
+                list(run_each(halve, 0.5, [2], workers=Workers(scheduler=cluster.scheduler_address)))
+        finally:
+            worker.kill()
+            worker.wait()
+
+
 @pytest.mark.slow
 def test_no_scheduler_there(monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("distributed")
