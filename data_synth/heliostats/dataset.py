@@ -1,9 +1,9 @@
 """Measurement folders of heliostats with known truth: measurement.toml, tables, photos, truth.json, truth.npz."""
 
-import csv
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
+from itertools import islice
 from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias
 
@@ -29,7 +29,7 @@ from heliogauge.images.photos import write_image
 from heliogauge.measurement.load import MEASUREMENT_FILE
 from heliogauge.measurement.writer import dump_toml, write_text
 from heliogauge.results.json_file import read_json, write_json
-from heliogauge.results.tables import write_camera_json, write_table_csv
+from heliogauge.results.tables import table_lines, write_camera_json, write_table_csv
 from heliogauge.results.whole_folder import WholeFolder
 from heliogauge.running.progress import Progress, SilentProgress
 from heliogauge.short_repr import ShortRepr
@@ -283,16 +283,14 @@ def _sun_columns(beams: Beams) -> Columns:
 def _table(path: Path) -> Iterator[Callable[[Columns], None]]:
     """Open a table to which columns of further rows are added; the first ones name all of them."""
     with path.open("w", encoding="utf-8", newline="") as file:
-        writer = csv.writer(file, lineterminator="\n")
         header: list[str] = []
 
         def add(columns: Columns) -> None:
-            if not header:
+            is_first = not header
+            if is_first:
                 header.extend(columns)
-                writer.writerow(header)
-            cells = zip(*(columns[name] for name in header), strict=True)
-            # NaN is the one float that differs from itself.
-            writer.writerows(["" if cell != cell else cell for cell in row] for row in cells)
+            lines = table_lines(path.name, {name: columns[name] for name in header})
+            file.writelines(lines if is_first else islice(lines, 1, None))
 
         yield add
 

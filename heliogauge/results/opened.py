@@ -18,6 +18,7 @@ from heliogauge.files.faults import explain_faults
 from heliogauge.files.hdf5 import read_netcdf
 from heliogauge.files.own_folder import refuse_links_out
 from heliogauge.files.regular import read_regular
+from heliogauge.formula_cells import plain_cell
 from heliogauge.results.folder import SUMMARY_FILE, ResultFolder, Summary, read_summary
 from heliogauge.short_repr import shortened
 
@@ -47,9 +48,14 @@ class Tables(Mapping[str, Any]):
         pandas = of_extra("pandas")
         content = read_regular(self._files[name], "a CSV file")
         try:
-            return pandas.read_csv(io.BytesIO(content))
+            table = pandas.read_csv(io.BytesIO(content))
         except (ValueError, OverflowError, RecursionError) as error:
             raise InputError(f"{self._files[name]}: cannot be read as CSV ({str(error)[:200]})") from error
+        if b"'" in content:
+            texts = table.select_dtypes(exclude="number").columns
+            table[texts] = table[texts].map(lambda cell: plain_cell(cell) if isinstance(cell, str) else cell)
+            table.columns = [plain_cell(str(column)) for column in table.columns]
+        return table
 
     def __contains__(self, name: object) -> bool:
         """Return whether there is a table of this name, without reading it."""

@@ -15,6 +15,7 @@ from heliogauge.camera.model import PARAMETER_NAMES, Camera
 from heliogauge.errors import InputError
 from heliogauge.files.faults import explain_faults
 from heliogauge.files.texts import MOST_CSV_BYTES, read_csv, read_text
+from heliogauge.formula_cells import guarded_cell, plain_cell
 from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.results.json_file import read_json, write_json
 from heliogauge.validate import FloatArray, covariance_matrix, float_array
@@ -114,6 +115,9 @@ def read_points_csv(path: Path, unit: str = "m") -> PointTable:
 def write_table_csv(path: Path, columns: Mapping[str, Sequence[Any] | npt.NDArray[Any]]) -> None:
     """Write columns of one length as CSV with a header line; NaN becomes an empty cell.
 
+    A text that a spreadsheet would take for a formula stands behind an apostrophe (`guarded_cell`), which
+    `read_table_csv` takes away again.
+
     columns: Columns by name, units in the names.
     InputError: Lengths differ, or the file cannot be written.
     """
@@ -172,7 +176,8 @@ def _csv_cells(column: list[Any], *, alone: bool) -> list[Any]:
 
 
 def _csv_cell(text: str) -> str:
-    """Return a text with the quotes that it needs in a cell."""
+    """Return a text as a cell that no spreadsheet computes, with the quotes that it needs."""
+    text = guarded_cell(text)
     if any(mark in text for mark in ',"\r\n'):
         return '"' + text.replace('"', '""') + '"'
     return text
@@ -184,7 +189,7 @@ def read_table_csv(path: Path, needed: Sequence[str] = ()) -> dict[str, list[str
     needed: Columns that must be there.
     """
     rows = read_csv(path)
-    header = [name.strip() for name in rows[0][1]] if rows else []
+    header = _texts(rows[0][1]) if rows else []
     twice = next((name for name in needed if header.count(name) > 1), None)
     if twice is not None:
         raise InputError(f"{path}: the column {twice!r} is there {header.count(twice)} times; keep one")
@@ -201,7 +206,13 @@ def read_table_csv(path: Path, needed: Sequence[str] = ()) -> dict[str, list[str
         raise InputError(f"{path}, line {number}: {len(header)} cells are needed, not {cells}")
     # Column by column, each in one call: a third of the time of cell by cell.
     columns = zip(*body, strict=True) if body else [()] * len(header)
-    return {name: list(map(str.strip, column)) for name, column in zip(header, columns, strict=True)}
+    return {name: _texts(column) for name, column in zip(header, columns, strict=True)}
+
+
+def _texts(cells: Sequence[str]) -> list[str]:
+    """Return what stands in cells, without blanks around it and without the apostrophe of `guarded_cell`."""
+    texts = list(map(str.strip, cells))
+    return list(map(plain_cell, texts)) if "'" in ",".join(texts) else texts
 
 
 def read_number_columns(path: Path, names: tuple[str, ...]) -> FloatArray:
@@ -245,7 +256,14 @@ def _quick_columns(
     names = header.split(",")
     chosen = (*numbers, *(name for name in optional if name in names))
     wanted = (*texts, *chosen)
-    if not body or '"' in text or not set(wanted) <= set(names) or any(names.count(name) > 1 for name in wanted):
+    # Apostrophes may guard texts, quotes may hold commas.
+    if (
+        not body
+        or '"' in text
+        or "'" in text
+        or not set(wanted) <= set(names)
+        or any(names.count(name) > 1 for name in wanted)
+    ):
         return None
     content = body.rstrip("\n").encode() + b"\n"
     signs = np.frombuffer(content, dtype=np.uint8)

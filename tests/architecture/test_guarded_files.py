@@ -150,6 +150,18 @@ def test_every_exception_is_used() -> None:
     assert set(ALLOWED) <= {module.name for module in all_modules()}
 
 
+def test_tables_are_written_in_one_place() -> None:
+    """`heliogauge.results.tables` keeps texts of strangers from being formulas of a spreadsheet."""
+    others = ("csv.writer", "csv.DictWriter", "to_csv", "savetxt")
+    breaches = [
+        f"{module.path}:{node.lineno}: use heliogauge.results.tables"
+        for module in all_modules()
+        for node in ast.walk(module.tree)
+        if isinstance(node, ast.Call) and ast.unparse(node.func).endswith(others)
+    ]
+    assert not breaches, "\n".join(breaches)
+
+
 @pytest.mark.parametrize(
     ("source", "names"),
     [

@@ -13,7 +13,9 @@ import heliogauge as hg
 from heliogauge.errors import InputError
 from heliogauge.instruments import Instrument, instruments, resolve
 from heliogauge.measurement.templates import write_template
+from heliogauge.results.opened import Tables
 from heliogauge.results.slope_map_file import read_slope_map, write_slope_map
+from heliogauge.results.tables import write_table_csv
 from observer.files import write_angles
 from observer.product.slope_map import AngleMaps
 
@@ -63,6 +65,16 @@ def test_tables_are_data_frames(result: hg.Result) -> None:
     assert result.tables["outline"].shape[0] >= 4
     with pytest.raises(InputError, match="'points' is not among the results; there are: outline"):
         result.tables["points"]
+
+
+def test_tables_have_texts_as_they_were(tmp_path: Path) -> None:
+    columns = {"id": ["=1+1", "-A7", "'b'"], "-c": ["x", "", "-2"], "x_m": [1.0, -2.0, float("nan")]}
+    write_table_csv(tmp_path / "points.csv", columns)
+    table = Tables(tmp_path)["points"]
+    assert list(table.columns) == list(columns)
+    assert list(table["id"]) == columns["id"]
+    assert list(table["-c"].fillna("")) == columns["-c"]
+    assert table["x_m"].dtype == float
 
 
 def test_a_table_that_is_not_there(result: hg.Result) -> None:

@@ -32,6 +32,7 @@ from heliogauge.doubts import Doubt
 from heliogauge.errors import InputError
 from heliogauge.files.regular import open_regular
 from heliogauge.files.texts import read_text
+from heliogauge.formula_cells import plain_cell
 from heliogauge.geometry.sun import Site
 from heliogauge.results.json_file import read_json
 from heliogauge.results.tables import read_table_csv
@@ -243,8 +244,8 @@ def _cell(line: bytes, column: int) -> str:
     try:
         if b'"' not in line:
             cells = line.split(b",", column + 1)
-            return cells[column].decode("utf-8").strip()
-        return split_line(line.decode("utf-8"))[column].strip()
+            return plain_cell(cells[column].decode("utf-8").strip())
+        return plain_cell(split_line(line.decode("utf-8"))[column].strip())
     except (UnicodeDecodeError, IndexError):
         return ""
 

@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from heliogauge.errors import InputError
+from heliogauge.formula_cells import plain_cell
 from heliogauge.validate import BoolArray, FloatArray, TimeArray, freeze
 
 #: Why a row of observations has no part in the fit; "" and "outlier" come from the fit itself.
@@ -166,9 +167,11 @@ def parse_rows(header: Sequence[str], lines: Mapping[int, str]) -> Rows:
 def _cells(lines: Sequence[str]) -> list[list[str]]:
     """Split each line by itself: a quotation mark that is never closed must not swallow the rows below it."""
     whole = [line.rstrip("\r\n").replace("\r", " ") for line in lines]
-    if not any('"' in line for line in whole):
-        return [line.split(",") if line else [] for line in whole]
-    return [split_line(line) for line in whole]
+    if any('"' in line for line in whole):
+        rows = [split_line(line) for line in whole]
+    else:
+        rows = [line.split(",") if line else [] for line in whole]
+    return [list(map(plain_cell, row)) for row in rows] if any("'" in line for line in whole) else rows
 
 
 def split_line(line: str) -> list[str]:

@@ -1,5 +1,6 @@
 """Files on disk: what goes in comes out, other programs read it, and nothing is ever half-written."""
 
+import csv
 import hashlib
 import json
 import math
@@ -402,6 +403,40 @@ def test_tables_name_their_faults(tmp_path: Path) -> None:
     path.write_text("id,x_m,y_m,z_m,sigma_x_m,sigma_y_m,sigma_z_m,n_rays,flag\na,1,2,three,1,1,1,2,0\n")
     with pytest.raises(InputError, match="z_m must hold numbers"):
         read_points_csv(path)
+
+
+_STRANGE = ["=cmd|' /C calc'!A0", "+1+1", "-A7", "@SUM(A1)", "\tx", "\rx", "'=1", "''@x", "-", '=HYPERLINK("x","y")']
+_HARMLESS = ["-12", "+5", "-1.5e-3", "-.5", "-inf", "nan", "'quoted'", "a=b", "A-7", "'"]
+
+
+def test_no_cell_is_a_formula_and_every_text_comes_back(tmp_path: Path) -> None:
+    texts = _STRANGE + _HARMLESS
+    columns = {
+        "=head()": texts,
+        "-x": list(range(len(texts))),
+        "mixed": [*texts[:-1], -2.5],
+        "number": [-1.5] * len(texts),
+    }
+    path = tmp_path / "points.csv"
+    write_table_csv(path, columns)
+    with path.open(encoding="utf-8", newline="") as file:
+        header, *rows = list(csv.reader(file))
+    assert header == ["'=head()", "'-x", "mixed", "number"]
+    assert [row[0] for row in rows] == [f"'{text}" for text in _STRANGE] + _HARMLESS
+    assert {row[3] for row in rows} == {"-1.5"}
+    back = read_table_csv(path)
+    assert list(back) == list(columns)
+    assert back["=head()"] == texts
+    assert back["mixed"] == [*texts[:-1], "-2.5"]
+    found, _ = read_columns_csv(path, ("=head()",), ("-x",))
+    assert found["=head()"] == texts
+
+
+@given(st.lists(st.text(alphabet="'=+-@\t1.eaé,\"", min_size=1).filter(lambda text: text == text.strip()), min_size=1))
+def test_any_text_comes_back(tmp_path_factory: pytest.TempPathFactory, texts: list[str]) -> None:
+    path = tmp_path_factory.mktemp("texts") / "t.csv"
+    write_table_csv(path, {"id": texts, "x_m": [1.0] * len(texts)})
+    assert read_columns_csv(path, ("id",), ("x_m",))[0]["id"] == texts
 
 
 def test_hashes_are_those_of_sha256(tmp_path: Path) -> None:
