@@ -192,10 +192,15 @@ def fit_removals(nodes: MeasuredNodes, patterns: Patterns, removals: Iterable[Re
 
 
 def inverse_of_products(products: FloatArray) -> FloatArray:
-    """Invert the inner products (p, p) of slope patterns; EstimationError if these depend on each other."""
+    """Invert the inner products (p, p) of slope patterns; EstimationError if these depend on each other or overflow."""
     norms = np.sqrt(np.diag(products))
     norms = np.where(norms == 0, 1.0, norms)
     unit = products / np.outer(norms, norms)
+    if not np.isfinite(unit).all():
+        raise EstimationError(
+            "slope map: places or design slopes are so large that their squares are beyond the numbers that a program "
+            "can hold; metres and dz/dx are needed"
+        )
     if len(products) and np.linalg.eigvalsh(unit)[0] < 1e-9:
         raise EstimationError(
             "slope map: the measured nodes lie on a line and do not determine tilt and curvature; "

@@ -307,3 +307,12 @@ def test_too_little_to_say_anything_is_refused_with_the_numbers():
         statistics(line, removed=Removal.QUADRATIC)
     with pytest.raises(InputError, match="distance_m"):
         statistics(make_map(plane())).focus_deviation_m(0.0)
+
+
+@pytest.mark.filterwarnings("ignore:(invalid value|overflow) encountered")
+def test_design_slopes_beyond_all_bounds_are_refused() -> None:
+    """Files can hold them; their squares overflow, and eigenvalues then do not converge."""
+    tilted = make_map(paraboloid(100.0), error=(1e-3, 0.0))
+    beyond = replace(tilted, design_slope_x=np.where(GRID_X > 0, 1e200, 2e200))
+    with pytest.raises(EstimationError, match="beyond the numbers"):
+        statistics(beyond, removed=Removal.QUADRATIC)
