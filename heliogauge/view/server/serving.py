@@ -6,9 +6,11 @@ import os
 import secrets
 import shutil
 import sys
+import tempfile
 import traceback
 import webbrowser
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -36,6 +38,11 @@ HEADERS: dict[str, str] = {
         "form-action 'self'; base-uri 'none'; frame-ancestors 'none'"
     ),
 }
+_FORWARDING = """<!doctype html>
+<html lang="en"><head><meta charset="utf-8"><title>heliogauge</title><meta name="referrer" content="no-referrer">
+<meta http-equiv="refresh" content="0; url={address}"></head>
+<body><a href="{address}">Results</a></body></html>
+"""
 # A browser asks at once; who holds a connection open without asking is cut off.
 _PATIENCE_S = 30.0
 
@@ -175,11 +182,27 @@ def look_at(paths: Sequence[Path], how: Looking, say: Callable[[str], None]) -> 
         viewer.site.check()
         say(viewer.address)
         say("served to this machine alone; Ctrl-C ends")
-        if how.browser:
-            # Some systems start the browser within this call.
-            webbrowser.open(viewer.address)
-        viewer.serve_forever()
+        with ExitStack() as stack:
+            if how.browser:
+                # Some systems start the browser within this call.
+                webbrowser.open(stack.enter_context(_forwarding_page(viewer.address)).as_uri())
+            viewer.serve_forever()
     except KeyboardInterrupt:
         say("ended")
     finally:
         viewer.server_close()
+
+
+@contextmanager
+def _forwarding_page(address: str) -> Iterator[Path]:
+    """Write a page that leads to an address, for this user's eyes alone; it goes at the end.
+
+    Every user of a machine reads the arguments of its processes, a browser's too: the secret word must not be among
+    them.
+    """
+    # The folder is this user's alone (mode 700).
+    with tempfile.TemporaryDirectory(prefix="heliogauge-view-", ignore_cleanup_errors=True) as folder:
+        page = Path(folder, "open.html")
+        page.touch(mode=0o600)
+        page.write_text(_FORWARDING.format(address=address), encoding="utf-8")
+        yield page

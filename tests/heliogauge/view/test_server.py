@@ -8,6 +8,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -295,3 +296,63 @@ def test_the_command_serves_until_it_is_stopped(results: Path, number: signal.Si
     assert answer == b"id,x_m\n1,2\n"
     assert "Traceback" not in errors
     assert process.returncode == {signal.SIGINT: 0, signal.SIGTERM: 143}[number]
+
+
+#: A browser that keeps what others could see of it, and then looks at the page that it was told to open.
+_BROWSER = """#!{python}
+import json, os, re, stat, sys, urllib.request
+from pathlib import Path
+from urllib.parse import unquote, urlsplit
+
+seen = {{"arguments": sys.argv[1:]}}
+place = Path(unquote(urlsplit(sys.argv[1]).path))
+if place.is_file():
+    address = re.search('url=(http[^"]*)"', place.read_text(encoding="utf-8"))[1]
+    seen |= {{
+        "page": str(place),
+        "modes": [stat.S_IMODE(one.stat().st_mode) for one in (place, place.parent)],
+        "address": address,
+    }}
+Path({out!r}).with_suffix(".part").write_text(json.dumps(seen), encoding="utf-8")
+os.replace(Path({out!r}).with_suffix(".part"), {out!r})
+"""
+
+
+@pytest.mark.skipif(os.name == "nt", reason="programs and their modes are others there")
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_the_word_is_not_among_the_arguments_of_the_browser(
+    tmp_path: Path, results: Path, number: signal.Signals
+) -> None:
+    """Every user of a machine reads the arguments of its processes."""
+    browser, out = tmp_path / "browser", tmp_path / "seen.json"
+    browser.write_text(_BROWSER.format(python=sys.executable, out=str(out)), encoding="utf-8")
+    browser.chmod(0o700)
+    begin = "import os, signal; os.umask(0); signal.signal(signal.SIGINT, signal.default_int_handler)"
+    command = [sys.executable, "-c", f"{begin}; from heliogauge.running.cli import main; main()", "view", str(results)]
+    environment = os.environ | {"PYTHONUNBUFFERED": "1", "BROWSER": f"{browser} %s", "TMPDIR": str(tmp_path)}
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment
+    ) as process:
+        address = process.stdout.readline().strip()
+        try:
+            end = time.monotonic() + 60
+            while not out.is_file() and time.monotonic() < end:
+                time.sleep(0.05)
+            seen = json.loads(out.read_text(encoding="utf-8"))
+            parts = urlsplit(seen["address"])
+            connection = http.client.HTTPConnection("127.0.0.1", parts.port, timeout=60)
+            connection.request("GET", f"{parts.path}1/before/points.csv")
+            answer = connection.getresponse().read()
+            connection.close()
+            process.send_signal(number)
+            _, errors = process.communicate(timeout=30)
+        finally:
+            process.kill()
+    word = urlsplit(address).path.strip("/")
+    assert len(word) >= 32
+    assert word not in " ".join(seen["arguments"])
+    assert seen["address"] == address
+    assert answer == b"id,x_m\n1,2\n"
+    assert seen["modes"] == [0o600, 0o700]
+    assert not Path(seen["page"]).parent.exists()
+    assert "Traceback" not in errors
