@@ -250,6 +250,11 @@ def _client(address: str, patience_s: float = 0.0) -> Any:
                 f"scheduler={address}: no scheduler answers there{gone} ({str(error)[:120]}); is the address as it "
                 "printed it?"
             ) from error
+        except (TypeError, RuntimeError) as error:
+            raise InputError(
+                f"scheduler={address}: Dask does not connect ({str(error)[:120]}); look at what its configuration says "
+                "of distributed.comm.tls and require-encryption"
+            ) from error
 
 
 def _check_workers(client: Any, address: str, patience_s: float) -> int:

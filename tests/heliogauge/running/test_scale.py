@@ -196,3 +196,21 @@ def test_no_scheduler_there(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("heliogauge.running.scale._CONNECT_S", 1)
     with pytest.raises(InputError, match=r"tcp://127\.0\.0\.1:1: no scheduler answers"):
         list(run_each(halve, 0.5, [2], workers=Workers(scheduler="tcp://127.0.0.1:1")))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("address", "settings", "words"),
+    [
+        ("tls://127.0.0.1:1", {}, "ssl_context"),
+        ("tcp://192.0.2.1:1", {"distributed.comm.require-encryption": True}, "encryption required"),
+    ],
+)
+def test_what_the_settings_of_dask_forbid(address: str, settings: dict[str, bool], words: str) -> None:
+    pytest.importorskip("distributed")
+    dask = pytest.importorskip("dask")
+    with (
+        dask.config.set(settings),
+        pytest.raises(InputError, match=rf"does not connect \(.*{words}.*require-encryption"),
+    ):
+        list(run_each(halve, 0.5, [2], workers=Workers(scheduler=address)))
