@@ -78,7 +78,7 @@ def _faults_of_files(store: Path, manifest: Manifest) -> list[str]:
     for name, change in manifest.files.items():
         fault = fault_of(store, change)
         if not fault:
-            fault = _fault_of_rows(place_of(store, name), change.results, store)
+            fault = _fault_of_rows(place_of(store, name), change.results)
         if fault:
             lost = ", ".join(f"{one.result[:12]} ({one.source})" for one in change.results[:_MOST_NAMES])
             more = f" and {len(change.results) - _MOST_NAMES} more" if len(change.results) > _MOST_NAMES else ""
@@ -91,12 +91,15 @@ def _faults_of_files(store: Path, manifest: Manifest) -> list[str]:
     return faults + [f"{MANIFEST_FILE}: result {one} is there twice" for one in twice]
 
 
-def _fault_of_rows(place: Path, entries: tuple[Entry, ...], store: Path) -> str:
+def _fault_of_rows(place: Path, entries: tuple[Entry, ...]) -> str:
     """Return what the rows of a file lack of what the manifest says."""
-    with connect() as connection, explain_query(store):
-        found = dict(
-            connection.execute(f"SELECT result, count(*) FROM {parquet_rows([place])} GROUP BY result").fetchall()
-        )
+    try:
+        with connect() as connection, explain_query(place):
+            found = dict(
+                connection.execute(f"SELECT result, count(*) FROM {parquet_rows([place])} GROUP BY result").fetchall()
+            )
+    except InputError as error:
+        return str(error)
     wrong = [one.result[:12] for one in entries if found.get(one.result) != one.rows]
     if wrong:
         return f"rows of {len(wrong)} results differ from the manifest: {', '.join(wrong[:_MOST_NAMES])}"

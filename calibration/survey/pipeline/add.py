@@ -86,7 +86,8 @@ def add(
     same numbers it is known, with other numbers it is the same measurement still, and does not count twice.
     """
     options, progress = options or AddOptions(), progress or SilentProgress()
-    added: list[tuple[StoredResult, str]] = []
+    added: list[tuple[Path, str]] = []
+    rows = 0
     replaced: list[tuple[Path, str]] = []
     known: list[Path] = []
     again: list[tuple[Path, str]] = []
@@ -94,7 +95,9 @@ def add(
     for some in _together(_results(folders, options, left_out)):
         with writing(store, progress.say, create=True) as manifest:
             done = put(store, manifest, some, force=options.force)
-        added += done.added
+        # Folders alone are kept: rows of a plant's year take 300 MB.
+        added += [(one.folder, name) for one, name in done.added]
+        rows += sum(len(one.rows) for one, _ in done.added)
         replaced += [(one.folder, name) for one, name in done.replaced]
         known += [one.folder for one, _ in done.known]
         again += [(one.folder, name) for one, name in done.again]
@@ -105,8 +108,8 @@ def add(
         _take_over_events(folder, store, left_out)
     return Added(
         len(added),
-        sum(len(one.rows) for one, _ in added),
-        tuple((one.folder, name) for one, name in added),
+        rows,
+        tuple(added),
         tuple(replaced),
         tuple(known),
         tuple(again),
