@@ -86,6 +86,13 @@ def write_nurbs(folder: Path) -> None:
             group["degrees"] = [degree, degree]
 
 
+def write_given(folder: Path) -> None:
+    """Write an entry of a heliostat's data sheet that was measured elsewhere."""
+    (folder / "given.csv").write_text(
+        "key,value,sigma,label,method,date,conditions\nmirror_area_m2,8.2,0.1,Area,tape,2026-03-04,indoors\n"
+    )
+
+
 #: What no command of ours writes.
 WRITTEN: dict[str, Callable[[Path], None]] = {
     "opencsp": write_opencsp,

@@ -3,6 +3,8 @@
 import contextlib
 import faulthandler
 import gc
+import hashlib
+import io
 import os
 import random
 import resource
@@ -16,8 +18,9 @@ from pathlib import Path
 
 from tests.architecture.source_tree import PACKAGES
 from tests.fuzz.damage import copy_of, spoil
-from tests.fuzz.foreign import WRITTEN
-from tests.fuzz.targets import SEEDS, TARGETS, Target, main, quiet
+from tests.fuzz.foreign import WRITTEN, write_given
+from tests.fuzz.headlines import SilentChangeError, silent_changes
+from tests.fuzz.targets import ADDED, SEEDS, TARGETS, Target, main, quiet
 
 #: A case that takes longer hangs: undamaged, the slowest takes 7 s on one core of its own.
 HANG_S = 60.0
@@ -52,7 +55,7 @@ def make_seeds(place: Path, names: set[str]) -> dict[str, Path]:
     needed = set(names)
     for name, words in reversed(SEEDS.items()):
         if name in needed:
-            needed |= {one for one in SEEDS if f"{{{one}}}" in words}
+            needed |= {one for one in SEEDS if f"{{{one}}}" in (*words, *ADDED.get(name, "").split('"'))}
     for name, words in SEEDS.items():
         if name in needed and not folders[name].exists():
             if f"{{{name}}}" not in words:
@@ -60,6 +63,11 @@ def make_seeds(place: Path, names: set[str]) -> dict[str, Path]:
             _in_process(lambda words=words: main([word.format(**folders) for word in words]), 600)
             if not folders[name].is_dir() or not any(folders[name].iterdir()):
                 raise RuntimeError(f"{name} could not be made: {' '.join(words)}")
+            if name in ADDED:
+                with (folders[name] / "measurement.toml").open("a", encoding="utf-8") as file:
+                    file.write("\n" + ADDED[name].format(**folders))
+            if name == "tests":
+                write_given(folders[name])
     for name, write in WRITTEN.items():
         if name in needed and not folders[name].exists():
             folders[name].mkdir(parents=True)
@@ -69,26 +77,86 @@ def make_seeds(place: Path, names: set[str]) -> dict[str, Path]:
 
 def run_cases(place: Path, cases: Iterable[int], seed: int, targets: tuple[Target, ...] = TARGETS) -> Iterator[Outcome]:
     """Draw damaged folders and run what reads them; the number of a case and the seed decide on it."""
+    seeds = _prepared(place, targets)
+    weights = [one.weight for one in targets]
+    for number in cases:
+        target = random.Random(f"{seed}-{number}").choices(targets, weights)[0]
+        if not (kept := _kept(place, target)).is_dir() and (refused := run_undamaged(place, seeds, target)).fault:
+            yield refused
+        yield run_case(place, number, seed, seeds, target, kept)
+
+
+def check_undamaged(place: Path, targets: tuple[Target, ...]) -> None:
+    """Run every target on its undamaged folder and print how long it takes, and what it refuses."""
+    seeds = _prepared(place, targets)
+    for target in targets:
+        _remove(_kept(place, target).parent, _kept(place, target).name)
+        outcome = run_undamaged(place, seeds, target)
+        print(f"{outcome.seconds:6.1f} s {outcome.peak_bytes / 1e6:6.0f} MB: {target} {outcome.fault}", flush=True)
+
+
+def _prepared(place: Path, targets: tuple[Target, ...]) -> dict[str, Path]:
+    """Make the undamaged folders, and import what every case needs: cases are copies of this process."""
     seeds = make_seeds(place / "seeds", {name for one in targets for name in one.seeds()})
-    # What every case needs is imported once: cases are copies of this process.
     with contextlib.suppress(SystemExit):
         quiet(lambda: main(["--help"]))
     _import_all()
     # Otherwise each case would copy most of this process to collect its garbage.
     gc.freeze()
-    weights = [one.weight for one in targets]
-    for number in cases:
-        yield run_case(place, number, seed, seeds, random.Random(f"{seed}-{number}").choices(targets, weights)[0])
+    return seeds
 
 
-def run_case(place: Path, number: int, seed: int, seeds: dict[str, Path], target: Target) -> Outcome:
-    """Run one case in a process of its own."""
+def _kept(place: Path, target: Target) -> Path:
+    """Return where the results of a target's undamaged folder are kept."""
+    return place / "seeds" / "undamaged" / hashlib.sha256(str(target).encode()).hexdigest()[:16]
+
+
+def run_undamaged(place: Path, seeds: dict[str, Path], target: Target) -> Outcome:
+    """Run a target on its undamaged folder, which it must take: damage shows nothing in what is refused anyhow."""
+    folder, out, kept = place / "in", place / "out", _kept(place, target)
+    _remove(place, "in", "out", "out-failed")
+    copy_of(seeds[target.seed], folder)
+
+    def work() -> None:
+        said = io.StringIO()
+        try:
+            with contextlib.redirect_stderr(said):
+                target.run(folder, out, seeds)
+        except SystemExit as end:
+            if end.code:
+                raise RuntimeError(f"the undamaged folder is refused: {said.getvalue()}") from None
+
+    begin = time.monotonic()
+    fault, peak = _in_process(work, HANG_S)
+    kept.mkdir(parents=True)
+    if (out / "summary.json").is_file():
+        shutil.copy(out / "summary.json", kept)
+    _remove(place, "in", "out", "out-failed")
+    return Outcome(-1, target, "nothing", fault, time.monotonic() - begin, peak)
+
+
+def run_case(
+    place: Path, number: int, seed: int, seeds: dict[str, Path], target: Target, undamaged: Path | None = None
+) -> Outcome:
+    """Run one case in a process of its own.
+
+    undamaged: Results of the undamaged folder, with which the numbers are compared.
+    """
     folder, out = place / "in", place / "out"
     _remove(place, "in", "out", "out-failed")
     copy_of(seeds[target.seed], folder)
     damage = spoil(folder, random.Random(f"{seed}-{number}-damage"))
+
+    def work() -> None:
+        try:
+            target.run(folder, out, seeds)
+        except SystemExit as end:
+            if not end.code and undamaged is not None and (changes := silent_changes(undamaged, out)):
+                raise SilentChangeError("; ".join(changes)) from None
+            raise
+
     begin = time.monotonic()
-    fault, peak = _in_process(lambda: target.run(folder, out, seeds), HANG_S)
+    fault, peak = _in_process(work, HANG_S)
     left = [one.name for one in place.iterdir() if one.name not in {"in", "out", "out-failed", "seeds"}]
     if left and not fault:
         fault = f"left behind: {', '.join(left)}"
@@ -162,6 +230,8 @@ def _child(work, writing: int, reading: int) -> None:
         except SystemExit as end:
             code = end.code if isinstance(end.code, int) else (0 if end.code is None else 1)
             said = "" if code in (0, 2) else f"exit code {end.code}"
+        except SilentChangeError as change:
+            said = f"silently different: {change}"
         else:
             said = err if "Traceback" in err else ""
     except BaseException:
