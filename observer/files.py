@@ -10,7 +10,6 @@ import numpy as np
 import numpy.typing as npt
 
 from heliogauge.errors import InputError
-from heliogauge.files.texts import read_text
 from heliogauge.images.photos import read_image
 from heliogauge.results.arrays import LabelledArray, read_arrays, write_arrays
 from heliogauge.results.folder import write_json
@@ -42,11 +41,6 @@ CHANGED_MODULES = "changed_modules.csv"
 
 #: Columns of a table that says where the absorber is.
 ABSORBER_COLUMNS = ("y_m", "x_a_m", "z_a_m", "sigma_x_a_m", "sigma_z_a_m")
-
-#: Columns of the table of a sun shape.
-SUN_COLUMNS = ("angle_mrad", "radiance")
-#: Ending of the files in which SolTrace keeps sun shapes.
-_SOLTRACE = ".sun"
 
 _SIGN = "theta_ra = theta_r + theta_a; theta_r positive where the normal is turned towards +x"
 _X = "across the aperture"
@@ -310,20 +304,3 @@ def read_maps(path: Path) -> list[ModuleMap]:
         ModuleMap(str(name), *(found[f"{key}_{k}"].astype(np.float64) for key in ("x", "y", "theta_ra", "theta_r")))
         for k, name in enumerate(attributes["modules"])
     ]
-
-
-def read_sun_table(path: Path) -> Mapping[str, Sequence[str]]:
-    """Read the table of a sun shape as text.
-
-    Returns: Columns `SUN_COLUMNS`. Those of SolTrace's files have no names: the first is the angle from the sun's
-        centre, half of the disc's [mrad], the second the radiance.
-    InputError: A table that cannot be read, or lacks a column.
-    """
-    if path.suffix.lower() != _SOLTRACE:
-        return read_table_csv(path, SUN_COLUMNS)
-    rows = [line.split() for line in read_text(path, "a sun shape of SolTrace").splitlines() if line.strip()]
-    odd = next((number for number, row in enumerate(rows, start=1) if len(row) != len(SUN_COLUMNS)), None)
-    if not rows or odd is not None:
-        where = "the file is empty" if odd is None else f"row {odd} has {len(rows[odd - 1])}"
-        raise InputError(f"{path}: rows of an angle [mrad] and a radiance are needed, {where}")
-    return dict(zip(SUN_COLUMNS, (list(column) for column in zip(*rows, strict=True)), strict=True))

@@ -208,7 +208,10 @@ class BeamMirrorSection(Section):
     circumsolar_ratio: Annotated[float, Field(strict=True, ge=0, le=0.8)] | None = Field(
         None, description="Of the sun's shape by Buie; 0: the disc alone; default: estimated from each photo's skirts."
     )
-    sun_file: Text | None = Field(None, description="Measured sun shape: CSV with angle_mrad, radiance.")
+    sun_file: Text | None = Field(
+        None,
+        description="Measured sun: columns angle_mrad, radiance, as of backward gazing; or a .sun of SolTrace.",
+    )
     scatter_mrad: Sigma = Field(
         0.0, description="1 sigma of the beam's scatter in one direction beyond the surface [mrad]."
     )

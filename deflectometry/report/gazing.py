@@ -13,6 +13,7 @@ from heliogauge.reporting.notation import number_text
 from heliogauge.reporting.results import Results
 from heliogauge.reporting.verdict import verdict_of
 from heliogauge.results.folder import SUMMARY_FILE, read_summary, read_table_csv, unit_of
+from heliogauge.results.sun_tables import read_sun
 from heliogauge.view.charts import ChartSeries, ChartView, Mark
 from heliogauge.view.tables import TableColumn, TableView
 
@@ -38,8 +39,8 @@ def cameras_and_sun(results: Results) -> Html:
             TableColumn("left out because", columns["reason"]),
         ),
     )
-    profile = read_table_csv(results.folder / PROFILE_FILE, ("angle_mrad", "relative_radiance"))
-    angle, radiance = (np.array(profile[key], dtype=np.float64) for key in ("angle_mrad", "relative_radiance"))
+    profile = read_sun(results.folder / PROFILE_FILE)
+    angle, radiance = 1e3 * profile.angle_rad, profile.radiance(profile.angle_rad)
     sun = ChartView(
         "The sun's profile",
         "angle from the centre [mrad]",

@@ -11,7 +11,8 @@ from heliogauge.errors import InputError
 from heliogauge.measurement.writer import write_text
 from heliogauge.results.slope_export import soltrace_text, words_of_design_along
 from heliogauge.results.slope_map_file import read_slope_map, slope_map_in
-from heliogauge.results.soltrace_files import read_sun, write_system
+from heliogauge.results.soltrace_files import write_system
+from heliogauge.results.sun_tables import read_sun
 from heliogauge.results.used_results import serious_result
 from heliogauge.slopes.map import SlopeMap, monomials
 from heliogauge.slopes.normal_angles import normal_angles

@@ -20,7 +20,7 @@ from heliogauge.sunlight.soltrace_system import (
     sun_of_letter,
     sun_table,
 )
-from heliogauge.sunlight.sun_shapes import GaussianSun, PillboxSun, SunShape, TabulatedSun
+from heliogauge.sunlight.sun_shapes import GaussianSun, PillboxSun, SunShape
 
 #: SolTrace takes files of versions up to its own.
 _VERSION = "# SOLTRACE VERSION 3.0.0 INPUT FILE"
@@ -30,21 +30,6 @@ _ELEMENT_CELLS, _OPTIC_CELLS = 29, 15
 _MOST_DIGITS = 9
 #: Grating, surface number and order of an optic as SolTrace writes them anew, and imaginary index and grating lines.
 _PLAIN_OPTIC = ("3", "1", "4", "0", "1.1", "1.2", "1.3", "1.4")
-
-
-def read_sun(path: Path) -> TabulatedSun:
-    """Read a sun shape: rows of an angle from the sun's centre [mrad] and a relative radiance.
-
-    InputError: The file cannot be read, or is no sun shape.
-    """
-    rows = [line.split() for line in read_text(path, "a sun shape of SolTrace").splitlines() if line.strip()]
-    try:
-        table = np.array([[float(cell) for cell in row] for row in rows], dtype=np.float64)
-        if table.ndim != 2 or table.shape[1] != 2:
-            raise ValueError("two numbers in each row are needed")
-        return TabulatedSun(1e-3 * table[:, 0], table[:, 1], path.name)
-    except (ValueError, InputError) as error:
-        raise InputError(f"{path}: no sun shape, rows of an angle [mrad] and a radiance ({error})") from None
 
 
 def write_sun(path: Path, shape: SunShape) -> None:

@@ -13,14 +13,15 @@ from heliogauge.geometry.rigid import rotation_from_vector
 from heliogauge.measurement.load import MEASUREMENT_FILE
 from heliogauge.measurement.models import PhotosSection
 from heliogauge.results.folder import hash_files, refuse_copies
+from heliogauge.results.sun_tables import read_sun
 from heliogauge.results.tables import read_table_csv
 from heliogauge.running.progress import Progress
-from heliogauge.sunlight.sun_shapes import BuieSun, GaussianSun, PillboxSun, SunShape, TabulatedSun
+from heliogauge.sunlight.sun_shapes import BuieSun, GaussianSun, PillboxSun, SunShape
 from heliogauge.validate import FloatArray
 from observer.corners.lattice import PanelLattice
 from observer.corners.tie import SearchedCollector
 from observer.doubts.stated_collector import panels_doubts, supports_doubt
-from observer.files import ABSORBER_COLUMNS, SUN_COLUMNS, absorber_of_table, is_number, number_in_cell, read_sun_table
+from observer.files import ABSORBER_COLUMNS, absorber_of_table, is_number, number_in_cell
 from observer.keys import ObserverMeasurement, SunSection, TroughSection
 from observer.light.trace import Sunlight
 from observer.photo_edges.tone import Tone
@@ -59,11 +60,11 @@ TARGET_COLUMNS = ("target", "x_m", "y_m", "z_m")
 
 
 class Tables(NamedTuple):
-    """Tables that measurement.toml names, as text; None where it names none."""
+    """Tables that measurement.toml names, as text but for the sun; None where it names none."""
 
     targets: Table | None
     absorber: Table | None
-    sun: Table | None
+    sun: SunShape | None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -149,7 +150,7 @@ def read_tables(measurement: ObserverMeasurement, targets_file: str | None) -> T
     return Tables(
         None if targets_file is None else read_table_csv(folder / targets_file, TARGET_COLUMNS),
         None if absorber is None else read_table_csv(folder / absorber, ABSORBER_COLUMNS),
-        None if sun is None else read_sun_table(folder / sun),
+        None if sun is None else read_sun(folder / sun),
     )
 
 
@@ -215,7 +216,7 @@ def build_inputs(
     model, folder = measurement.model, measurement.folder
     collector = build_collector(model.collector)
     light = Sunlight(
-        build_sun(model.sun, tables.sun, folder),
+        build_sun(model.sun, tables.sun),
         1e-3 * model.optics.specularity_mrad,
         1e-3 * model.optics.tracking_error_mrad,
     )
@@ -447,24 +448,15 @@ def known_targets(coordinates: Sequence[CoordinateSection]) -> KnownTargets:
     return KnownTargets(tuple(whole), np.ascontiguousarray(table[..., 0]), table[..., 1].max(axis=1, initial=0.0))
 
 
-def build_sun(section: SunSection, table: Table | None, folder: Path) -> SunShape:
+def build_sun(section: SunSection, table: SunShape | None) -> SunShape:
     """Return the sun shape that measurement.toml describes.
 
     table: That of ``shape = "table"``.
-    InputError: A table that cannot be read as radiance over angle.
     """
+    if table is not None:
+        return table
     if section.shape == "pillbox":
         return PillboxSun(1e-3 * section.half_angle_mrad)
     if section.shape == "buie":
         return BuieSun.of_share(section.circumsolar_ratio)
-    if table is None or section.file is None:
-        return GaussianSun(1e-3 * section.sigma_mrad)
-    path = folder / section.file
-    try:
-        angle, radiance = (np.array(table[name], dtype=np.float64) for name in SUN_COLUMNS)
-    except ValueError as error:
-        raise InputError(f"{path}: {error}; is the decimal sign a point?") from None
-    try:
-        return TabulatedSun(1e-3 * angle, radiance, Path(section.file).name)
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
+    return GaussianSun(1e-3 * section.sigma_mrad)

@@ -35,10 +35,11 @@ from calibration.beam.mirror.flux_fit import (
 from calibration.beam.pipeline.reading import BeamPhotos, read_photos
 from heliogauge.doubts import Doubt, Severity, gather_doubts
 from heliogauge.errors import EstimationError, InputError
-from heliogauge.results.folder import hash_files, read_columns_csv
+from heliogauge.results.folder import hash_files
+from heliogauge.results.sun_tables import read_sun
 from heliogauge.running.progress import Progress, SilentProgress
 from heliogauge.short_repr import ShortRepr
-from heliogauge.sunlight.sun_shapes import SOLAR_DISC_RAD, BuieSun, SunShape, TabulatedSun
+from heliogauge.sunlight.sun_shapes import SOLAR_DISC_RAD, BuieSun, SunShape
 from heliogauge.validate import FloatArray
 
 __all__ = ["CompareOptions", "run"]
@@ -188,9 +189,7 @@ def _sun(measurement: BeamsMeasurement, section: BeamMirrorSection) -> SunShape 
     """Return the sun shape that is given; None: its aureole is estimated from each photo."""
     if section.sun_file is None:
         return None if section.circumsolar_ratio is None else BuieSun(section.circumsolar_ratio)
-    path = measurement.path(section.sun_file)
-    _, columns = read_columns_csv(path, (), ("angle_mrad", "radiance"))
-    return TabulatedSun(1e-3 * columns["angle_mrad"], columns["radiance"], f"measured sun of {path.name}")
+    return read_sun(measurement.path(section.sun_file))
 
 
 def _in_its_sun(

@@ -17,6 +17,7 @@ from heliogauge.results.facet_frames import facet_geometry
 from heliogauge.results.folder import Summary, write_slope_map, write_table_csv
 from heliogauge.results.frame import InstrumentResult
 from heliogauge.results.slope_map_file import ASSEMBLED
+from heliogauge.results.sun_tables import write_sun
 from heliogauge.slopes.map import SlopeMap
 from heliogauge.validate import FloatArray
 
@@ -148,11 +149,7 @@ class GazingResult(InstrumentResult):
                 "reason": [one.reason for one in self.cameras],
             },
         )
-        profile = self.sun.profile
-        write_table_csv(
-            folder / PROFILE_FILE,
-            {"angle_mrad": 1e3 * profile.angle_rad, "relative_radiance": profile.relative},
-        )
+        write_sun(folder / PROFILE_FILE, self.sun.profile.angle_rad, self.sun.profile.relative)
 
     def headline(self) -> str:
         """Return the most important numbers in a few lines for the terminal."""

@@ -14,7 +14,7 @@ class PlannedSunSection(Section):
     """The sun: a profile that was measured, or a disc with limb darkening."""
 
     profile: Text | None = Field(
-        None, description="Table angle_mrad, relative_radiance: sun_profile.csv of an earlier result."
+        None, description="Table angle_mrad, radiance: sun_profile.csv of an earlier result, or a .sun of SolTrace."
     )
     circumsolar_ratio: Sigma = Field(
         0.02, le=0.8, description="Without a profile: circumsolar ratio of the sun shape of Buie et al."

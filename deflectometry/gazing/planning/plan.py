@@ -13,7 +13,7 @@ from deflectometry.gazing.sun_profile import SunProfile
 from heliogauge.doubts import Doubt
 from heliogauge.results.folder import Summary, hash_files, write_table_csv
 from heliogauge.results.frame import InstrumentResult
-from heliogauge.results.tables import read_number_columns
+from heliogauge.results.sun_tables import read_sun
 from heliogauge.running.progress import Progress, SilentProgress
 from heliogauge.sunlight.sun_shapes import BuieSun
 
@@ -89,10 +89,9 @@ def run(measurement: GazingPlanMeasurement, progress: Progress | None = None) ->
     progress, model = progress or SilentProgress(), measurement.model
     wanted, cameras = model.expected, model.cameras
     if model.sun.profile is not None:
-        angle, relative = read_number_columns(
-            measurement.folder / model.sun.profile, ("angle_mrad", "relative_radiance")
-        )
-        profile = SunProfile(1e-3 * angle, relative)
+        measured = read_sun(measurement.folder / model.sun.profile)
+        angle = np.concatenate([[0.0], measured.angle_rad[measured.angle_rad > 0]])
+        profile = SunProfile(angle, measured.radiance(angle))
     else:
         angle = np.linspace(0.0, 9e-3, 400)
         profile = SunProfile(angle, BuieSun(float(model.sun.circumsolar_ratio)).radiance(angle))

@@ -15,7 +15,8 @@ from heliogauge.geometry.rigid import RigidTransform, rotation_from_vector
 from heliogauge.results.folder import Summary, write_slope_map, write_summary
 from heliogauge.results.slope_map_file import read_slope_map
 from heliogauge.results.soltrace_export import SystemChoices, export_system, sun_of_words
-from heliogauge.results.soltrace_files import read_sun, read_system, write_sun, write_system
+from heliogauge.results.soltrace_files import read_system, write_sun, write_system
+from heliogauge.results.sun_tables import read_sun
 from heliogauge.slopes.map import SlopeMap, no_common_modes
 from heliogauge.sunlight.soltrace_system import aim_and_turn, placed
 from heliogauge.sunlight.sun_shapes import BuieSun, GaussianSun, PillboxSun

@@ -10,9 +10,9 @@ import pytest
 from heliogauge.errors import InputError
 from heliogauge.measurement.templates import write_template
 from heliogauge.results.folder import Summary, write_summary
+from heliogauge.results.sun_tables import read_sun
 from heliogauge.results.tables import read_table_csv
 from heliogauge.sunlight.sun_shapes import BuieSun, GaussianSun, PillboxSun, SunShape, TabulatedSun
-from observer.files import read_sun_table
 from observer.keys import ObserverModel, OpticsSection, SunSection
 from observer.light.cases import Case
 from observer.light.trace import Sunlight
@@ -59,7 +59,7 @@ def result(folder: Path) -> InterceptResult:
     slopes = np.array(mirror.slope_x)
     slopes[:6] = np.nan
     given = model()
-    light = Sunlight(build_sun(given.sun, None, folder), 1e-3, 2e-3)
+    light = Sunlight(build_sun(given.sun, None), 1e-3, 2e-3)
     return evaluate_intercept(light, replace(mirror, slope_x=slopes), absorber(), SOLTRACE, TILTED)
 
 
@@ -68,7 +68,7 @@ def columns(path: Path) -> dict[str, np.ndarray]:
 
 
 def tabulated(folder: Path, name: str = "sun.csv") -> SunShape:
-    return build_sun(SunSection(shape="table", file=name), read_sun_table(folder / name), folder)
+    return build_sun(SunSection(shape="table", file=name), read_sun(folder / name))
 
 
 def test_sun_is_what_the_file_says(tmp_path: Path) -> None:
@@ -76,13 +76,13 @@ def test_sun_is_what_the_file_says(tmp_path: Path) -> None:
     table = tabulated(tmp_path)
     assert isinstance(table, TabulatedSun)
     np.testing.assert_allclose(table.radiance([0.0, 4e-3, 12.5e-3]), [1.0, 0.9, 0.025])
-    gauss = build_sun(SunSection(), None, tmp_path)
+    gauss = build_sun(SunSection(), None)
     assert isinstance(gauss, GaussianSun)
     assert gauss.sigma_rad == pytest.approx(2.73e-3)
-    pillbox = build_sun(SunSection(shape="pillbox", half_angle_mrad=4.7), None, tmp_path)
+    pillbox = build_sun(SunSection(shape="pillbox", half_angle_mrad=4.7), None)
     assert isinstance(pillbox, PillboxSun)
     assert pillbox.limit_rad == pytest.approx(4.7e-3)
-    buie = build_sun(SunSection(shape="buie", circumsolar_ratio=0.2), None, tmp_path)
+    buie = build_sun(SunSection(shape="buie", circumsolar_ratio=0.2), None)
     assert isinstance(buie, BuieSun)
     assert buie.circumsolar_share == pytest.approx(0.2, abs=1e-5)
 
