@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal
 import typer
 
 from heliogauge.running.commands import (
+    EitherFolder,
     ForceMeasurement,
     Job,
     Jobs,
@@ -66,14 +67,14 @@ def measure_command(
         from deflectometry.exchange.measure_slopes import load_slopes
         from deflectometry.exchange.measure_slopes import run as run_slopes
 
-        return Job(out, lambda progress: run_slopes(load_slopes(folder), progress, removal))
+        return Job(out, lambda progress: run_slopes(load_slopes(folder), progress, removal), measured=folder)
     if kind.name == "overlay":
         if (align, grid_step_mm, remove) != (None, None, None):
             raise InputError(f"{folder}: an overlay has no map to align, grid or take something out of; leave it out")
         from deflectometry.overlay.keys import load_overlay
         from deflectometry.overlay.pipeline.measure import run as run_overlay
 
-        return Job(out, lambda progress: run_overlay(load_overlay(folder), progress))
+        return Job(out, lambda progress: run_overlay(load_overlay(folder), progress), measured=folder)
     from deflectometry.instrument import INSTRUMENT
     from deflectometry.pipeline.choices import Options
     from deflectometry.shape.smooth_shape import Align
@@ -81,13 +82,14 @@ def measure_command(
     options = Options(None if align is None else Align(align), grid_step_mm, removal, strict, jobs)
     # Another command's kind goes to the reader of fringes, which names that command.
     one = kind if kind.command == "deflectometry measure" else INSTRUMENT.kinds[0]
-    return Job(out, lambda progress: resolve(one.run)(resolve(one.load)(folder), options, progress))
+    job = resolve(one.run)
+    return Job(out, lambda progress: job(resolve(one.load)(folder), options, progress), measured=folder)
 
 
 @app.command("plan")
 @writes_results(json=False)
 def plan_command(
-    folder: MeasurementFolder,
+    folder: EitherFolder,
     out: OutFolder,
 ) -> Job:
     """Say what a measurement will be worth, what limits it and what would better it, before there are images."""
@@ -95,12 +97,14 @@ def plan_command(
     from heliogauge.errors import InputError
     from heliogauge.instruments import resolve
     from heliogauge.measurement.load import kind_of
+    from heliogauge.running.either_folder import measurement_of
 
-    kind = kind_of(folder)
+    place = measurement_of(folder)
+    kind = kind_of(place)
     if not kind.plan:
         known = ", ".join(f'"{one.name}"' for one in INSTRUMENT.kinds if one.plan)
-        raise InputError(f'{folder}: kind = "{kind.name}" has no plan; those that have: {known}')
-    return Job(out, lambda progress: resolve(kind.plan)(folder, progress))
+        raise InputError(f'{place}: kind = "{kind.name}" has no plan; those that have: {known}')
+    return Job(out, lambda progress: resolve(kind.plan)(place, progress), measured=place)
 
 
 @imports.command("opencsp")

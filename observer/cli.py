@@ -7,6 +7,7 @@ import typer
 
 from heliogauge.running.commands import (
     AsJson,
+    EitherFolder,
     Force,
     Job,
     Jobs,
@@ -111,20 +112,23 @@ def absorber_command(
     from observer.keys import load_observer
     from observer.pipeline.absorber_alone import Options, run
 
-    return Job(out, lambda progress: run(load_observer(folder), Options(jobs=jobs), progress))
+    return Job(out, lambda progress: run(load_observer(folder), Options(jobs=jobs), progress), measured=folder)
 
 
 @app.command("plan")
 @writes_results(json=False)
 def plan_command(
-    folder: MeasurementFolder,
+    folder: EitherFolder,
     out: OutFolder,
 ) -> Job:
-    """Plan a pass: sigmas to be expected, what will be missing, where to fly; stations.csv, report.html."""
-    from observer.planning.keys import load_observer_plan
+    """Plan a pass: sigmas to be expected, what will be missing, where to fly; stations.csv, report.html.
+
+    Of a measurement, or its results, the collector, camera and targets are taken, with the usual pass.
+    """
+    from observer.pipeline.plan_again import planned_measurement
     from observer.planning.plan import run
 
-    return Job(out, lambda progress: run(load_observer_plan(folder), progress))
+    return Job(out, lambda progress: run(planned_measurement(folder), progress), measured=folder)
 
 
 @app.command("compare")

@@ -6,6 +6,7 @@ from typing import Annotated, Literal
 import typer
 
 from heliogauge.running.commands import (
+    EitherFolder,
     Force,
     ForceMeasurement,
     Job,
@@ -20,6 +21,7 @@ from heliogauge.running.commands import (
     make_app,
     writes_results,
 )
+from heliogauge.running.progress import Progress
 from heliogauge.running.slope_commands import add_slope_exports
 
 app = make_app("Photos of coded targets -> coordinates with uncertainty; targets and boards to print.")
@@ -39,7 +41,7 @@ def measure_command(
     from photogrammetry.keys.load import load_photogrammetry
     from photogrammetry.pipeline.measure import Options, run
 
-    return Job(out, lambda progress: run(load_photogrammetry(folder), Options(jobs=jobs), progress))
+    return Job(out, lambda progress: run(load_photogrammetry(folder), Options(jobs=jobs), progress), measured=folder)
 
 
 @imports.command("colmap")
@@ -85,14 +87,27 @@ def export_colmap_command(
 @app.command("plan")
 @writes_results(json=False)
 def plan_command(
-    folder: MeasurementFolder,
+    folder: EitherFolder,
     out: OutFolder,
+    sigma_mm: Annotated[
+        float | None,
+        typer.Option(
+            min=1e-6, help="Sigma that is wanted, in place of [goal]; default for results: half of what they have."
+        ),
+    ] = None,
 ) -> Job:
-    """Plan a network: how many photos from where for a wanted sigma; stations.csv, points.csv, report.html."""
-    from photogrammetry.planning.keys import load_photogrammetry_plan
-    from photogrammetry.planning.plan import run
+    """Plan a network: how many photos from where for a wanted sigma; stations.csv, points.csv, report.html.
 
-    return Job(out, lambda progress: run(load_photogrammetry_plan(folder), progress))
+    Results (a measurement is evaluated first) are planned again: their targets, camera and image sigma.
+    """
+    from photogrammetry.pipeline.plan_again import planned_measurement
+    from photogrammetry.planning.plan import PlanResult, run
+
+    def planned(progress: Progress) -> PlanResult:
+        with planned_measurement(folder, sigma_mm, progress) as measurement:
+            return run(measurement, progress)
+
+    return Job(out, planned, measured=folder)
 
 
 @app.command("targets")

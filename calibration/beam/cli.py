@@ -36,7 +36,7 @@ def measure_command(
     from calibration.beam.keys import load_beams
     from calibration.beam.pipeline.measure import Options, run
 
-    return Job(out, lambda progress: run(load_beams(folder), Options(jobs=jobs), progress))
+    return Job(out, lambda progress: run(load_beams(folder), Options(jobs=jobs), progress), measured=folder)
 
 
 @app.command("compare")
@@ -67,13 +67,16 @@ def compare_command(
     from calibration.beam.pipeline.compare import CompareOptions, run
 
     options = CompareOptions(surface, heliostat, position_m, mount, fit)
-    return Job(out, lambda progress: run(load_beams(folder), options, progress))
+    return Job(out, lambda progress: run(load_beams(folder), options, progress), measured=folder)
 
 
 @app.command("plan")
 @writes_results(report=False)
 def plan_command(
-    folder: BeamFolder,
+    folder: Annotated[
+        Path,
+        typer.Argument(metavar="FOLDER", help="A trial: a folder as for `beam measure`, or its results."),
+    ],
     out: OutFolder,
     wanted_mrad: Annotated[
         float, typer.Option(help="Sigma of a facet's canting that is wanted, RMS over the facets.")
@@ -96,11 +99,12 @@ def plan_command(
     from calibration.beam.keys import load_beams
     from calibration.beam.pipeline.compare import CompareOptions
     from calibration.beam.planning.plan import BeamPlanOptions, run
+    from heliogauge.running.either_folder import measurement_of
 
-    days = tuple(_day(text) for text in day or ())
+    days, place = tuple(_day(text) for text in day or ()), measurement_of(folder)
     trial = CompareOptions(surface, heliostat, position_m)
     options = BeamPlanOptions(1e-3 * wanted_mrad, days, most, trial)
-    return Job(out, lambda progress: run(load_beams(folder), options, progress))
+    return Job(out, lambda progress: run(load_beams(place), options, progress), measured=place)
 
 
 def _day(text: str) -> datetime.date:

@@ -63,6 +63,7 @@ def measure_command(
     return Job(
         out,
         lambda progress: run(load_camera_calibration(folder), options, progress),
+        measured=folder,
         hint='; use it with file = "cameras.json" in [camera] of another measurement',
     )
 
@@ -70,7 +71,14 @@ def measure_command(
 @app.command("plan")
 @writes_results()
 def plan_command(
-    result: CameraPath,
+    folder: Annotated[
+        Path,
+        typer.Argument(
+            metavar="FOLDER",
+            help="Folder with measurement.toml, which is calibrated first, or results of `heliogauge camera measure`.",
+            show_default=False,
+        ),
+    ],
     out: OutFolder,
     photos: Annotated[int, typer.Option(min=1, help="Photos to propose at most.")] = 4,
     wanted_mrad: Annotated[
@@ -91,11 +99,18 @@ def plan_command(
     ] = None,
 ) -> Job:
     """Propose the photos that a calibration needs next: next_photos.csv, how the board should look, the new sigma."""
-    from calibration.camera.planning.plan import PlanOptions, run
+    from calibration.camera.planning.plan import NextPhotosResult, PlanOptions, run
+    from heliogauge.running.either_folder import results_of
+    from heliogauge.running.progress import Progress
 
     wanted_rad = None if wanted_mrad is None else 1e-3 * wanted_mrad
     options = PlanOptions(photos, wanted_rad, tuple(parameter or ()), nearest, farthest)
-    return Job(out, lambda progress: run(result, options, progress))
+
+    def planned(progress: Progress) -> NextPhotosResult:
+        with results_of(folder, progress) as results:
+            return run(results, options, progress)
+
+    return Job(out, planned, measured=folder)
 
 
 @app.command("compare")

@@ -244,7 +244,14 @@ def curves_command(
 
 @app.command("plan")
 def plan_command(
-    result: HeliostatResults,
+    folder: Annotated[
+        Path,
+        typer.Argument(
+            metavar="FOLDER",
+            help="Results of `heliogauge heliostat measure`, or a folder as for that, which is calibrated first.",
+            show_default=False,
+        ),
+    ],
     out: OutFolder,
     first_day: Annotated[
         str | None, typer.Option(metavar="YYYY-MM-DD", help="First day of the measurements; default: today.")
@@ -264,10 +271,13 @@ def plan_command(
 ) -> None:
     """Plan what to measure next of calibrated heliostats, at which suns, and a schedule, the worst first."""
     from calibration.heliostat.planning.plan import NextOptions, run
+    from heliogauge.running.either_folder import results_of
+    from heliogauge.running.terminal import terminal_progress
 
     first, goal_rad, sigma_m = _day("first_day", first_day), 1e-3 * goal_mrad, 1e-3 * sigma_mm
     options = NextOptions(first, days, goal_rad, sigma_m, most, per_day, slot_minutes, target, force)
-    sentences = run(result, out, options)
+    with results_of(folder, terminal_progress(quiet=quiet, verbose=verbose)) as results:
+        sentences = run(results, out, options)
     # Of thousands the worst are enough to read; heliostats.csv has all.
     if not quiet:
         _say_heliostats(sentences[:-1], out, sentences[-1])

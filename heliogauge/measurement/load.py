@@ -20,6 +20,8 @@ from heliogauge.measurement.faults import fault_lines
 from heliogauge.measurement.models import MeasurementModel
 
 MEASUREMENT_FILE = "measurement.toml"
+#: What a folder of results has.
+_SUMMARY_FILE = "summary.json"
 _ModelT = TypeVar("_ModelT", bound=MeasurementModel)
 
 
@@ -121,6 +123,8 @@ def _read_toml(folder: Path, kind: str = "") -> dict[str, Any]:
     refuse_silent(folder)
     if not os.path.isdir(folder):
         raise InputError(f"{folder}: there is no such folder; give a folder with {MEASUREMENT_FILE} and its images")
+    if not os.path.lexists(file) and os.path.isfile(folder / _SUMMARY_FILE):
+        raise InputError(f"{folder}: results, not a measurement; give the folder that was measured")
     if not os.path.lexists(file):
         command = every_kind()[kind].init_command(str(folder)) if kind else f"INSTRUMENT init {folder}"
         raise InputError(f"{file}: there is no such file; write one with `heliogauge {command}` and fill it in")

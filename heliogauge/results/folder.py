@@ -127,6 +127,7 @@ class Summary:
         (3,), ``screen`` (n, 3) outline, ``mirror`` (n, 3) outline; ``facet_frames``: rotation vector and place of each
         facet in the frame of the map, by its name.
     version: Version of the software that measured.
+    measured_from: Folder that was measured, as seen from the folder of results; empty where it is not known.
     """
 
     kind: str
@@ -140,6 +141,7 @@ class Summary:
     facets: Mapping[str, Mapping[str, float | int | None]] = field(default_factory=dict)
     geometry_m: Mapping[str, Any] = field(default_factory=dict)
     version: str = __version__
+    measured_from: str = ""
 
 
 def unit_of(key: str) -> tuple[str, str]:
@@ -210,6 +212,7 @@ def summary_content(summary: Summary) -> dict[str, Any]:
         "geometry_m": dict(summary.geometry_m),
         "durations_s": {stage: round(float(seconds), 4) for stage, seconds in summary.durations_s.items()},
         "input_sha256": dict(summary.input_sha256),
+        "measured_from": summary.measured_from,
     }
 
 
@@ -229,6 +232,8 @@ def read_summary(path: Path) -> Summary:
         raise InputError(f"{path}: schema_version {schema} is not one this version reads (1 to {SUMMARY_SCHEMA})")
     renamed = {"version": "software_version"}
     keys = {item.name: renamed.get(item.name, item.name) for item in fields(Summary)}
+    # Results of earlier versions do not know what they were measured from.
+    content = {"measured_from": ""} | content
     missing = [key for key in keys.values() if key not in content]
     if missing:
         raise InputError(f"{path}: the keys {', '.join(missing)} are missing")
@@ -237,7 +242,7 @@ def read_summary(path: Path) -> Summary:
         doubts = tuple(read_doubt(one) for one in values.pop("doubts"))
     except (TypeError, KeyError, ValueError, AttributeError, OverflowError) as error:
         raise InputError(f"{path}: doubts cannot be read ({error}); code, text, numbers, severity are needed") from None
-    for name in ("kind", "name", "version"):
+    for name in ("kind", "name", "version", "measured_from"):
         if not isinstance(values[name], str):
             raise InputError(f"{path}: {keys[name]} = {values[name]!r:.60}: a text is needed")
     for name in ("texts", "not_determined", "input_sha256"):

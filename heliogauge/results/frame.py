@@ -3,7 +3,7 @@
 import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, ClassVar, TypeVar
 
@@ -11,6 +11,7 @@ from heliogauge.doubts import Doubt
 from heliogauge.errors import MetrologyError, ReportWarning
 from heliogauge.results.failure import pictures_of_failure
 from heliogauge.results.folder import SUMMARY_FILE, ResultFolder, Summary, explained, write_summary
+from heliogauge.results.measured_folder import seen_from
 from heliogauge.running.progress import Progress
 
 #: Headline numbers by name with unit; None where one is not determined.
@@ -62,13 +63,14 @@ class InstrumentResult(ABC):
         more = f"; {len(self.doubts)} doubts" if self.doubts else ""
         return f"<{self.kind} result of {self.name!r}{more}>\n{self.headline()}"
 
-    def write(self, folder: Path) -> Summary:
+    def write(self, folder: Path, measured_from: str = "") -> Summary:
         """Write all files into an existing folder, usually that of `heliogauge.results.folder.ResultFolder`.
 
+        measured_from: Folder that was measured, as seen from that of the results.
         Returns: What ``summary.json`` holds.
         """
         self.write_files(folder)
-        summary = self.summarise()
+        summary = replace(self.summarise(), measured_from=measured_from)
         write_summary(folder / SUMMARY_FILE, summary)
         return summary
 
@@ -100,10 +102,19 @@ class InstrumentResult(ABC):
 _ResultT = TypeVar("_ResultT", bound=InstrumentResult)
 
 
-def into_folder(out: Path, job: Callable[[], _ResultT], progress: Progress, *, force: bool, report: bool) -> _ResultT:
+def into_folder(
+    out: Path,
+    job: Callable[[], _ResultT],
+    progress: Progress,
+    *,
+    force: bool,
+    report: bool,
+    measured: Path | None = None,
+) -> _ResultT:
     """Do the work of a command and write its result into a folder that is whole or not there.
 
     job: Does the work; is called when the folder is known to be usable.
+    measured: Folder that is measured, which the result will name.
     force: Replace an earlier result.
     report: Add ``report.html`` when the results are in place (`add_report`).
     InputError: The folder cannot be used, or the job refuses its input.
@@ -112,7 +123,7 @@ def into_folder(out: Path, job: Callable[[], _ResultT], progress: Progress, *, f
     with pictures_of_failure(out), ResultFolder(out, force=force) as working:
         result = job()
         with progress.stage("write results"):
-            result.write(working)
+            result.write(working, "" if measured is None else seen_from(measured, out))
     if report:
         add_report(out, progress)
     return result

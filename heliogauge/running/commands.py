@@ -25,6 +25,12 @@ if TYPE_CHECKING:
 MeasurementFolder = Annotated[
     Path, typer.Argument(metavar="FOLDER", help="Folder with measurement.toml and its images.", show_default=False)
 ]
+EitherFolder = Annotated[
+    Path,
+    typer.Argument(
+        metavar="FOLDER", help="Folder with measurement.toml, or results of such a folder.", show_default=False
+    ),
+]
 ResultsFolder = Annotated[Path, typer.Argument(metavar="OUT", help="Folder with results.", show_default=False)]
 NewFolder = Annotated[
     Path, typer.Argument(metavar="FOLDER", help="Measurement folder to write; absent or empty.", show_default=False)
@@ -98,11 +104,13 @@ class Job:
     out: Folder for the result; written whole or not at all.
     run: Does the work; is called when the folder is known to be usable.
     hint: What can be done with the result.
+    measured: Folder that is measured, which the result will name.
     """
 
     out: Path
     run: Callable[[Progress], "InstrumentResult"]
     hint: str = ""
+    measured: Path | None = None
 
 
 def writes_results(*, report: bool = True, json: bool = True) -> Callable[[Callable[..., Job]], Callable[..., None]]:
@@ -126,7 +134,14 @@ def writes_results(*, report: bool = True, json: bool = True) -> Callable[[Calla
 
             progress = terminal_progress(quiet=quiet, verbose=verbose)
             job = prepare(**own)
-            result = into_folder(job.out, lambda: job.run(progress), progress, force=force, report=not no_report)
+            result = into_folder(
+                job.out,
+                lambda: job.run(progress),
+                progress,
+                force=force,
+                report=not no_report,
+                measured=job.measured,
+            )
             say_ending(result, job.out, quiet=quiet, as_json=as_json, hint=job.hint)
             if result.exit_code:
                 raise typer.Exit(result.exit_code)

@@ -64,7 +64,8 @@ def measure(
     measurement = resolve(kind.load)(folder)
     target = Path(mkdtemp(prefix="heliogauge-")) if out is None else Path(out).expanduser()
     try:
-        _measure_into(kind, measurement, target, choices, progress or SilentProgress(), force=force, report=report)
+        listener = progress or SilentProgress()
+        _measure_into(kind, measurement, target, choices, listener, force=force, report=report, folder=folder)
     except BaseException:
         if out is None:
             shutil.rmtree(target, ignore_errors=True)
@@ -216,11 +217,20 @@ def measure_into(
     choices = _options(kind, own | dict(options or {}))
     has_report = any(kind.name in instrument.reports for instrument in instruments())
     measurement = resolve(kind.load)(folder)
-    return _measure_into(kind, measurement, out, choices, progress, force=force, report=report and has_report)
+    report = report and has_report
+    return _measure_into(kind, measurement, out, choices, progress, force=force, report=report, folder=folder)
 
 
 def _measure_into(
-    kind: Kind, measurement: Any, out: Path, options: Any, progress: "Progress", *, force: bool, report: bool
+    kind: Kind,
+    measurement: Any,
+    out: Path,
+    options: Any,
+    progress: "Progress",
+    *,
+    force: bool,
+    report: bool,
+    folder: Path,
 ) -> "Ended":
     from heliogauge.results.frame import InstrumentResult, into_folder
 
@@ -229,4 +239,6 @@ def _measure_into(
         return result
     chosen = [] if options is None else [options]
     run: Callable[..., InstrumentResult] = resolve(kind.run)
-    return into_folder(out, lambda: run(measurement, *chosen, progress), progress, force=force, report=report)
+    return into_folder(
+        out, lambda: run(measurement, *chosen, progress), progress, force=force, report=report, measured=folder
+    )

@@ -33,7 +33,8 @@ def run_into(
     """
     progress = progress or SilentProgress()
     if not measurement.model.module:
-        return into_folder(out, lambda: run(measurement, options, progress), progress, force=force, report=report)
+        job, own = (lambda: run(measurement, options, progress)), measurement.folder
+        return into_folder(out, job, progress, force=force, report=report, measured=own)
     with pictures_of_failure(out), ResultFolder(out, force=force) as working:
         found = modules.run(measurement, working, options, progress)
     if report:

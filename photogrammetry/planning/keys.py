@@ -130,16 +130,18 @@ class PhotogrammetryPlanMeasurement:
 
     folder: The plan's folder.
     model: What measurement.toml says.
+    source: The file in it that the model comes from.
     """
 
     folder: Path
     model: PhotogrammetryPlanModel
+    source: str = MEASUREMENT_FILE
 
     @property
     def input_files(self) -> tuple[Path, ...]:
         """All files the plan consists of, measurement.toml first."""
         named = (self.model.object.targets, self.model.camera.file)
-        return (self.folder / MEASUREMENT_FILE, *(self.folder / name for name in named if name))
+        return (self.folder / self.source, *(self.folder / name for name in named if name))
 
 
 def load_photogrammetry_plan(folder: Path) -> PhotogrammetryPlanMeasurement:

@@ -105,7 +105,8 @@ def run_into(
     with progress.stage("look at heliostats"):
         campaign = options.choose(measurement)
     if len(campaign.names) == 1:
-        result = into_folder(out, lambda: run(measurement, options, progress), progress, force=force, report=report)
+        job, own = (lambda: run(measurement, options, progress)), measurement.folder
+        result = into_folder(out, job, progress, force=force, report=report, measured=own)
         return FieldResult(result.rows, result.summarise(), splits=split_lines(result.heliostats[0]))
     with pictures_of_failure(out), FieldFolder(out, force=force) as folder:
         try:

@@ -1,0 +1,53 @@
+"""A measurement or its results: commands that need the one of the two and are given the other."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from heliogauge.batch.folders import is_measurement
+from heliogauge.measurement.load import MEASUREMENT_FILE
+from heliogauge.results.folder import SUMMARY_FILE, read_summary
+from heliogauge.results.measured_folder import measured_folder
+from heliogauge.running.progress import Progress
+from heliogauge.running.verbs import measure_into
+
+
+def is_result(folder: Path) -> bool:
+    """Return whether a folder holds results, and no measurement."""
+    return (folder / SUMMARY_FILE).is_file() and not (folder / MEASUREMENT_FILE).exists()
+
+
+def planned_from(folder: Path) -> Path:
+    """Return what a plan was made from, and any other folder as it is.
+
+    InputError: A plan that does not say what it was made from, or of a folder that is not there any more.
+    """
+    while is_result(folder) and read_summary(folder).kind.endswith("-plan"):
+        folder = measured_folder(folder)
+    return folder
+
+
+def measurement_of(folder: Path) -> Path:
+    """Return a measurement folder: the one given, or that which the results given were measured or planned from.
+
+    InputError: Results that do not say what they were measured from, or of a folder that is not there any more.
+    """
+    folder = planned_from(folder)
+    return measured_folder(folder) if is_result(folder) else folder
+
+
+@contextmanager
+def results_of(folder: Path, progress: Progress) -> Iterator[Path]:
+    """Give a folder of results: the one given, or for as long as it is needed what measuring the one given says.
+
+    InputError, EstimationError: The measurement cannot be evaluated.
+    """
+    folder = planned_from(folder)
+    if is_result(folder) or not is_measurement(folder):
+        yield folder
+        return
+    with TemporaryDirectory(prefix="heliogauge-") as place:
+        results = Path(place) / folder.resolve().name
+        measure_into(folder, results, progress, jobs=None, force=False, report=False)
+        yield results

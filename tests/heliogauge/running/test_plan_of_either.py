@@ -1,0 +1,95 @@
+"""`plan` takes a measurement or its results, whichever instrument it is of."""
+
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+
+from heliogauge.instruments import instruments
+from heliogauge.results.folder import Summary, read_summary, write_summary
+from heliogauge.results.measured_folder import measured_folder, seen_from
+from heliogauge.running import cli
+from heliogauge.running.either_folder import measurement_of, planned_from
+
+#: What makes the measurement of each instrument that plans, and what its plan is asked for besides.
+PLANNED = {
+    "beam": (("--suns", "3"), ("--most", "2")),
+    "camera": ((), ("--photos", "1")),
+    "deflectometry": ((), ()),
+    "heliostat": ((), ()),
+    "observer": ((), ()),
+    "photogrammetry": ((), ()),
+}
+QUICK = ("beam", "deflectometry")
+
+
+def command(*words: object) -> int:
+    with pytest.raises(SystemExit) as ended:
+        cli.main([str(word) for word in words])
+    return int(ended.value.code or 0)
+
+
+def test_all_instruments_that_plan_are_here() -> None:
+    found = {one.name for one in instruments() if "plan" in cli.group_of(one).commands}
+    assert found == PLANNED.keys()
+
+
+@pytest.mark.parametrize(
+    "name", [name if name in QUICK else pytest.param(name, marks=pytest.mark.slow) for name in PLANNED]
+)
+def test_a_plan_takes_a_measurement_and_its_results(name: str, tmp_path: Path) -> None:
+    folder, out = tmp_path / "folder", tmp_path / "out"
+    made, asked = PLANNED[name]
+    assert command(name, "synth", folder, *made, "--seed", 3, "-q") == 0
+    assert command("measure", folder, "-o", out, "--no-report", "-q") == 0
+    before = sorted(path.name for path in out.iterdir())
+    for number, given in enumerate((folder, out)):
+        assert command(name, "plan", given, "-o", tmp_path / f"plan{number}", *asked, "-q") == 0
+    assert sorted(path.name for path in out.iterdir()) == before
+    if (tmp_path / "plan1" / "summary.json").is_file():
+        # A plan is made again from what it was made from.
+        assert command(name, "plan", tmp_path / "plan1", "-o", tmp_path / "again", *asked, "-q") == 0
+
+
+def summary(folder: Path, kind: str, measured: Path | None) -> Path:
+    folder.mkdir(parents=True)
+    origin = "" if measured is None else seen_from(measured, folder)
+    write_summary(folder / "summary.json", Summary(kind, "one", {"facets_count": 1}, measured_from=origin))
+    return folder
+
+
+def test_results_find_what_they_were_measured_from_when_both_are_moved(tmp_path: Path) -> None:
+    (tmp_path / "there" / "facet").mkdir(parents=True)
+    (tmp_path / "there" / "facet" / "measurement.toml").write_text("")
+    out = summary(tmp_path / "there" / "results" / "facet", "deflectometry", tmp_path / "there" / "facet")
+    plan = summary(tmp_path / "there" / "plan", "deflectometry-plan", out)
+    assert planned_from(plan) == out
+    shutil.move(tmp_path / "there", tmp_path / "here")
+    for given in ("facet", "results/facet", "plan"):
+        assert measurement_of(tmp_path / "here" / given) == tmp_path / "here" / "facet"
+    shutil.rmtree(tmp_path / "here" / "facet")
+    with pytest.raises(Exception, match=r"were measured from .*here/facet, which is not there"):
+        measured_folder(tmp_path / "here" / "results" / "facet")
+
+
+def test_results_of_earlier_versions_are_read(tmp_path: Path) -> None:
+    out = summary(tmp_path / "out", "deflectometry", None)
+    content = json.loads((out / "summary.json").read_text())
+    del content["measured_from"]
+    (out / "summary.json").write_text(json.dumps(content))
+    assert read_summary(out).measured_from == ""
+    with pytest.raises(Exception, match="do not say what they were made from; give the measurement folder"):
+        measurement_of(out)
+
+
+@pytest.mark.parametrize("words", [("check",), ("beam", "measure"), ("photogrammetry", "measure")])
+def test_no_message_advises_to_write_into_results(
+    words: tuple[str, ...], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = summary(tmp_path / "out", "beam", tmp_path)
+    more = () if words == ("check",) else ("-o", tmp_path / "new")
+    assert command(*words, out, *more) == 2
+    said = capsys.readouterr().err
+    assert "results, not a measurement; give the folder that was measured" in said
+    assert "init" not in said
