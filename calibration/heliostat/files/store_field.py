@@ -8,7 +8,7 @@ import numpy as np
 
 from calibration.heliostat.files.field_work import bad_row_dates, found_over_expected, work_of
 from calibration.heliostat.files.result import HeliostatResult, Shared
-from calibration.heliostat.files.store_heliostat import headline
+from calibration.heliostat.files.store_heliostat import counts_of, headline, left_out_text
 from calibration.heliostat.fitting.splits import SPLIT_NAMES
 from heliogauge.doubts import Doubt, Severity
 from heliogauge.results.folder import Summary, write_table_csv
@@ -54,6 +54,7 @@ def field_row(result: HeliostatResult) -> dict[str, Any]:
         "predicted_sky_beam_mrad": _sky_mrad(result),
         **headline(result),
         "found_over_expected": found_over_expected(result),
+        "left_out": left_out_text(counts_of(result)),
         "bad_row_dates": ", ".join(bad_row_dates(result)),
         "work": work_of(result) or _doubt_in_words(status, doubts),
         "duration_s": round(result.duration_s, 4),
@@ -123,6 +124,8 @@ def field_summary(
         "failed_count": len(rows) - len(good),
         "faulty_count": sum(row["status"] == "faulty" for row in rows),
         "doubtful_count": sum(row["status"] == "doubtful" for row in rows),
+        "observations_count": sum(int(str(row["observations_count"])) for row in good),
+        "left_out_count": sum(int(str(row["left_out_count"])) for row in good),
     }
     missing = {}
     asked = ["beam_test_rms_mrad", "beam_train_rms_mrad", "normal_test_rms_mrad", "predicted_sigma_beam_mrad"]
@@ -177,14 +180,20 @@ def headline_text(rows: Sequence[Mapping[str, Any]], splits: Sequence[str] = ())
             lines.append(f"{row['heliostat']}: not calibrated: {row['reason']}")
             continue
         lines.append(
-            f"{row['heliostat']}{_found(row)}: {row['used_count']} of {row['observations_count']} observations, model "
-            f"{row['model']}: beam {_mrad(row['beam_train_rms_mrad'])} train, {_mrad(row['beam_test_rms_mrad'])} test; "
-            f"normal {_mrad(row['normal_train_rms_mrad'])}, {_mrad(row['normal_test_rms_mrad'])} (RMS)"
+            f"{row['heliostat']}{_found(row)}: {row['used_count']} of {row['observations_count']} observations"
+            f"{_aside(row)}, model {row['model']}: beam {_mrad(row['beam_train_rms_mrad'])} train, "
+            f"{_mrad(row['beam_test_rms_mrad'])} test; normal {_mrad(row['normal_train_rms_mrad'])}, "
+            f"{_mrad(row['normal_test_rms_mrad'])} (RMS)"
         )
     lines += splits if len(splits) > 1 else ()
     if len(rows) > len(shown):
         lines.append(f"... and {len(rows) - len(shown)} more, better ones: field.csv")
     return "\n".join(lines)
+
+
+def _aside(row: Mapping[str, Any]) -> str:
+    text = row.get("left_out") or ""
+    return f" ({text})" if text else ""
 
 
 def _found(row: Mapping[str, Any]) -> str:

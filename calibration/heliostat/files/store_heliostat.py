@@ -83,7 +83,7 @@ def heliostat_content(result: HeliostatResult, shared: Shared) -> dict[str, Any]
         "starts_tried": fit.basins,
         "sigma_factor": {kind: _plain(value) for kind, value in fit.sigma_factors.items()},
         "sigma0": {kind: _plain(value) for kind, value in fit.sigma0.items()},
-        "observations": _counts(result),
+        "observations": counts_of(result),
         "split": result.split,
         "splits": {name: _split_content(held) for name, held in result.held.items()},
         "splits_not_made": dict(result.not_split),
@@ -202,10 +202,23 @@ def _parameters_content(result: HeliostatResult) -> dict[str, Any]:
     return content
 
 
-def _counts(result: HeliostatResult) -> dict[str, Any]:
+def counts_of(result: HeliostatResult) -> dict[str, Any]:
+    """Return how many rows there are, how many were used, and how many were left out for each reason."""
     flags = final_flags(result)[0]
     named = {flag: flags.count(flag) for flag in dict.fromkeys(flags) if flag}
     return {"n": len(flags), "used": flags.count(""), "left_out": named}
+
+
+def left_out_text(counts: Mapping[str, Any]) -> str:
+    """Return which rows were left out, by reason, in words; empty where none was.
+
+    counts: As ``heliostat.json`` has them.
+
+    >>> left_out_text({"n": 87, "used": 73, "left_out": {"outlier": 11, "sun": 3}})
+    '14 left out: 11 outlier, 3 sun'
+    """
+    named = ", ".join(f"{count} {flag}" for flag, count in counts["left_out"].items())
+    return f"{counts['n'] - counts['used']} left out: {named}" if named else ""
 
 
 def _angles_of(fit: HeliostatFit) -> dict[str, Any]:
@@ -270,7 +283,7 @@ def headline(result: HeliostatResult) -> dict[str, float | int | None]:
 
     Returns: Numbers with their units in the names; None where not determined.
     """
-    main, counts = result.main, _counts(result)
+    main, counts = result.main, counts_of(result)
     whole = _angles_of(result.fit)
     others = {
         f"beam_{name.replace('-', '_')}_test_rms_mrad": _plain(1e3 * held.test.beam_rms_rad)
@@ -312,6 +325,8 @@ def heliostat_summary(
     numbers = headline(result)
     why = result.not_split.get(result.split, "the observations give none")
     texts = {"heliostat": result.name, "model": result.free, "split": result.split}
+    if left_out := left_out_text(counts_of(result)):
+        texts["left_out"] = left_out
     if result.notes:
         texts["notes"] = "; ".join(one.text for one in result.notes)
     return Summary(

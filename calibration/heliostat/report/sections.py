@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from calibration.heliostat.files.field_work import dates_text
+from calibration.heliostat.files.store_heliostat import left_out_text
 from calibration.heliostat.report import figures_residuals as figures
 from calibration.heliostat.report.charts import (
     beam_view,
@@ -52,9 +53,10 @@ def first_screen(report: HeliostatReport) -> FirstScreen:
     split = content["splits"].get(name)
     missing = [] if split else ["no observations held out: how well it predicts is not known"]
     left_out = counts["n"] - counts["used"]
-    passed = [f"{counts['used']} of {counts['n']} observations used"]
+    said = left_out_text(counts)
+    passed = [f"{counts['used']} of {counts['n']} observations used{f'; {said}' if said else ''}"]
     if left_out > _MOST_LEFT_OUT * counts["n"]:
-        missing.append(f"{left_out} of {counts['n']} observations not used")
+        missing.append(f"{left_out} of {counts['n']} observations not used ({said})")
         passed = []
     diagnosis = content.get("diagnosis")
     if diagnosis is None:
