@@ -74,7 +74,6 @@ class Accuracy:
     spread: Standard deviation about it, both directions together: precision [rad].
     spread_each: The same, right and up [rad].
     average: Mean size of the error [rad].
-    largest: Largest error [rad].
     """
 
     rms: Estimate
@@ -82,7 +81,6 @@ class Accuracy:
     spread: Estimate
     spread_each: tuple[Estimate, Estimate]
     average: Estimate
-    largest: Estimate
 
 
 def accuracy(series: BeamSeries, *, of_the_process: bool = False) -> Accuracy:
@@ -129,20 +127,12 @@ def accuracy(series: BeamSeries, *, of_the_process: bool = False) -> Accuracy:
             np.sqrt((along**2).sum() / count**2 + open_part**2 + shared**2 + (series.sigma_scale * plain.mean()) ** 2)
         ),
     )
-    most = int(np.argmax(size))
-    largest = Estimate(
-        float(size[most]),
-        float(
-            np.sqrt(along[most] ** 2 + np.sum((toward[most] * common) ** 2) + (series.sigma_scale * size[most]) ** 2)
-        ),
-    )
     return Accuracy(
         rms,
         (Estimate(float(mean[0]), float(mean_sigma[0])), Estimate(float(mean[1]), float(mean_sigma[1]))),
         spread,
         (each[0], each[1]),
         average,
-        largest,
     )
 
 

@@ -21,11 +21,13 @@ class Entry:
     test: Which test it is of, one word.
     key: What it is; ends with its unit (`heliogauge.results.folder.UNITS`).
     label: What it is in words; angles say whether they are of the beam or of the normal.
-    value: None: not measured, see `note`.
+    value: None: not measured, see `note`; or measured and none seen, see `below`.
     sigma: Standard deviation; None where it is not known, and `note` says why.
     degrees: Degrees of freedom of `sigma`; infinite where it was not estimated from few samples.
     method, date, conditions: How, when, and under which conditions, in words.
     note: Why there is no value or no sigma, or what must be known beside them.
+    below: Of what was looked for in vain: it is smaller than this with a probability of 95 %; None where there is a
+        value, or nothing was measured.
     """
 
     test: str
@@ -38,6 +40,12 @@ class Entry:
     date: str = ""
     conditions: str = ""
     note: str = ""
+    below: float | None = None
+
+    @property
+    def is_measured(self) -> bool:
+        """Whether it was measured: there is a value, or a bound on what was not seen."""
+        return self.value is not None or self.below is not None
 
     @property
     def name(self) -> str:
@@ -111,7 +119,7 @@ def decide(entry: Entry, limit: Limit | None, confidence: float = CONFIDENCE) ->
     if limit is None:
         return Decision(Conformity.NO_LIMIT)
     if entry.value is None:
-        return Decision(Conformity.NOT_MEASURED)
+        return _of_none_seen(entry.below, limit)
     if entry.sigma is None or not isfinite(entry.sigma) or entry.sigma <= 0:
         return Decision(Conformity.UNDECIDED)
     from scipy.special import ndtr, ndtri, stdtr, stdtrit
@@ -134,3 +142,11 @@ def decide(entry: Entry, limit: Limit | None, confidence: float = CONFIDENCE) ->
     else:
         state = Conformity.CONDITIONAL_PASS if inside else Conformity.CONDITIONAL_FAIL
     return Decision(state, probability, quantile * entry.sigma)
+
+
+def _of_none_seen(below: float | None, limit: Limit) -> Decision:
+    """Return what a limit makes of a size that was not seen: only an upper end above all that it can be is kept."""
+    if below is None:
+        return Decision(Conformity.NOT_MEASURED)
+    kept = limit.least is None and limit.most is not None and below <= limit.most
+    return Decision(Conformity.PASS if kept else Conformity.UNDECIDED)

@@ -12,6 +12,8 @@ import numpy as np
 import numpy.typing as npt
 
 from calibration.heliostat.performance.beam_series import Estimate
+from calibration.heliostat.performance.extremes import BOUND
+from heliogauge.adjust.chi_square import chi_square_cdf
 from heliogauge.errors import EstimationError
 from heliogauge.validate import FloatArray, float_array, freeze, positive
 
@@ -26,12 +28,14 @@ class Wander:
     """Drift and oscillation in one direction, in the unit of the values.
 
     drift: Largest minus smallest value of the cubic.
+    p_chance: Probability that noise alone gives a cubic so large.
     oscillation: Standard deviation of what remains, without the noise of the centroids.
     memory_s: After so long the oscillation is forgotten to 1/e [s].
     trend (n,), sigma_trend (n,): The cubic at each time.
     """
 
     drift: Estimate
+    p_chance: float
     oscillation: Estimate
     memory_s: float
     trend: FloatArray
@@ -64,12 +68,14 @@ def wander(times_s: npt.ArrayLike, values: npt.ArrayLike, sigma: npt.ArrayLike, 
     curve = fine @ solution
     ends = fine[int(np.argmax(curve))] - fine[int(np.argmin(curve))]
     drift = Estimate(float(np.ptp(curve)), float(np.sqrt(ends @ covariance @ ends)))
+    # The two moments are those of all pairs that are farthest apart: of any difference of the curve (Scheffe 1959).
+    p_chance = 1.0 - chi_square_cdf((drift.value / max(drift.sigma, 1e-300)) ** 2, degree)
     size, memory = np.exp(best)
     # What an oscillation of this memory shows about a cubic over this span: the process' own scatter.
     oscillation = Estimate(float(size), float(size) * model.sigma_log_size(best))
     trend = basis @ solution
     sigma_trend = np.sqrt(np.einsum("ni,ij,nj->n", basis, covariance, basis))
-    return Wander(drift, oscillation, float(memory), freeze(trend), freeze(sigma_trend))
+    return Wander(drift, p_chance, oscillation, float(memory), freeze(trend), freeze(sigma_trend))
 
 
 class _Likelihood:
@@ -150,17 +156,24 @@ class Sawtooth:
     period_s: Between updates [s].
     p_chance: Probability that noise alone looks like this, all periods tried counted.
     phase: Where in a period an update lies, as a share.
+    tries: Periods and phases among which it was found.
     """
 
     height: tuple[Estimate, Estimate]
     period_s: float
     p_chance: float
     phase: float = 0.0
+    tries: int = 1
 
     def at(self, times_s: FloatArray) -> FloatArray:
         """Return the sawtooth at times of the series, shape (n, 2)."""
         tooth = (times_s / self.period_s - self.phase) % 1.0 - 0.5
         return np.asarray(tooth[:, None] * [one.value for one in self.height])
+
+    def below(self, chance: float) -> tuple[float, float]:
+        """Return the heights, right and up, from which on it is seen with 95 % at a chance by noise."""
+        reach = float(np.sqrt(2 * np.log(self.tries / chance))) + BOUND
+        return reach * self.height[0].sigma, reach * self.height[1].sigma
 
 
 _PHASES = 40
@@ -244,6 +257,7 @@ def sawtooth(
         period,
         p_chance,
         phase,
+        tries,
     )
 
 

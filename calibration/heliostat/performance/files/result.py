@@ -38,7 +38,8 @@ class Result(InstrumentResult):
         for one in self.entries:
             numbers[one.name] = one.value
             if one.value is None:
-                reasons[one.name] = one.note or "not measured"
+                said = value_text(one)
+                reasons[one.name] = (one.note or said) if one.below is None else said
             elif one.sigma is not None:
                 numbers[f"sigma_{one.name}"] = one.sigma
         return self._summary(numbers, dict(self.about), reasons)
@@ -64,7 +65,9 @@ class Result(InstrumentResult):
 def value_text(entry: Entry) -> str:
     """Return the value of an entry with its sigma as people read it."""
     if entry.value is None:
-        return "not measured"
+        return (
+            "not measured" if entry.below is None else f"none seen, below {quantity_text(entry.key, entry.below, None)}"
+        )
     return quantity_text(entry.key, entry.value, entry.sigma)
 
 
@@ -75,6 +78,7 @@ def write_entries(path: Path, heliostat: str, entries: Sequence[Entry]) -> None:
         columns[name] = [getattr(one, name) for one in entries]
     columns["value"] = [float("nan") if one.value is None else one.value for one in entries]
     columns["sigma"] = [float("nan") if one.sigma is None else one.sigma for one in entries]
+    columns["below"] = [float("nan") if one.below is None else one.below for one in entries]
     columns["degrees"] = [one.degrees if isfinite(one.degrees) else float("nan") for one in entries]
     for name in ("method", "date", "conditions", "note"):
         columns[name] = [getattr(one, name) for one in entries]
@@ -103,9 +107,16 @@ def read_entries(path: Path) -> tuple[str, tuple[Entry, ...]]:
     entries = []
     for row in range(len(table["key"])):
         texts = {name: table[name][row] for name in _TEXTS}
+        below = number("below", row, None) if "below" in table else None
         degrees = number("degrees", row, inf)
         unit_of(texts["key"])
         entries.append(
-            Entry(value=number("value", row, None), sigma=number("sigma", row, None), degrees=degrees or inf, **texts)
+            Entry(
+                value=number("value", row, None),
+                sigma=number("sigma", row, None),
+                degrees=degrees or inf,
+                below=below,
+                **texts,
+            )
         )
     return names[0], tuple(entries)

@@ -67,6 +67,7 @@ class Sheets(InstrumentResult):
             "entry": [line.entry.name for _, line in rows],
             "label": [line.entry.label for _, line in rows],
             "value": [nan if line.entry.value is None else line.entry.value for _, line in rows],
+            "below": [nan if line.entry.below is None else line.entry.below for _, line in rows],
             "sigma": [nan if line.entry.sigma is None else line.entry.sigma for _, line in rows],
             "least": [nan if line.limit is None or line.limit.least is None else line.limit.least for _, line in rows],
             "most": [nan if line.limit is None or line.limit.most is None else line.limit.most for _, line in rows],

@@ -12,19 +12,19 @@ from calibration.heliostat.performance.beam_series import (
     repeated,
 )
 from calibration.heliostat.performance.entries import Entry
+from calibration.heliostat.performance.extremes import BOUND, CHANCE
 from calibration.heliostat.performance.keys import BeamSection, HeliostatTests, files_of
 from calibration.heliostat.performance.mirror_angles import LineOfSight
 from calibration.heliostat.performance.pipeline.outcome import Maker, Outcome
 from calibration.heliostat.performance.pipeline.read_tables import MOST_BEAM_RAD, read_beams, suns_of
 from calibration.heliostat.performance.wander import Sawtooth, sawtooth, wander
 from calibration.heliostat.performance.wind import class_of_wind, wind_classes
+from heliogauge.adjust.f_distribution import f_tail
 from heliogauge.doubts import Doubt, gather_doubts
 from heliogauge.errors import EstimationError, InputError
 from heliogauge.geometry.sun import Site, angles_from_direction, sun_directions
 from heliogauge.validate import FloatArray, TimeArray
 
-#: Chance below which a sawtooth counts as found, and approaches from several sides as different.
-CHANCE = 0.01
 _SECOND = np.timedelta64(1, "s")
 
 
@@ -177,7 +177,7 @@ def day_test(tests: HeliostatTests, section: BeamSection) -> Outcome:
         make.entry("beam_mean_right_rad", "Systematic offset of the beam to the right", found.mean[0]),
         make.entry("beam_mean_up_rad", "Systematic offset of the beam upwards", found.mean[1]),
         make.entry("beam_average_rad", "Mean size of the beam's error", found.average),
-        make.entry("beam_largest_rad", "Largest error of the beam", found.largest),
+        make.largest("beam_largest_rad", "Largest error of the beam", beams.series),
     ]
     entries += _noon(beams, make)
     days = beams.days()
@@ -190,6 +190,8 @@ def day_test(tests: HeliostatTests, section: BeamSection) -> Outcome:
             if chosen.sum() >= 3:
                 each.append((one, int(chosen.sum()), accuracy(beams.series.select(chosen))))
         values = np.array([result.rms.value for _, _, result in each])
+        short = len(several) - len(each)
+        note = f"{short} of {len(several)} days left out: fewer than 3 beams" if short else ""
         if len(each) > 1:
             spread = float(values.std(ddof=1))
             entries.append(
@@ -197,6 +199,7 @@ def day_test(tests: HeliostatTests, section: BeamSection) -> Outcome:
                     "daily_rms_spread_rad",
                     f"Standard deviation of the daily accuracy over {len(each)} days",
                     Estimate(spread, spread / np.sqrt(2 * (len(each) - 1)), len(each) - 1),
+                    note,
                 )
             )
         tables["day_each"] = {
@@ -256,11 +259,7 @@ def drift_test(tests: HeliostatTests, section: BeamSection) -> Outcome:
     for k, (key, word) in enumerate((("right", "to the right"), ("up", "upwards"))):
         found = wander(series.times_s, values[:, k], series.sigma_rad[:, k])
         trends.append(found.trend)
-        weak = found.drift.value < 3 * found.drift.sigma
-        note = "not different from none: an upper bound is two sigma above" if weak else ""
-        entries.append(
-            make.entry(f"{key}_beam_rad", f"Drift of the beam {word}, range of the cubic", found.drift, note)
-        )
+        entries.append(make.drift(f"{key}_beam_rad", f"Drift of the beam {word}, range of the cubic", found))
         whole, note = found.oscillation, f"memory {found.memory_s:.3g} s"
         if tooth is not None and tooth.p_chance < CHANCE:
             whole = _with_teeth(whole, tooth.height[k])
@@ -290,15 +289,14 @@ def _sawtooth_entries(beams: Beams, make: Maker, tooth: Sawtooth) -> list[Entry]
     middle = len(beams.times) // 2
     later = beams.times[middle] + np.timedelta64(round(1000 * tooth.period_s), "ms")
     still = beams.line.still_mirror_step(beams.suns[middle], sun_directions(np.array([later]), beams.site)[0])
-    seen = tooth.p_chance < CHANCE
-    words = f"period {tooth.period_s:.4g} s; a mirror that stands still as long gives {1e3 * np.hypot(*still):.2f} mrad"
-    note = words if seen else f"not seen (chance {tooth.p_chance:.2g}); {words}"
-    return [
-        make.entry(
-            f"sawtooth_{key}_beam_rad", f"Sawtooth of the beam between updates, {word}", one, note, "sawtooth and cubic"
-        )
-        for (key, word), one in zip((("right", "to the right"), ("up", "upwards")), tooth.height, strict=True)
-    ]
+    note = f"period {tooth.period_s:.4g} s; a mirror that stands still as long gives {1e3 * np.hypot(*still):.2f} mrad"
+    method, words = "sawtooth and cubic", (("right", "to the right"), ("up", "upwards"))
+    named = [(f"sawtooth_{key}_beam_rad", f"Sawtooth of the beam between updates, {word}") for key, word in words]
+    if tooth.p_chance < CHANCE:
+        return [make.entry(*name, one, note, method) for name, one in zip(named, tooth.height, strict=True)]
+    note = f"chance {tooth.p_chance:.2g} by noise in {tooth.tries} periods and phases; the likeliest: {note}"
+    bounds = tooth.below(CHANCE)
+    return [make.none_seen(*name, below, note, method) for name, below in zip(named, bounds, strict=True)]
 
 
 def repeat_test(tests: HeliostatTests, section: BeamSection) -> Outcome:
@@ -325,7 +323,12 @@ def repeat_test(tests: HeliostatTests, section: BeamSection) -> Outcome:
         sigma = float(np.hypot(found.sigma_means[high, k], found.sigma_means[low, k]))
         spare = float(sum(found.counts) - len(found.sides))
         note = f"{found.sides[high]} against {found.sides[low]}; chance that the start makes none: {found.p_same:.2g}"
-        entries.append(make.entry(f"sides_{key}_beam_rad", label, Estimate(size, sigma, spare), note))
+        # The two are those of all sides that lie farthest apart (Scheffe 1959).
+        others = len(found.sides) - 1
+        if f_tail((size / max(sigma, 1e-300)) ** 2 / others, others, spare) < CHANCE:
+            entries.append(make.entry(f"sides_{key}_beam_rad", label, Estimate(size, sigma, spare), note))
+        else:
+            entries.append(make.none_seen(f"sides_{key}_beam_rad", label, size + BOUND * sigma, note))
     if len(found.sides) > 1 and found.p_same < CHANCE:
         doubts.append(
             Doubt(
@@ -368,7 +371,7 @@ def wind_test(tests: HeliostatTests, section: BeamSection) -> Outcome:
         label = f"Beam accuracy in wind class {one.name} ({one.meaning}), RMS"
         chosen = index == place
         if chosen.sum() < 10:
-            if one.beam_limit_rad is not None:
+            if one.beam_limit_rad is not None or chosen.any():
                 reason = f"{int(chosen.sum())} beams in this class, at least 10 are needed"
                 entries.append(make.missing(f"{key}_beam_rms_rad", label, reason))
             continue

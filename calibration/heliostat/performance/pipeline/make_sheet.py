@@ -80,10 +80,10 @@ def _sheet(name: str, folders: Sequence[Path], summaries: dict[Path, Summary], l
                 tables[file] = read_table_csv(folder / f"{file}.csv")
         for entry in read_entries(folder / ENTRIES_FILE)[1]:
             earlier = entries.get(entry.name)
-            if earlier is None or earlier.value is None or (entry.value is not None and entry.date >= earlier.date):
+            if earlier is None or not earlier.is_measured or (entry.is_measured and entry.date >= earlier.date):
                 entries[entry.name] = entry
             # A result that is given twice was measured once.
-            if earlier is not None and None not in (earlier.value, entry.value) and earlier != entry:
+            if earlier is not None and earlier.is_measured and entry.is_measured and earlier != entry:
                 kept, left = (entry, earlier) if entries[entry.name] is entry else (earlier, entry)
                 twice.setdefault((kept.date or "no date", left.date or "no date"), []).append(entry.name)
     doubts += [

@@ -44,7 +44,7 @@ from heliogauge.doubts import Doubt, Severity
 from heliogauge.errors import EstimationError, InputError
 from heliogauge.geometry.sun import direction_from_angles
 from heliogauge.results.folder import read_table_csv, unit_of
-from heliogauge.validate import FloatArray
+from heliogauge.validate import BoolArray, FloatArray
 
 #: Mean below which a mirror is to be washed before optical tests (test 3 of Stage-STE 12.6).
 WASH_BELOW = 0.89
@@ -161,13 +161,13 @@ def sun_camera_test(tests: HeliostatTests, section: SunCameraSection) -> Outcome
     entries = [
         make.entry("normal_rms_rad", "Shift of the normal since the start while following the sun, RMS", found.rms),
         make.entry("normal_spread_rad", "The same about its mean", found.spread),
-        make.entry("normal_largest_rad", "Largest shift of the normal since the start", found.largest),
+        make.largest("normal_largest_rad", "Largest shift of the normal since the start", series),
     ]
     try:
         for k, (key, word) in enumerate((("right", "to the right"), ("up", "upwards"))):
             one = wander(series.times_s, series.beam_rad[:, k], series.sigma_rad[:, k])
             entries.append(
-                make.entry(f"drift_{key}_normal_rad", f"Drift of the normal {word}, range of the cubic", one.drift)
+                make.drift(f"drift_{key}_normal_rad", f"Drift of the normal {word}, range of the cubic", one)
             )
     except EstimationError as error:
         entries.append(make.missing("drift_right_normal_rad", "Drift of the normal", str(error)))
@@ -211,11 +211,21 @@ def _sun_table(
     if section.sigma_mrad is None:
         raise InputError("sun_camera.sigma_mrad is needed with a table: the uncertainty of one reading")
     instants = instants[order]
-    keep = np.append(True, np.diff(instants) > np.timedelta64(0)) & np.isfinite(angles).all(axis=1)
+    known = np.isfinite(angles).all(axis=1)
+    keep: BoolArray = np.array(known)
+    # Each time once: the first reading of it that has both angles.
+    keep[np.flatnonzero(known)[1:]] = np.diff(instants[known]) > np.timedelta64(0)
     if np.count_nonzero(keep) < _FEWEST_READINGS:
         raise InputError(
             f"{path}: {np.count_nonzero(keep)} of {keep.size} rows have both angles; {_FEWEST_READINGS} are needed, "
             "the first of which the others are counted from"
+        )
+    lost = int(np.count_nonzero(~keep))
+    if lost:
+        twice = lost - int(np.count_nonzero(~known))
+        text = f"{path.name}: {lost} of {keep.size} readings are left out ({lost - twice} without an angle, {twice} of "
+        doubts.append(
+            Doubt("rows_left_out", f"{text}the time of another)", {"left_out_count": lost, "rows_count": keep.size})
         )
     times = np.asarray((instants[keep] - instants[keep][0]) / _SECOND, dtype=np.float64)
     sigma = np.full((times.size, 2), 1e-3 * section.sigma_mrad)

@@ -6,6 +6,7 @@ import numpy as np
 
 from calibration.heliostat.performance.beam_series import Estimate
 from calibration.heliostat.performance.entries import Entry
+from calibration.heliostat.performance.extremes import largest_of
 from calibration.heliostat.performance.keys import HeliostatTests, QualitySection, files_of
 from calibration.heliostat.performance.pipeline.outcome import Maker, Outcome
 from heliogauge.doubts import Doubt, Severity
@@ -13,6 +14,7 @@ from heliogauge.errors import InputError
 from heliogauge.results.folder import SUMMARY_FILE, Summary, read_slope_map, read_summary
 from heliogauge.slopes.removal import Removal
 from heliogauge.slopes.statistics import statistics
+from heliogauge.validate import FloatArray
 
 SLOPE_MAP_FILE = "slope_map.nc"
 
@@ -124,17 +126,20 @@ def _of_slopes(folder: Path, summary: Summary, distance_m: float | None, date: s
         entries.append(
             make.entry("canting_rms_rad", f"Canting error of {len(known)} facets' normals, RMS", Estimate(rms, sigma))
         )
-        worst = int(np.argmax((angles**2).sum(axis=1)))
-        size = float(np.hypot(*angles[worst]))
-        spread = float(np.hypot(*(angles[worst] * sigmas[worst]))) / max(size, 1e-300)
-        entries.append(
-            make.entry(
-                "canting_largest_rad",
-                f"Largest canting error of a facet's normal ({known[worst][0]})",
-                Estimate(size, spread),
-            )
-        )
+        entries.append(_largest_canting(make, [name for name, _, _ in known], angles, sigmas))
     return entries
+
+
+def _largest_canting(make: Maker, names: list[str], angles: FloatArray, sigmas: FloatArray) -> Entry:
+    """Return the largest canting error, or that none is larger than the noise of so many facets."""
+    key, label = "canting_largest_rad", "Largest canting error of a facet's normal"
+    if not np.isfinite(sigmas).all():
+        worst = int(np.argmax((angles**2).sum(axis=1)))
+        return make.entry(key, f"{label} ({names[worst]})", Estimate(float(np.hypot(*angles[worst])), float("nan")))
+    found = largest_of(angles, sigmas, np.zeros(2))
+    if not found.is_seen:
+        return make.none_seen(key, label, found.below, f"{len(names)} facets: noise alone gives the largest of them")
+    return make.entry(key, f"{label} ({names[found.index]})", found.found)
 
 
 def _of_beams(summary: Summary, date: str, conditions: str) -> list[Entry]:

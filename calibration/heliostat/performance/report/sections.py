@@ -82,7 +82,7 @@ def first_screen(report: TestsReport) -> Html:
     """Return name, verdict, headline numbers and where the beam went."""
     known = {one.name: one for one in report.entries}
     rows = [(known[key].label, value_text(known[key])) for key in FIRST_KEYS if key in known][:8]
-    missing = [f"{one.label}: {one.note}" for one in report.entries if one.value is None]
+    missing = [f"{one.label}: {one.note}" for one in report.entries if not one.is_measured]
     passed = [f"{TEST_WORDS[test]} evaluated" for test in dict.fromkeys(one.test for one in report.entries)]
     charts = beam_charts(report)
     line = f"tests of a heliostat; {report.summary.texts.get('date', '')}; heliogauge {report.summary.version}"

@@ -168,7 +168,7 @@ def _table(lines: list[SheetLine]) -> str:
     )
     for test, group in groupby(ordered, key=lambda line: line.entry.test):
         own = list(group)
-        measured = [line.entry for line in own if line.entry.value is not None]
+        measured = [line.entry for line in own if line.entry.is_measured]
         first = _circumstances(measured)
         words = " not measured" if not measured else f" {html.escape('; '.join(filter(None, first)))}"
         rows.append(f'<tr class="group"><td colspan="4"><b>{TEST_WORDS.get(test, test)}</b>{words}</td></tr>')
@@ -184,7 +184,9 @@ def _circumstances(measured: list[Entry]) -> tuple[str, str, str]:
 
 def _row(line: SheetLine, shared: tuple[str, str, str]) -> str:
     entry, state = line.entry, line.decision.conformity
-    value = html.escape(value_text(entry)) if entry.value is not None else '<span class="none">not measured</span>'
+    value = html.escape(value_text(entry))
+    if not entry.is_measured:
+        value = f'<span class="none">{value}</span>'
     if entry.value is not None and entry.sigma is None:
         value += ' <small class="none">no uncertainty</small>'
     mark = str(state)
@@ -193,7 +195,7 @@ def _row(line: SheetLine, shared: tuple[str, str, str]) -> str:
     limit = html.escape(limit_text(entry, line.limit)) if line.limit else ""
     own = [part for part in (entry.method or "method not stated", entry.date, entry.conditions) if part]
     own = [part for part in own if part not in shared]
-    more = f" <small>{html.escape('; '.join(own))}</small>" if own and entry.value is not None else ""
+    more = f" <small>{html.escape('; '.join(own))}</small>" if own and entry.is_measured else ""
     return (
         f'<tr><td>{html.escape(entry.label)}{more}</td><td class="number">{value}</td>'
         f'<td class="number limit">{limit}</td>'
