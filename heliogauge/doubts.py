@@ -8,6 +8,9 @@ from typing import Any
 
 from heliogauge.short_repr import ShortRepr
 
+# Parts of a result that a doubt of several names.
+_MOST_NAMES = 5
+
 
 class Severity(StrEnum):
     """How much a doubt weighs; the order is that of the weights.
@@ -73,6 +76,31 @@ def gather_doubts(*doubts: Doubt | Iterable[Doubt] | None) -> tuple[Doubt, ...]:
         if one is not None:
             every.update(dict.fromkeys((one,) if isinstance(one, Doubt) else one))
     return tuple(every)
+
+
+def doubts_of_parts(parts: Mapping[str, Iterable[Doubt]], what: str) -> tuple[Doubt, ...]:
+    """Return what the parts of a result have to say, one doubt for each code; notes are passed over.
+
+    parts: The doubts of every part by its name, none too.
+    what: What the parts are, such as "heliostats".
+
+    >>> few = Doubt("photos_few", "3 photos only")
+    >>> print(*doubts_of_parts({"A1": [few], "A2": [], "A3": [few]}, "heliostats"))
+    2 of 3 heliostats, photos few (A1, A3): 3 photos only
+    """
+    groups: dict[str, dict[str, Doubt]] = {}
+    for name, doubts in parts.items():
+        for one in doubts:
+            if one.severity is not Severity.NOTE:
+                groups.setdefault(one.code, {}).setdefault(name, one)
+    found = []
+    for members in groups.values():
+        order = list(Severity)
+        worst = max(members.values(), key=lambda one: order.index(one.severity))
+        shown = ", ".join(list(members)[:_MOST_NAMES]) + (", ..." if len(members) > _MOST_NAMES else "")
+        text = f"{len(members)} of {len(parts)} {what}, {worst.code.replace('_', ' ')} ({shown}): {worst.text}"
+        found.append(Doubt(worst.code, text, {"parts_count": len(members)}, worst.severity))
+    return tuple(found)
 
 
 def heaviest_first(doubts: Iterable[Doubt]) -> list[tuple[int, Doubt]]:

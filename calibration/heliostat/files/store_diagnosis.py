@@ -6,6 +6,7 @@ from typing import Any
 
 from calibration.heliostat.diagnosis.findings import Check, Diagnosis
 from calibration.heliostat.files.field_work import work_of_findings
+from calibration.heliostat.files.store_field import DOUBTS
 from calibration.heliostat.files.store_heliostat import AS_STATED_FILE, HELIOSTAT_FILE
 from heliogauge.doubts import doubt_content
 from heliogauge.results.folder import SUMMARY_FILE, write_json
@@ -31,7 +32,8 @@ def changed_row(row: Mapping[str, Any], old: Diagnosis, new: Diagnosis) -> dict[
     before, after = ("; ".join(one.text for one in diagnosis.doubts) for diagnosis in (old, new))
     status = "faulty" if new.kinds else "doubtful" if row["status"] == "faulty" else row["status"]
     said = {"status": status, "diagnosis": ", ".join(new.named), "reason": after + str(row["reason"])[len(before) :]}
-    return {**row, **said, "work": work_of_findings(new.findings)}
+    doubts = [*(doubt_content(one) for one in new.doubts), *row[DOUBTS][len(old.doubts) :]]
+    return {**row, **said, "work": work_of_findings(new.findings), "warnings_count": len(doubts), DOUBTS: doubts}
 
 
 def rewrite_diagnosis(folder: Path, old: Diagnosis, new: Diagnosis) -> None:

@@ -10,12 +10,16 @@ from calibration.heliostat.files.field_work import bad_row_dates, found_over_exp
 from calibration.heliostat.files.result import HeliostatResult, Shared
 from calibration.heliostat.files.store_heliostat import counts_of, headline, left_out_text
 from calibration.heliostat.fitting.splits import SPLIT_NAMES
-from heliogauge.doubts import Doubt, Severity
+from heliogauge.doubts import Doubt, Severity, doubt_content, doubts_of_parts, read_doubt
 from heliogauge.results.folder import Summary, write_table_csv
 from heliogauge.results.tables import read_table_csv
 
 FIELD_FILE = "field.csv"
 FIELD_KIND = "heliostat-field"
+#: Key of a heliostat's row, beside the columns of ``field.csv``, for its doubts as JSON has them.
+DOUBTS = "doubts"
+# So many doubts a field keeps; what all its heliostats say together is never left out.
+_MOST_DOUBTS = 100
 
 
 def split_lines(result: HeliostatResult) -> tuple[str, ...]:
@@ -59,6 +63,7 @@ def field_row(result: HeliostatResult) -> dict[str, Any]:
         "work": work_of(result) or _doubt_in_words(status, doubts),
         "duration_s": round(result.duration_s, 4),
         "warnings_count": len(result.doubts),
+        DOUBTS: [doubt_content(one) for one in result.doubts],
         "reason": "; ".join(one.text for one in doubts),
     }
 
@@ -96,7 +101,7 @@ def write_field(folder: Path, rows: Sequence[Mapping[str, Any]]) -> None:
     """Write ``field.csv``, the worst heliostat first."""
     ordered = worst_first(rows)
     # The reason is long: it comes last, after whatever columns some row has.
-    names = [name for name in dict.fromkeys(key for row in ordered for key in row) if name != "reason"]
+    names = [name for name in dict.fromkeys(key for row in ordered for key in row) if name not in ("reason", DOUBTS)]
     columns = {name: ["" if row.get(name) is None else row[name] for row in ordered] for name in [*names, "reason"]}
     write_table_csv(folder / FIELD_FILE, {name: np.array(cells, dtype=object) for name, cells in columns.items()})
 
@@ -125,6 +130,8 @@ def field_summary(
         "faulty_count": sum(row["status"] == "faulty" for row in rows),
         "doubtful_count": sum(row["status"] == "doubtful" for row in rows),
         "observations_count": sum(int(str(row["observations_count"])) for row in good),
+        "without_doubt_count": sum(row["status"] == "ok" and not row["warnings_count"] for row in rows),
+        "heliostat_doubts_count": sum(int(str(row["warnings_count"])) for row in good),
         "left_out_count": sum(int(str(row["left_out_count"])) for row in good),
     }
     missing = {}
@@ -139,8 +146,10 @@ def field_summary(
         if not known:
             missing[f"median_{key}"] = "no heliostat has it"
     worst = worst_first(good)
-    doubts = [*of_field]
-    doubts += [
+    # Those of a faulty heliostat stand beside its fault.
+    parts = {str(row["heliostat"]): _doubts_of(row) if row["status"] != "faulty" else () for row in good}
+    together = [*of_field, *doubts_of_parts(parts, "heliostats")]
+    doubts = [
         Doubt("heliostat_failed", f"{row['heliostat']} failed: {row['reason']}")
         for row in rows
         if row["status"] == "failed"
@@ -160,11 +169,15 @@ def field_summary(
         name=name,
         numbers=numbers,
         texts=texts,
-        doubts=tuple(doubts[:100]),
+        doubts=(*of_field, *doubts[: max(_MOST_DOUBTS - len(together), 0)], *together[len(of_field) :]),
         durations_s=durations_s,
         input_sha256=input_sha256,
         not_determined=missing,
     )
+
+
+def _doubts_of(row: Mapping[str, Any]) -> tuple[Doubt, ...]:
+    return tuple(read_doubt(one) for one in row.get(DOUBTS, ()))
 
 
 def headline_text(rows: Sequence[Mapping[str, Any]], splits: Sequence[str] = ()) -> str:

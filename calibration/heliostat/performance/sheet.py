@@ -50,6 +50,7 @@ class Sheet:
     lines: Its entries, also those that were not measured.
     about: What is said of heliostat, laboratory and place.
     tables: Rows that pictures are made of, by name.
+    doubted: Names of the folders of results with doubts, and how many each has.
     """
 
     name: str
@@ -57,6 +58,7 @@ class Sheet:
     about: Mapping[str, str]
     doubts: tuple[Doubt, ...]
     tables: Mapping[str, dict[str, list[str]]] = field(default_factory=dict)
+    doubted: Mapping[str, int] = field(default_factory=dict)
 
     def count(self, conformity: Conformity) -> int:
         """Return how many lines have a conformity."""

@@ -293,14 +293,13 @@ def note_section(report: HeliostatReport) -> Html:
 def field_screen(report: FieldReport) -> FirstScreen:
     """Return the first screen of a field: verdict, the numbers of its heliostats, the field from above."""
     numbers, summary = report.summary.numbers, report.summary
-    count, calibrated, failed, faulty, doubtful = (
-        int(numbers.get(f"{kind}_count") or 0) for kind in ("heliostats", "calibrated", "failed", "faulty", "doubtful")
+    count, calibrated, failed, sound = (
+        int(numbers.get(f"{kind}_count") or 0) for kind in ("heliostats", "calibrated", "failed", "without_doubt")
     )
     missing = [f"{failed} of {count} heliostats have no model"] if failed else []
-    sound = calibrated - faulty - doubtful
     passed = [f"{sound} of {count} heliostats without fault or doubt"] if sound > 0 else []
     verdict = verdict_of(summary, missing, passed)
-    if verdict.state is State.SOUND and (faulty or doubtful):
+    if verdict.state is State.SOUND and sound < calibrated:
         verdict = replace(verdict, state=State.DOUBTFUL)
     split = summary.texts.get("split", "")
     line = f"calibration of {count} heliostats; {split} split; heliogauge {summary.version}"
@@ -315,6 +314,9 @@ def _field_rows(report: FieldReport) -> list[tuple[str, ...]]:
     for kind, words in (("faulty", "with a fault"), ("doubtful", "with doubts"), ("failed", "without a model")):
         if numbers.get(f"{kind}_count"):
             rows.append((words, str(numbers[f"{kind}_count"])))
+    said = [int(cell or 0) for cell in report.rows.get("warnings_count", ())]
+    if any(said):
+        rows.append(("Doubts of heliostats", str(sum(said)), f"in {sum(map(bool, said))} of them; links in the table"))
     normal = report.numbers("normal_test_rms_mrad")
     for word, values in (("Beam", report.numbers("beam_test_rms_mrad")), ("Normal", normal)):
         if np.isfinite(values).any():
@@ -385,7 +387,11 @@ def field_table(report: FieldReport) -> Html:
         f"{one}/{of}" if one else "" for one, of in zip(rows["used_count"], rows["observations_count"], strict=True)
     ]
     dates = [dates_text(cell.split(", ")) for cell in rows["bad_row_dates"]]
-    columns += [TableColumn("used", used), TableColumn("bad rows on", dates)]
+    said = report.rows.get("warnings_count", ("",) * count)
+    places = [_link(report, name) or f"{name}/summary.json" for name in rows["heliostat"]]
+    links = [place if int(cell or 0) else "" for place, cell in zip(places, said, strict=True)]
+    doubts = TableColumn("doubts", [cell or "" for cell in said], [float(cell or 0) for cell in said], links=links)
+    columns += [TableColumn("used", used), doubts, TableColumn("bad rows on", dates)]
     command = (
         "<code>heliogauge report OUT/NAME</code> makes the report of one heliostat; <code>heliogauge view OUT</code> "
         "shows all of them."

@@ -10,6 +10,7 @@ from calibration.heliostat.performance.entries import Conformity
 from calibration.heliostat.performance.files.result import value_text
 from calibration.heliostat.performance.report.sheet_page import sheet_page
 from calibration.heliostat.performance.sheet import Sheet, decision_rule
+from heliogauge.doubts import Severity
 from heliogauge.errors import InputError
 from heliogauge.results.folder import Summary, write_table_csv
 from heliogauge.results.frame import InstrumentResult
@@ -38,6 +39,7 @@ class Sheets(InstrumentResult):
         for state in Conformity:
             name = state.name.lower()
             numbers[f"{name}_count"] = states[state]
+        numbers["doubts_count"] = sum(one.severity is not Severity.NOTE for one in self.doubts)
         texts = {"decision": decision_rule(self.confidence)}
         return self._summary(numbers, texts)
 

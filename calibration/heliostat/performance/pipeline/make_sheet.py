@@ -72,8 +72,12 @@ def _sheet(name: str, folders: Sequence[Path], summaries: dict[Path, Summary], l
     twice: dict[tuple[str, str], list[str]] = {}
     about: dict[str, str] = {}
     tables: dict[str, dict[str, list[str]]] = {}
+    doubted: dict[str, int] = {}
     for folder in folders:
-        doubts += [one.prefixed(name) for one in summaries[folder].doubts if one.severity is not Severity.NOTE]
+        of_result = [one.prefixed(name) for one in summaries[folder].doubts if one.severity is not Severity.NOTE]
+        if of_result:
+            doubted[folder.resolve().name] = len(of_result)
+        doubts += of_result
         about |= summaries[folder].texts
         for file in ("day_rows", "year_costs"):
             if (folder / f"{file}.csv").is_file():
@@ -115,7 +119,7 @@ def _sheet(name: str, folders: Sequence[Path], summaries: dict[Path, Summary], l
         doubts.append(
             Doubt("limits_not_kept", f"{name}: limits are not kept: {', '.join(failed)}", {"failed_count": len(failed)})
         )
-    return Sheet(name, lines, about, gather_doubts(doubts), tables)
+    return Sheet(name, lines, about, gather_doubts(doubts), tables, doubted)
 
 
 def _listed(names: Sequence[str], most: int = 4) -> str:

@@ -8,6 +8,7 @@ from calibration.heliostat.performance.files.result import value_text
 from calibration.heliostat.performance.report.sections import TEST_WORDS, series_chart
 from calibration.heliostat.performance.sheet import STANDARD, Sheet, SheetLine, decision_rule
 from heliogauge import __version__
+from heliogauge.doubts import heaviest_first
 from heliogauge.reporting.notation import quantity_text
 from heliogauge.reporting.page_frame import POLICY_HEAD
 from heliogauge.reporting.style import STYLE
@@ -239,9 +240,13 @@ def _below(sheet: Sheet) -> str:
 def _remarks(sheet: Sheet) -> str:
     if not sheet.doubts:
         return ""
-    items = "".join(f"<li>{html.escape(one.text)}</li>" for one in sheet.doubts[:_MOST_DOUBTS])
+    heaviest = [one for _, one in heaviest_first(sheet.doubts)]
+    items = "".join(f"<li>{html.escape(one.text)}</li>" for one in heaviest[:_MOST_DOUBTS])
     more = len(sheet.doubts) - _MOST_DOUBTS
     items += f"<li>and {more} more, in summary.json</li>" if more > 0 else ""
+    if sheet.doubted:
+        said = "; ".join(f"{folder}: {count}" for folder, count in sheet.doubted.items())
+        items += f"<li>Doubts of the results, in their own reports: {html.escape(said)}</li>"
     return f'<h2>Remarks</h2><ul class="doubts">{items}</ul>'
 
 

@@ -1,11 +1,14 @@
 """A folder of what was done becomes results and a data sheet; bad input is said in a sentence."""
 
 import json
+import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+import heliogauge as hg
 from calibration.heliostat.performance.files.result import read_entries
 from calibration.heliostat.performance.keys import load_tests
 from calibration.heliostat.performance.pipeline.make_sheet import SheetOptions
@@ -14,7 +17,9 @@ from calibration.heliostat.performance.pipeline.run_tests import Options, run
 from calibration.heliostat.performance.report.sheet_page import sheet_page
 from data_synth.acceptance.dataset import write_tests_folder
 from data_synth.acceptance.plant import TestPlant
+from heliogauge.doubts import Doubt, Severity
 from heliogauge.errors import InputError
+from heliogauge.results.folder import read_summary, write_summary
 from heliogauge.results.frame import into_folder
 from heliogauge.running.progress import SilentProgress
 
@@ -69,6 +74,23 @@ def test_sheet_has_every_entry_and_what_was_not_measured(drawn, results, tmp_pat
     assert lines["day_beam_rms_rad"].decision.conformity == "pass"
     assert lines["quality_sd_rad"].decision.conformity == "not measured"
     assert lines["control_faults_answered_share"].decision.conformity == "conditional fail"
+
+
+def test_sheet_counts_the_doubts_of_its_results_and_says_the_heaviest_first(results, tmp_path):
+    folder = tmp_path / "AB12-results"
+    shutil.copytree(results, folder)
+    summary = read_summary(folder)
+    light = [Doubt("log_out_of_order", f"wind.csv: {k} rows are late") for k in range(6)]
+    heavy = Doubt("result_of_another_name", "these are of another heliostat", severity=Severity.SERIOUS)
+    write_summary(folder / "summary.json", replace(summary, doubts=(*light, heavy)))
+    sheets = make_sheets([folder], SheetOptions(pdf=False))
+    (tmp_path / "sheet").mkdir()
+    sheets.write(tmp_path / "sheet")
+    assert hg.open(tmp_path / "sheet").summary["doubts_count"] == 7
+    page = (tmp_path / "sheet" / "AB12.html").read_text()
+    assert page.index("these are of another heliostat") < page.index("wind.csv: 0 rows are late")
+    assert "and 2 more, in summary.json" in page
+    assert "Doubts of the results, in their own reports: AB12-results: 7" in page
 
 
 def test_one_result_given_twice_was_measured_once(results):
