@@ -22,7 +22,9 @@ class FieldFolder(GrowingFolder):
         """Refuse whole results."""
         if JOURNAL_FILE not in names:
             raise InputError(
-                f"{self.path}: holds results already; choose another folder or give force=True to replace them"
+                f"{self.path}: holds results that are whole: only an interrupted field is continued, and new "
+                "or changed rows are not added to results. Choose another folder, or give force=True (--force) to "
+                "calibrate all heliostats again"
             )
 
     def __exit__(
