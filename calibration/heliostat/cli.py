@@ -179,7 +179,7 @@ def aim_command(
         typer.Option(
             min=0,
             metavar="RINGS",
-            help="Look for a lost beam at --time: aim points on a square spiral of so many rings.",
+            help="Look for a lost beam at --time: aim points on a square spiral of so many rings, at most 100.",
         ),
     ] = None,
     time: Annotated[

@@ -8,12 +8,20 @@ from calibration.heliostat.performance.entries import Conformity, Decision, Entr
 from calibration.heliostat.performance.files.limits import Limits, read_limits
 from calibration.heliostat.performance.files.result import ENTRIES_FILE, KIND, read_entries
 from calibration.heliostat.performance.files.sheets import Sheets
+from calibration.heliostat.performance.report.sections import series_chart
 from calibration.heliostat.performance.sheet import STANDARD, Sheet, SheetLine
 from heliogauge.doubts import Doubt, Severity, gather_doubts
 from heliogauge.errors import InputError
+from heliogauge.files.faults import explain_faults
 from heliogauge.instruments import near_match
 from heliogauge.results.folder import SUMMARY_FILE, Summary, hash_files, read_summary, read_table_csv
 from heliogauge.running.progress import Progress, SilentProgress
+
+# Tables of results that the sheet shows, with the columns that it needs.
+_TABLES = {
+    "day_rows": ("time_utc", "beam_right_rad", "sigma_right_rad", "beam_up_rad", "sigma_up_rad"),
+    "year_costs": ("cause", "lost_text", "next_mrad_text"),
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,9 +87,9 @@ def _sheet(name: str, folders: Sequence[Path], summaries: dict[Path, Summary], l
             doubted[folder.resolve().name] = len(of_result)
         doubts += of_result
         about |= summaries[folder].texts
-        for file in ("day_rows", "year_costs"):
+        for file, columns in _TABLES.items():
             if (folder / f"{file}.csv").is_file():
-                tables[file] = read_table_csv(folder / f"{file}.csv")
+                tables[file] = _rows(folder / f"{file}.csv", columns)
         for entry in read_entries(folder / ENTRIES_FILE)[1]:
             earlier = entries.get(entry.name)
             if earlier is None or not earlier.is_measured or (entry.is_measured and entry.date >= earlier.date):
@@ -120,6 +128,15 @@ def _sheet(name: str, folders: Sequence[Path], summaries: dict[Path, Summary], l
             Doubt("limits_not_kept", f"{name}: limits are not kept: {', '.join(failed)}", {"failed_count": len(failed)})
         )
     return Sheet(name, lines, about, gather_doubts(doubts), tables, doubted)
+
+
+def _rows(path: Path, columns: Sequence[str]) -> dict[str, list[str]]:
+    """Read a table of a result; InputError where the sheet's picture cannot be drawn from it."""
+    table = read_table_csv(path, columns)
+    if "time_utc" in columns:
+        with explain_faults(path, "a table of beams as heliogauge wrote it"):
+            series_chart(table, path.stem)
+    return table
 
 
 def _listed(names: Sequence[str], most: int = 4) -> str:

@@ -93,6 +93,23 @@ def test_sheet_counts_the_doubts_of_its_results_and_says_the_heaviest_first(resu
     assert "Doubts of the results, in their own reports: AB12-results: 7" in page
 
 
+@pytest.mark.parametrize(
+    ("old", "new", "match"),
+    [
+        ("time_utc", "when", r"day_rows\.csv: .*time_utc"),
+        ("beam_up_rad", "up", r"day_rows\.csv: .*beam_up_rad"),
+        ("2026", "soon", r"day_rows\.csv: damaged or changed by hand .*soon"),
+    ],
+)
+def test_sheet_of_rows_without_times_is_refused_in_words(results, tmp_path, old, new, match):
+    folder = tmp_path / "AB12-results"
+    shutil.copytree(results, folder)
+    text = (folder / "day_rows.csv").read_text()
+    (folder / "day_rows.csv").write_text(text.replace(old, new))
+    with pytest.raises(InputError, match=match):
+        make_sheets([folder], SheetOptions(pdf=False))
+
+
 def test_one_result_given_twice_was_measured_once(results):
     sheets = make_sheets([results, results], SheetOptions(pdf=False))
     assert not [one for one in sheets.doubts if one.code == "measured_twice"]
