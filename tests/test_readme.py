@@ -1,5 +1,6 @@
 """The front page: short, and every command on it runs as it stands there."""
 
+import json
 import os
 import re
 import subprocess
@@ -8,6 +9,7 @@ import sysconfig
 from pathlib import Path
 
 import pytest
+from PIL import Image
 
 README = Path(__file__).parents[1] / "README.md"
 
@@ -76,3 +78,16 @@ def test_the_real_measurement_has_at_most_one_warning() -> None:
 @pytest.mark.slow
 def test_its_drawn_measurement_needs_no_data(drawn: Path) -> None:
     assert (drawn / "drawn-result" / "report.html").is_file()
+
+
+@pytest.mark.slow
+def test_its_picture_shows_the_numbers_of_today(drawn: Path) -> None:
+    """To draw it anew: python docs/images/render_report.py."""
+    with Image.open(README.parent / "docs" / "images" / "report.png") as picture:
+        printed = dict(line.strip().split(" = ") for line in picture.text["numbers"].splitlines())
+    numbers = json.loads((drawn / "drawn-result" / "summary.json").read_text())["numbers"]
+    assert len(printed) == 4
+    for name, text in printed.items():
+        value, sigma = map(float, text.split(" +- "))
+        assert numbers[name] == pytest.approx(value, rel=1e-3)
+        assert numbers[f"sigma_{name}"] == pytest.approx(sigma, rel=0.1)
