@@ -2,7 +2,7 @@
 
 import contextlib
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -22,6 +22,13 @@ def put_on_disk(paths: Iterable[Path]) -> None:
     with ThreadPoolExecutor(_AT_ONCE) as pool:
         for _ in pool.map(_put_one, paths):
             pass
+
+
+def everything_in(folder: Path) -> Iterator[Path]:
+    """Go through a folder: it, the folders in it, and all their files."""
+    for here, _, names in os.walk(folder):
+        yield Path(here)
+        yield from (Path(here, name) for name in names)
 
 
 def _put_one(path: Path) -> None:

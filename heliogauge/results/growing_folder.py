@@ -2,7 +2,6 @@
 
 import contextlib
 import json
-import os
 import shutil
 from collections.abc import Mapping
 from pathlib import Path
@@ -11,7 +10,7 @@ from typing import Any, ClassVar, NamedTuple, Self, TextIO
 
 from heliogauge.errors import InputError
 from heliogauge.files.locks import try_lock
-from heliogauge.files.on_disk import put_on_disk
+from heliogauge.files.on_disk import everything_in, put_on_disk
 from heliogauge.files.regular import read_regular
 from heliogauge.files.texts import parse_json
 from heliogauge.results.folder import SUMMARY_FILE, hash_files
@@ -128,9 +127,9 @@ class GrowingFolder:
         OSError: The disk does not take it; the file is named in it.
         """
         place = self.path / name
-        inside = [Path(here, one) for here, _, names in os.walk(place) for one in names]
-        put_on_disk([*inside, *(Path(here) for here, _, _ in os.walk(place)), self.path])
-        kept = [file for file in inside if file.name not in _MADE_AGAIN]
+        inside = list(everything_in(place))
+        put_on_disk([*inside, self.path])
+        kept = [path for path in inside if path.name not in _MADE_AGAIN and not path.is_dir()]
         digests = hash_files(kept, place).items()
         files = {key: (file.stat().st_size, digest) for file, (key, digest) in zip(kept, digests, strict=True)}
         self.finished[name] = Finished(digest, dict(row), files)

@@ -8,6 +8,7 @@ from pathlib import Path
 from types import TracebackType
 
 from heliogauge.errors import InputError
+from heliogauge.files.on_disk import everything_in, put_on_disk
 from heliogauge.results.left_over import EARLIER, PARTIAL, hidden_beside, sweep
 
 #: The disk says no, not the program: full, over quota, read-only, worn out.
@@ -121,9 +122,13 @@ class WholeFolder:
         try:
             had_earlier = self._target.exists()
             if had_earlier:
+                # It goes at the end: a power cut must not find it gone and the new one not yet on the disk.
+                put_on_disk(everything_in(self._working))
                 self._target.rename(earlier)
             try:
                 self._working.rename(self._target)
+                if had_earlier:
+                    put_on_disk([self._target.parent])
             except BaseException:
                 if had_earlier:
                     earlier.rename(self._target)

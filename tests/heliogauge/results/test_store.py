@@ -4,6 +4,8 @@ import csv
 import hashlib
 import json
 import math
+import os
+import shutil
 from pathlib import Path
 
 import h5py
@@ -504,6 +506,33 @@ def test_force_replaces_the_whole_earlier_result(tmp_path: Path) -> None:
         put_result(folder, "new")
     assert [path.name for path in target.iterdir()] == ["summary.json"]
     assert [path.name for path in tmp_path.iterdir()] == ["result"]
+
+
+def test_an_earlier_result_goes_when_the_disk_has_the_new_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    out, waited_for, removed = tmp_path / "result", list[int](), list[Path]()
+    with ResultFolder(out) as folder:
+        (folder / "summary.json").write_text("{}")
+    wait, remove = os.fsync, shutil.rmtree
+
+    def recorded(number: int) -> None:
+        waited_for.append(os.fstat(number).st_ino)
+        wait(number)
+
+    def removing(path: Path, **how: bool) -> None:
+        if path.exists():
+            places = [tmp_path, out, *out.rglob("*")]
+            assert {place.stat().st_ino for place in places} <= set(waited_for)
+            removed.append(path)
+        remove(path, **how)
+
+    monkeypatch.setattr(os, "fsync", recorded)
+    monkeypatch.setattr(shutil, "rmtree", removing)
+    with ResultFolder(out, force=True) as folder:
+        (folder / "facet").mkdir()
+        for name in ("summary.json", "facet/slope_map.nc"):
+            (folder / name).write_text("new")
+    assert len(removed) == 1
+    assert (out / "summary.json").read_text() == "new"
 
 
 @pytest.mark.parametrize("names", [["photo.jpg"], ["measurement.toml", "summary.json"]])
