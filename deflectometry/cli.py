@@ -189,8 +189,11 @@ def import_opencsp_command(
 
 
 SlopeDesign = Annotated[
-    Literal["plane", "paraboloid", "trough", "sphere"],
-    typer.Option(help="Design that the slopes are compared with; edit measurement.toml for others."),
+    Literal["plane", "paraboloid", "trough", "sphere"] | None,
+    typer.Option(
+        help="Design that the slopes are compared with; default: plane. Edit measurement.toml for others.",
+        show_default=False,
+    ),
 ]
 FocalLength = Annotated[
     float | None, typer.Option(min=0.0, help="Focal length of the paraboloid or trough.", show_default=False)
@@ -202,7 +205,7 @@ def _import_slopes(form: str, help_of_file: str) -> Callable[..., None]:
     def import_command(
         file: Annotated[Path, typer.Argument(metavar="FILE", help=help_of_file, show_default=False)],
         out: OutMeasurement,
-        design: SlopeDesign = "plane",
+        design: SlopeDesign = None,
         focal_length_m: FocalLength = None,
         radius_m: Radius = None,
         force: ForceMeasurement = False,
@@ -230,7 +233,7 @@ def import_soltrace_command(
         int | None,
         typer.Option(min=1, help="Which of a system's elements with measured slopes, from 1.", show_default=False),
     ] = None,
-    design: SlopeDesign = "plane",
+    design: SlopeDesign = None,
     focal_length_m: FocalLength = None,
     radius_m: Radius = None,
     force: ForceMeasurement = False,
@@ -277,7 +280,7 @@ def import_surface_command(
     without_canting: Annotated[
         bool, typer.Option("--without-canting", help="Turn facets of an .h5 file back by the canting that it gives.")
     ] = False,
-    design: SlopeDesign = "plane",
+    design: SlopeDesign = None,
     focal_length_m: FocalLength = None,
     radius_m: Radius = None,
     force: ForceMeasurement = False,
@@ -294,9 +297,11 @@ def import_surface_command(
     _say_imported(said, out, quiet=quiet)
 
 
-def _design_keys(design: str, focal_length_m: float | None, radius_m: float | None) -> dict[str, Any]:
-    numbers = {"focal_length_m": focal_length_m, "radius_m": radius_m}
-    return {"design": design} | {name: value for name, value in numbers.items() if value is not None}
+def _design_keys(design: str | None, focal_length_m: float | None, radius_m: float | None) -> dict[str, Any]:
+    """Return the keys of [mirror] that were given."""
+    given = {"design": design, "focal_length_m": focal_length_m, "radius_m": radius_m}
+    keys = {name: value for name, value in given.items() if value is not None}
+    return {"design": "plane"} | keys if keys else {}
 
 
 def _say_imported(said: str, out: Path, *, quiet: bool) -> None:

@@ -8,8 +8,10 @@ from typing import ClassVar, Literal, Self
 import numpy as np
 from pydantic import Field, model_validator
 
+from deflectometry.exchange.nearest_design import are_of_surface, curvatures, nearest_design
 from deflectometry.exchange.slope_files import MAP_SUFFIXES, read_slopes
 from deflectometry.exchange.slope_points import SlopePoints
+from deflectometry.pipeline.design_check import other_design
 from deflectometry.pipeline.headline import Numbers, facet_numbers, headline_text, reasons
 from heliogauge.doubts import Doubt
 from heliogauge.errors import EstimationError, InputError
@@ -156,13 +158,15 @@ def run(
     with progress.stage("statistics"):
         slope_map = remove(as_measured, removal or Removal(model.evaluation.remove))
         numbers = facet_numbers(slope_map, as_measured)
-    doubts = (*_doubts_of_map(measurement.folder / model.slopes.file, as_measured.design), *doubts_of_sigma)
+    doubts = [*_doubts_of_map(measurement.folder / model.slopes.file, as_measured.design), *doubts_of_sigma]
+    if not any(one.code == "design_is_not_that_of_the_map" for one in doubts):
+        doubts = [*_doubts_of_design(points, numbers, as_measured), *doubts]
     return SlopesResult(
         name=model.name,
         slope_map=slope_map,
         numbers=numbers,
         points=int(np.count_nonzero(points.measured)),
-        doubts=doubts,
+        doubts=tuple(doubts),
         durations_s=dict(progress.durations_s),
         input_sha256=hash_files(measurement.input_files, measurement.folder),
     )
@@ -185,6 +189,16 @@ def _doubts_of_map(file: Path, design: str) -> Iterator[Doubt]:
             f"what {', '.join(dict.fromkeys(stored.common.sources))} may have done to the whole map counts as noise of "
             "each node here: sigmas of SDx, SDy and focal lengths are too small; those of the original result hold",
         )
+
+
+def _doubts_of_design(points: SlopePoints, numbers: Numbers, as_measured: SlopeMap) -> Iterator[Doubt]:
+    """Yield that slopes are of another shape than the design, with the nearest one."""
+    to_check = "the unit of the slopes and that x is across"
+    if are_of_surface(points):
+        nearest = nearest_design(points, curvatures(points))
+        off_mrad = 1e3 * nearest.rms_rad
+        to_check += f"; nearest is {nearest.describe()}, {off_mrad:.3g} mrad off: {nearest.options}"
+    yield from other_design(numbers, as_measured, to_check)
 
 
 def grid_points(points: SlopePoints, design: Quadric, step_m: float | None = None) -> SlopeMap:

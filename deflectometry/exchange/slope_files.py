@@ -8,11 +8,15 @@ from typing import Any
 
 import numpy as np
 
+from deflectometry.exchange.nearest_design import are_of_surface, curvatures, nearest_design, rms_off
 from deflectometry.exchange.slope_points import SlopePoints, points_words, refuse_implausible
 from deflectometry.exchange.surface_files import read_surface
+from deflectometry.pipeline.design_check import is_other_shape
 from heliogauge.errors import InputError
 from heliogauge.files.texts import read_text
+from heliogauge.measurement.designs import build_design
 from heliogauge.measurement.imported import IMPORTED, write_imported
+from heliogauge.measurement.models import DesignKeys
 from heliogauge.measurement.writer import write_measurement
 from heliogauge.results.slope_export import fit_monomials
 from heliogauge.results.slope_map_file import read_slope_map
@@ -27,6 +31,7 @@ SIGMAS = ("sigma_slope_x", "sigma_slope_y")
 MAP_SUFFIXES = (".nc", ".nc4")
 #: Headers have six decimals: a fit to the points they were made of returns them to one of the last.
 _SAME_COEFFICIENT = 1e-6
+_QUADRATIC_TERMS = 6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -42,6 +47,13 @@ class VshotFile:
     points: SlopePoints
     coefficients: FloatArray
     fitted: FloatArray
+
+    @property
+    def stated_per_m(self) -> FloatArray | None:
+        """A, B, E of the surface ``A x^2 + B y^2 + E x y`` in its header, shape (3,) [1/m]; None without one."""
+        if self.coefficients.size < _QUADRATIC_TERMS or not self.coefficients.any() or self.contradiction:
+            return None
+        return np.asarray(self.coefficients[[5, 3, 4]])
 
     @property
     def contradiction(self) -> str:
@@ -131,15 +143,17 @@ def import_slopes(
     without_canting: Facets of a file that says how they are canted are turned back to the heliostat's plane.
     design: Keys of [mirror]: the design that the slopes are compared with; a plane without them.
     force: Replace a folder that was imported earlier.
-    Returns: What was taken over, in a sentence.
+    Returns: What was taken over, in a sentence; and which design is nearest, where they are of another shape.
     InputError: The file cannot be read, the design is not one, or the folder is in use.
     """
     if form == "surface":
-        points, wrong = read_surface(file, heliostat, facet, without_canting=without_canting), ""
+        vshot = None
+        points = read_surface(file, heliostat, facet, without_canting=without_canting)
     else:
         vshot = read_soltrace(file) if form == "soltrace" else None
         points = read_slopes(file) if vshot is None else vshot.points
-        wrong = "" if vshot is None else vshot.contradiction
+    wrong = "" if vshot is None else vshot.contradiction
+    keys = dict(design or {"design": "plane"})
     # A map of ours stays what it is: with its own design and what makes its sigma.
     is_map = form == "slopes" and file.suffix.lower() in MAP_SUFFIXES
     kept = MAP_FILE if is_map else SLOPES_FILE
@@ -149,11 +163,44 @@ def import_slopes(
             shutil.copyfile(file, working / MAP_FILE)
         else:
             write_points(working / SLOPES_FILE, points)
-        write_slopes_measurement(
-            working, name, kept, design or {"design": "plane"}, f"Slopes imported from {file.name}."
-        )
+        write_slopes_measurement(working, name, kept, keys, f"Slopes imported from {file.name}.")
         write_imported(working, form, [file])
-    return f"{file.name}: {points_words(points)}" + (f"; {wrong}" if wrong else "")
+    stated = _map_curvatures(file) if is_map else None if vshot is None else vshot.stated_per_m
+    source = "the best fit is" if stated is None else "its own design is" if is_map else "the surface in its header is"
+    nearer = _nearer_design(points, keys, stated, source, is_given=bool(design))
+    return "; ".join(filter(None, (f"{file.name}: {points_words(points)}", wrong, nearer)))
+
+
+def _map_curvatures(file: Path) -> FloatArray:
+    """Return A, B, E of the design of a map of ours, shape (3,) [1/m]."""
+    one = read_slope_map(file)
+    x, y = np.meshgrid(one.x_m, one.y_m)
+    at, unknown = one.valid, np.full(int(np.count_nonzero(one.valid)), np.nan)
+    slopes = one.design_slope_x[at], one.design_slope_y[at]
+    return curvatures(SlopePoints(x[at], y[at], *slopes, unknown, unknown))
+
+
+def _nearer_design(
+    points: SlopePoints, keys: Mapping[str, Any], stated_per_m: FloatArray | None, source: str, *, is_given: bool
+) -> str:
+    """Say which simple design is nearest to slopes that are of another shape than theirs; empty otherwise.
+
+    stated_per_m (3,): A, B, E of the surface that the file states; None where it states none.
+    source: Where the nearest design is from.
+    is_given: Whether the design was chosen.
+    """
+    if not are_of_surface(points):
+        return ""
+    design = build_design(DesignKeys(**keys))
+    error_rad = rms_off(points, design)
+    nearest = nearest_design(points, curvatures(points) if stated_per_m is None else stated_per_m)
+    if not is_other_shape(error_rad, nearest.rms_rad):
+        return ""
+    chosen = "the slopes are" if is_given else "no design was given: the slopes are"
+    return (
+        f"{chosen} {1e3 * error_rad:.3g} mrad RMS off {design.describe()}, with which they are compared; {source} "
+        f"{nearest.describe()}, {1e3 * nearest.rms_rad:.3g} mrad off: {nearest.options}"
+    )
 
 
 def write_points(path: Path, points: SlopePoints) -> None:

@@ -17,6 +17,14 @@ _SHAPE_SHARE = 0.3
 _OTHER_DESIGN, _SURE = 0.5, 10.0
 
 
+def is_other_shape(error_rad: float, rest_rad: float) -> bool:
+    """Return whether slopes are of another shape than their design.
+
+    error_rad, rest_rad: RMS slope error against the design, and what another shape leaves of it [rad].
+    """
+    return 1e3 * error_rad > _SHAPE_MRAD and rest_rad < _SHAPE_SHARE * error_rad
+
+
 def off_design(numbers: Mapping[str, float | int | None], to_check: str) -> Iterator[Doubt]:
     """Yield what makes the design doubtful.
 
@@ -34,7 +42,7 @@ def off_design(numbers: Mapping[str, float | int | None], to_check: str) -> Iter
             {"slope_error_mrad": error},
             Severity.SERIOUS,
         )
-    elif error > _SHAPE_MRAD and rest < _SHAPE_SHARE * error:
+    elif is_other_shape(1e-3 * error, 1e-3 * rest):
         yield Doubt(
             "design_curvature_is_not_the_mirrors",
             f"the design's curvature is not the mirror's: of {error:.2f} mrad RMS of slope error {rest:.2f} mrad are "
@@ -49,21 +57,26 @@ def other_design(numbers: Mapping[str, float | int | None], as_measured: SlopeMa
     For instruments that measure all over the mirror without a start from the design.
     """
     x, y = np.meshgrid(as_measured.x_m, as_measured.y_m)
-    known, found = as_measured.valid, 0
+    known = as_measured.valid
+    others: list[tuple[str, float, float]] = []
     for axis, slopes, places in (("x", as_measured.design_slope_x, x), ("y", as_measured.design_slope_y, y)):
         value, sigma = (_number(numbers, f"{kind}curvature_{axis}_per_m") for kind in ("", "sigma_"))
         own = float(np.polyfit(places[known], slopes[known], 1)[0])
         if abs(value - own) > max(_OTHER_DESIGN * abs(own), _SURE * sigma) and own != 0:
-            found += 1
-            yield Doubt(
-                "scan_contradicts_design",
-                f"the scan has a focal length of {0.5 / value:.4g} m in {axis}, the design ({as_measured.design}) "
-                f"{0.5 / own:.4g} m: is that the design of this mirror, and x across?",
-                {"measured_per_m": value, "design_per_m": own},
-                Severity.SERIOUS,
-            )
-    if not found:
+            others.append((axis, value, own))
+    if not others:
         yield from off_design(numbers, to_check)
+        return
+    measured = ", ".join(f"{0.5 / value:.4g} m in {axis}" for axis, value, _ in others)
+    design = ", ".join(f"{0.5 / own:.4g} m" for _, _, own in others)
+    _, value, own = max(others, key=lambda one: abs(one[1] - one[2]))
+    yield Doubt(
+        "scan_contradicts_design",
+        f"the slopes have a focal length of {measured}, the design ({as_measured.design}) {design}: is that the design "
+        f"of this mirror, and x across? Check {to_check}",
+        {"measured_per_m": value, "design_per_m": own},
+        Severity.SERIOUS,
+    )
 
 
 def doubts_of_amount(numbers: Mapping[str, float | int | None], repeated: int, what: str) -> Iterator[Doubt]:

@@ -11,6 +11,7 @@ from deflectometry.exchange.measure_slopes import grid_points, load_slopes, run
 from deflectometry.exchange.slope_files import import_slopes, read_slopes, read_soltrace
 from deflectometry.exchange.slope_points import SlopePoints
 from deflectometry.report import sections
+from heliogauge.doubts import Severity
 from heliogauge.errors import EstimationError, InputError
 from heliogauge.geometry.surfaces import paraboloid, plane
 from heliogauge.results.slope_export import export_slope_map
@@ -183,21 +184,90 @@ def test_there_and_back_through_soltrace(tmp_path: Path) -> None:
         return int(caught.value.code or 0)
 
     write(on_a_grid(), tmp_path / "mirror.csv")
-    assert leave("deflectometry", "import", "slopes", tmp_path / "mirror.csv", "-o", tmp_path / "m") == 0
+    design = ("--design", "paraboloid", "--focal-length-m", 10)
+    assert leave("deflectometry", "import", "slopes", tmp_path / "mirror.csv", "-o", tmp_path / "m", *design) == 0
     assert leave("check", tmp_path / "m") == 0
     assert leave("deflectometry", "measure", tmp_path / "m", "-o", tmp_path / "r") == 0
     assert "SDx" in (tmp_path / "r" / "report.html").read_text(encoding="utf-8")
     export_slope_map(tmp_path / "r", tmp_path / "mirror.sht", "soltrace")
-    assert leave("deflectometry", "import", "soltrace", tmp_path / "mirror.sht", "-o", tmp_path / "m2") == 0
+    assert leave("deflectometry", "import", "soltrace", tmp_path / "mirror.sht", "-o", tmp_path / "m2", *design) == 0
     again = hg.measure(tmp_path / "m2")
     first = read_slope_map(tmp_path / "r" / "slope_map.nc")
     np.testing.assert_allclose(again.slope_map["slope_x"], first.slope_x, atol=2e-9)
     assert [doubt.code for doubt in again.doubts] == ["sigma_of_slopes_missing"]
-    assert leave("deflectometry", "import", "slopes", tmp_path / "r" / "slope_map.nc", "-o", tmp_path / "m3") == 0
+    assert (
+        leave("deflectometry", "import", "slopes", tmp_path / "r" / "slope_map.nc", "-o", tmp_path / "m3", *design) == 0
+    )
     np.testing.assert_allclose(read_slopes(tmp_path / "m3" / "slopes.nc").sigma_x, 1e-4, rtol=1e-6)
     assert [doubt.code for doubt in hg.measure(tmp_path / "m3").doubts] == []
     assert leave("deflectometry", "import", "slopes", tmp_path / "mirror.csv", "-o", tmp_path / "m") == 2
     assert leave("deflectometry", "import", "slopes", tmp_path / "mirror.csv", "-o", tmp_path / "m", "--force") == 0
+
+
+PARABOLOID = {"design": "paraboloid", "focal_length_m": 10.0}
+
+
+@pytest.mark.parametrize(
+    ("design", "at_import", "code"),
+    [
+        (None, "no design was given: the slopes are", "slopes_too_far_off_design"),
+        ({"design": "plane"}, "the slopes are", "slopes_too_far_off_design"),
+        ({"design": "paraboloid", "focal_length_m": 30.0}, "the slopes are", "scan_contradicts_design"),
+        ({"design": "paraboloid", "focal_length_m": 11.5}, "the slopes are", "design_curvature_is_not_the_mirrors"),
+        (PARABOLOID, "", ""),
+        ({"design": "paraboloid", "focal_length_m": 10.2}, "", ""),
+    ],
+)
+def test_a_design_that_is_not_the_mirrors_is_said_with_the_nearest(
+    tmp_path: Path, design: dict[str, object] | None, at_import: str, code: str
+) -> None:
+    """One doubt for one cause, in both axes; a focal length that differs as mirrors do is none."""
+    words = import_slopes(write(on_a_grid(), tmp_path / "mirror.csv"), tmp_path / "m", "slopes", design)
+    assert at_import in words
+    assert ("the best fit is paraboloid of focal length 10 m" in words) == bool(code)
+    assert ("--design paraboloid --focal-length-m 10" in words) == bool(code)
+    doubts = run(load_slopes(tmp_path / "m")).doubts
+    assert [one.code for one in doubts] == ([code] if code else [])
+    assert all(one.severity is Severity.SERIOUS for one in doubts if "curvature" not in one.code)
+    assert all("focal" in one.text for one in doubts)
+
+
+def test_the_surface_of_the_file_is_proposed(tmp_path: Path) -> None:
+    """The header of a VSHOT file has one, and a map of ours has its own design; neither is taken without a word."""
+    x, y = (one.ravel() for one in np.meshgrid(np.linspace(-1.6, 0.0, 17), np.linspace(-0.8, 0.8, 17)))
+    rows = np.column_stack([x, y, np.arctan(x / (2 * 1.776) + 2e-3 * np.cos(9 * y)), np.zeros(x.size)])
+    lines = ["\t".join(f"{value:.9f}" for value in row) + "\t0" for row in rows.tolist()]
+    head = ["title", "0 0 0", f"0 2 {x.size}", "0 0"]
+    blank = [*head, *["0.0"] * 6, *lines]
+    (tmp_path / "blank.sht").write_text("\n".join(blank), encoding="ascii")
+    fitted = read_soltrace(tmp_path / "blank.sht").fitted
+    (tmp_path / "m.sht").write_text("\n".join([*head, *map(repr, fitted.tolist()), *lines]), encoding="ascii")
+    words = import_slopes(tmp_path / "m.sht", tmp_path / "m", "soltrace")
+    assert "the surface in its header is parabolic trough of focal length 1.77" in words
+    assert "the best fit is parabolic trough" in import_slopes(tmp_path / "blank.sht", tmp_path / "b", "soltrace")
+    assert 'design = "plane"' in (tmp_path / "m" / "measurement.toml").read_text(encoding="utf-8")
+    (doubt,) = (one for one in run(load_slopes(tmp_path / "m")).doubts if "design" in one.code)
+    assert "--design trough --focal-length-m 1.77" in doubt.text
+    with_focal = {"design": "trough", "focal_length_m": 1.49}
+    assert "mrad RMS off parabolic trough of focal length 1.49 m" in import_slopes(
+        tmp_path / "m.sht", tmp_path / "m", "soltrace", with_focal, force=True
+    )
+    write(on_a_grid(), tmp_path / "mirror.csv")
+    import_slopes(tmp_path / "mirror.csv", tmp_path / "own", "slopes", {"design": "paraboloid", "focal_length_m": 10.3})
+    run(load_slopes(tmp_path / "own")).write_files(tmp_path)
+    words = import_slopes(tmp_path / "slope_map.nc", tmp_path / "again", "slopes")
+    assert "its own design is paraboloid of focal length 10.3 m" in words
+
+
+def test_shapes_that_have_no_option_are_proposed_as_coefficients(tmp_path: Path) -> None:
+    """A convex mirror, and a saddle; three points say nothing."""
+    points = on_a_grid()
+    for sign, slope_y in ((-1.0, points.y_m / 20), (1.0, -points.y_m / 20)):
+        shape = replace(points, slope_x=sign * points.x_m / 20, slope_y=slope_y if sign > 0 else -points.y_m / 20)
+        words = import_slopes(write(shape, tmp_path / "m.csv"), tmp_path / "m", "slopes", force=True)
+        assert f'design = "quadric", coefficients = [{sign * 0.025:g}, -0.025, 0, 0, ' in words
+    few = SlopePoints(*(getattr(points, name)[[0, 5, 300]] for name in SlopePoints.__slots__))
+    assert "design" not in import_slopes(write(few, tmp_path / "few.csv"), tmp_path / "few", "slopes")
 
 
 @pytest.mark.slow
