@@ -134,7 +134,9 @@ def _outside_imports() -> Iterable[tuple[str, str]]:
     for file in [*(REPOSITORY / "notebooks").glob("*.ipynb")]:
         for cell in json.loads(file.read_text(encoding="utf-8"))["cells"]:
             if cell["cell_type"] == "code":
-                for found in imports_of(ast.parse("".join(cell["source"]))):
+                # Lines for the shell are no Python.
+                lines = [line for line in cell["source"] if not line.startswith("!")]
+                for found in imports_of(ast.parse("".join(lines))):
                     yield file.name, found.target
 
 
