@@ -9,7 +9,7 @@ import numpy.typing as npt
 from heliogauge.errors import EstimationError
 from heliogauge.short_repr import ShortRepr
 from heliogauge.validate import FloatArray, IntArray, freeze
-from photogrammetry.detection.corner_fit import CornerStart, fit_corners
+from photogrammetry.detection.corner_fit import CornerStart, FittedCorners, fit_corners
 
 #: Half width of the piece of the image a corner is fitted to, in sides of a square.
 REACH = 0.42
@@ -80,10 +80,7 @@ def fit_grid(photo: str, image: npt.NDArray[np.generic], grid_px: FloatArray, *,
     values = np.asarray(image, dtype=np.float64)
     start = CornerStart(flat[usable], along_x[usable], along_y[usable], np.zeros((usable.size, 2)))
     result = fit_corners(values, start, reach=REACH, clear=clear, rough=True)
-    if np.count_nonzero(result.found) < LEAST_CORNERS:
-        raise EstimationError(
-            f"{photo}: only {np.count_nonzero(result.found)} of {usable.size} corners are sharp enough to be measured"
-        )
+    _require_sharp(photo, result)
     # Now that corners are known to a hundredth of a pixel they show how the edges are bent.
     fine = np.full_like(flat, np.nan)
     fine[usable] = result.pixels_px
@@ -92,6 +89,7 @@ def fit_grid(photo: str, image: npt.NDArray[np.generic], grid_px: FloatArray, *,
         np.where(result.found[:, None], fine[usable], flat[usable]), start.along_x, start.along_y, bent
     )
     result = fit_corners(values, second, reach=REACH, clear=clear)
+    _require_sharp(photo, result)
     good = result.found
     return GridCorners(
         usable[good],
@@ -99,6 +97,12 @@ def fit_grid(photo: str, image: npt.NDArray[np.generic], grid_px: FloatArray, *,
         freeze(result.covariance_px2[good]),
         float(np.median(result.blur_px[good])),
     )
+
+
+def _require_sharp(photo: str, fitted: FittedCorners) -> None:
+    sharp = np.count_nonzero(fitted.found)
+    if sharp < LEAST_CORNERS:
+        raise EstimationError(f"{photo}: only {sharp} of {fitted.found.size} corners are sharp enough to be measured")
 
 
 def edge_curvatures(grid_px: FloatArray) -> FloatArray:

@@ -139,10 +139,15 @@ def find_charuco(photo: str, image: npt.NDArray[np.generic], board: CharucoBoard
     image (height, width): Grey values [DN].
     EstimationError: Too few corners were found.
     """
-    found = board_corners.find_charuco(photo, image, board.columns, board.rows, board.dictionary, board.marker_share)
+    fault = f"{photo}: fewer than {LEAST_POINTS} corners of the ChArUco board were found"
+    try:
+        found = board_corners.find_charuco(
+            photo, image, board.columns, board.rows, board.dictionary, board.marker_share
+        )
+    except EstimationError as error:
+        found, fault = None, str(error)
     if found is None:
-        seen = markers_seen(board_corners.as_bytes(image), board)
-        raise EstimationError(f"{photo}: fewer than {LEAST_POINTS} corners of the ChArUco board were found; {seen}")
+        raise EstimationError(f"{fault}; {markers_seen(board_corners.as_bytes(image), board)}")
     return _points(photo, found)
 
 
