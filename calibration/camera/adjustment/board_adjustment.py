@@ -1,6 +1,7 @@
 """Adjustments of a calibration: the board as drawn, how it was counted, its own shape."""
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -53,14 +54,26 @@ class Adjusted:
         return float(np.sqrt((self.mixed.sizes.components.noise**2).mean()))
 
 
-def adjust_as_drawn(network: BoardNetwork, left_out: dict[str, str]) -> tuple[BoardNetwork, float]:
-    """Adjust with the board held as drawn, more intrinsics at each step; photos of something else are left out.
+class AsDrawn(NamedTuple):
+    """Camera and poses with the board held as drawn.
+
+    network: With the camera and the poses found.
+    rms_px: Its residuals [px].
+    aside: Photos that do not agree with it; the board's own shape is not known yet, so they may be right.
+    """
+
+    network: BoardNetwork
+    rms_px: float
+    aside: tuple[BoardPoints, ...]
+
+
+def adjust_as_drawn(network: BoardNetwork) -> AsDrawn:
+    """Adjust with the board held as drawn, more intrinsics at each step; photos of something else are put aside.
 
     network: Photos with start values.
-    left_out: Takes photos that do not agree, with the reason.
-    network: With the camera and the poses found.
     EstimationError: The photos do not agree.
     """
+    aside: list[BoardPoints] = []
     for _ in range(len(network.points)):
         state, table = network.start(), network.observations()
         result: BundleResult | None = None
@@ -76,9 +89,8 @@ def adjust_as_drawn(network: BoardNetwork, left_out: dict[str, str]) -> tuple[Bo
         worst, usual = int(np.argmax(rms)), float(np.median(rms))
         if rms[worst] < max(_WORSE_PHOTO * usual, _WORSE_PHOTO_PX) or len(rms) <= LEAST_PHOTOS:
             poses = tuple(state.cam_from_world(i) for i in range(len(rms)))
-            return replace(network, camera=state.cameras[0], poses=poses), rms_length(residuals)
-        name = network.points[worst].photo
-        left_out[name] = f"{name}: its points miss the board by {rms[worst]:.1f} px RMS, those of others by {usual:.2g}"
+            return AsDrawn(replace(network, camera=state.cameras[0], poses=poses), rms_length(residuals), tuple(aside))
+        aside.append(network.points[worst])
         network = network.without(worst)
     raise EstimationError("no set of photos agrees on one camera and one board")
 

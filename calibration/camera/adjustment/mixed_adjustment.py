@@ -52,6 +52,13 @@ _POINT, _NOISE = (5e-4, 5e-4, 1e-3), 2.0
 _NOTHING = 1e-3
 
 
+#: What is said where the steps do not end, or lead to a camera that is none.
+_UNSETTLED = (
+    "calibration: camera and board do not settle; the photos hardly determine them: add photos with other tilts, "
+    "turned by 90 degrees and from another distance"
+)
+
+
 class Sizes(NamedTuple):
     """What a mixed adjustment starts from, or found: standard deviations of its groups, and their names."""
 
@@ -262,10 +269,7 @@ def _adjusted(
         if float(step @ np.linalg.solve(spread, step)) < _SETTLED**2 * columns.size:
             state = _with_best_poses(table, state)
             return MixedAdjustment(network, table, state, posterior, linear, Sizes(groups, components))
-    raise NotConvergedError(
-        "calibration: camera and board do not settle; the photos hardly determine them: add photos with other tilts, "
-        "turned by 90 degrees and from another distance"
-    )
+    raise NotConvergedError(_UNSETTLED)
 
 
 def _group_names(network: BoardNetwork, refine_board: bool) -> tuple[str, ...]:
@@ -355,6 +359,9 @@ def _linearised(
         [every.d_intrinsics, by_board, every.d_pose, *(columns for _, columns in every.effects)], axis=2
     )
     jacobian = whitening @ jacobian
+    if not (np.isfinite(misfit).all() and np.isfinite(jacobian).all()):
+        # The last step led points behind the camera, or beyond where its lens is one.
+        raise NotConvergedError(_UNSETTLED)
     d_point = whitening @ every.d_point if refine_board else np.zeros((table.n, 2, 3))
     own = [np.full(6, -1), *(np.full(columns.shape[2], groups.index(name)) for name, columns in every.effects)]
     own_group = np.concatenate(own)
@@ -400,6 +407,9 @@ def _moved(network: BoardNetwork, state: BundleState, posterior: Posterior, line
     values, columns = posterior.values, _columns(network.free)
     intrinsics = states.intrinsics_of(state.cameras[0])
     intrinsics[columns] += values[: columns.size]
+    focal_px, aspect = intrinsics[:2]
+    if focal_px <= 0 or aspect <= -1:
+        raise NotConvergedError(_UNSETTLED)
     camera = states.camera_with_intrinsics(state.cameras[0], intrinsics)
     steps = np.array([values[own] for own in linear.pose_columns])
     points = state.points_m + linear.unit_m * (posterior.steps + linear.through @ values)

@@ -46,10 +46,13 @@ def known_from_all(network: BoardNetwork, adjusted: Adjusted) -> Known:
     return _known(network, adjusted.mixed)
 
 
-def adjust_others(network: BoardNetwork, adjusted: Adjusted, photo: int) -> MixedAdjustment:
+def adjust_others(network: BoardNetwork, adjusted: Adjusted, photo: int, *, own_sizes: bool = False) -> MixedAdjustment:
     """Adjust again without one photo, with sizes of random effects as all photos gave them.
 
     photo: The one to leave out.
+    own_sizes: Estimate the sizes from the others alone: a photo that is wrong makes those of all photos so large that
+        it seems right.
+    EstimationError: The others do not determine the camera.
     """
     mixed = adjusted.mixed
     others = mixed.table.subset(mixed.table.photo_index != photo).compacted()
@@ -66,6 +69,8 @@ def adjust_others(network: BoardNetwork, adjusted: Adjusted, photo: int) -> Mixe
     found = mixed.sizes.components
     sizes = replace(found, noise=found.noise[kept])
     table = _with_targets_of(others, rest)
+    if own_sizes:
+        return adjust_mixed(rest, table, state, refine_board=adjusted.refined)
     return adjust_mixed(
         rest, table, state, refine_board=adjusted.refined, sizes=Sizes(mixed.sizes.names, sizes), settled=True
     )
@@ -119,23 +124,23 @@ def fit_any_turn(known: Known, board: Board, points: BoardPoints) -> PhotoFit:
     return min(found, key=lambda one: one.rms_px)
 
 
-def mirrored_rms_px(known: Known, board: Board, points: BoardPoints) -> float:
-    """Return how well a photo would fit if its file were mirrored; infinite where that cannot be asked.
+def fit_mirrored(known: Known, board: Board, points: BoardPoints) -> PhotoFit | None:
+    """Fit the pose that a photo would have if its file were mirrored: with its columns reversed.
 
     known: Camera and board.
     board: What the board is; only prints that look alike in a mirror are found in mirrored photos.
-    Returns: RMS of the residuals with the photo's columns reversed [px].
+    Returns: None where that cannot be asked, or no pose explains it.
     """
     if not isinstance(board, Chessboard | CircleGrid):
-        return float("inf")
+        return None
     pixels = points.pixels_px.copy()
     pixels[:, 0] = known.camera.width_px - 1 - pixels[:, 0]
     numbers = np.arange(board.columns * board.rows).reshape(board.rows, board.columns)
-    found = [float("inf")]
+    found = []
     for flipped in (numbers[::-1], numbers[:, ::-1]):
         other = replace(points, pixels_px=pixels, index=flipped.ravel()[points.index])
         try:
-            found.append(fit_any_turn(known, board, other).rms_px)
+            found.append(fit_any_turn(known, board, other))
         except EstimationError:
             continue
-    return min(found)
+    return min(found, key=lambda one: one.rms_px, default=None)

@@ -27,7 +27,10 @@ _LEAST_RADIUS_SHARE = 0.8
 _SAME_PLACE_SHARE = 0.005
 #: Where one uncertain direction makes a photo's misfit, three of its sigmas happen by chance to 1 photo in 400; a photo
 #: that is predicted this many times worse than the middle one has a weight in the result that nothing else has.
-_CONTRADICTS, _ALONE = 3.0, 5.0
+CONTRADICTS, _ALONE = 3.0, 5.0
+#: Boards that agree after a shift and a change of size to this share of their extent look alike: 8 deg of tilt or 1 deg
+#: of roll make more, noise of corners less. It decides what a refusal lists, nothing else.
+_ALIKE_SHARE = 0.005
 #: What to do about a network that lacks something.
 _PLAN = "; `heliogauge camera plan` proposes the next photos"
 #: More of the board at the sensor's limit moves edges: light spills over.
@@ -131,6 +134,39 @@ def same_views(photos: Sequence[BoardPoints], diagonal_px: float) -> list[tuple[
     return found
 
 
+def alike_text(photos: Sequence[BoardPoints]) -> str:
+    """Say which photos show the board alike but for place and size, which adds little about a camera; empty for none.
+
+    The board is not turned between them, neither tilted nor rolled: whatever the camera's intrinsics are, such photos
+    differ by shift and size alone.
+    """
+    groups: list[list[BoardPoints]] = []
+    for photo in photos:
+        group = next((group for group in groups if _alike(group[0], photo)), None)
+        if group is None:
+            groups.append([photo])
+        else:
+            group.append(photo)
+    largest = max(groups, key=len, default=[])
+    if len(largest) < 2:
+        return ""
+    names = [one.photo for one in largest]
+    return (
+        f"; {len(names)} of {len(photos)} photos show the board alike, not turned against each other: "
+        f"{', '.join(names[:5])}{' ...' if len(names) > 5 else ''}"
+    )
+
+
+def _alike(one: BoardPoints, other: BoardPoints) -> bool:
+    _, own, others = np.intersect1d(one.index, other.index, return_indices=True)
+    if own.size < 2:
+        return False
+    from_px, to_px = (px - px.mean(axis=0) for px in (one.pixels_px[own], other.pixels_px[others]))
+    size = float((from_px * to_px).sum() / (from_px**2).sum())
+    apart = np.sqrt(((size * from_px - to_px) ** 2).sum(axis=1).mean())
+    return bool(apart < _ALIKE_SHARE * np.linalg.norm(np.ptp(to_px, axis=0)))
+
+
 def check_photos(photos: Sequence[BoardPoints], camera: Camera) -> Iterator[Doubt]:
     """Yield which photos are doubtful in themselves.
 
@@ -161,27 +197,35 @@ def check_predictions(names: Sequence[str], apart_px: FloatArray, expected_px: F
     """Yield photos that all others contradict, and photos on which the calibration rests alone.
 
     Shapes: apart_px (p,), expected_px (p,).
-    apart_px, expected_px: RMS of a photo's residuals when the others predict it, and the same from their covariance.
+    apart_px, expected_px: RMS of a photo's residuals when the others predict it, and the same from their covariance:
+        infinite where the others alone determine no camera.
     """
-    far = np.nonzero(apart_px > _CONTRADICTS * expected_px)[0]
+    far = np.nonzero(apart_px > CONTRADICTS * expected_px)[0]
     if far.size:
         listed = ", ".join(
             f"{names[i]} ({apart_px[i]:.3f} px where {expected_px[i]:.3f} are expected)" for i in far[:5]
         )
         yield Doubt(
             "photos_contradict",
-            f"{far.size} photos contradict all others: {listed}; the board bent, the lens moved or the photo is "
-            "blurred there: leave them out, or look why",
+            f"{far.size} photos contradict all others: {listed}; the board bent, the lens moved, the photo is "
+            "blurred or its file a mirror image: look why, or leave them out",
             {"photos_count": int(far.size), "largest_ratio": float((apart_px / expected_px)[far].max())},
         )
     usual = float(np.nanmedian(apart_px)) if np.isfinite(apart_px).any() else float("nan")
-    alone = [i for i in np.nonzero(apart_px > _ALONE * usual)[0].tolist() if i not in far]
+    unknown = np.isinf(expected_px)
+    alone = [i for i in np.nonzero((apart_px > _ALONE * usual) | unknown)[0].tolist() if i not in far]
     if alone:
-        listed = ", ".join(f"{names[i]} ({apart_px[i]:.3f} px, expected {expected_px[i]:.3f})" for i in alone[:5])
+        listed = ", ".join(
+            f"{names[i]} (without it the others determine no camera)"
+            if unknown[i]
+            else f"{names[i]} ({apart_px[i]:.3f} px, expected {expected_px[i]:.3f})"
+            for i in alone[:5]
+        )
+        others = f", where the others predict each other to {usual:.3f} px" if np.isfinite(usual) else ""
         yield Doubt(
             "photos_stand_alone",
-            f"{len(alone)} photos show the camera as no other does: {listed}, where the others predict each other to "
-            f"{usual:.3f} px; what only they see is not checked by anything: take another photo like each of them",
+            f"{len(alone)} photos show the camera as no other does: {listed}{others}; what only they see is not "
+            "checked by anything: take another photo like each of them",
             {"photos_count": len(alone), "largest_apart_px": float(apart_px[alone].max()), "usual_apart_px": usual},
         )
 

@@ -13,7 +13,7 @@ from calibration.camera.pipeline.inputs import described_board, known_codes
 from calibration.camera.pipeline.photos import left_out_doubts, pictures_of_boards, put_aside, search_photos
 from calibration.camera.pipeline.solving import check_held_out, solve_network
 from calibration.camera.start_values.first_network import first_network
-from heliogauge.doubts import gather_doubts
+from heliogauge.doubts import Severity, gather_doubts
 from heliogauge.errors import InputError, showing
 from heliogauge.results.folder import find_copies, hash_files, read_camera_json
 from heliogauge.running.progress import Progress, SilentProgress
@@ -90,9 +90,10 @@ def run(
     found, held = put_aside(found, options.hold_out)
     with progress.stage("start values"), showing(lambda: pictures_of_boards(found)):
         network, doubt = first_network(found, board, tuple(model.camera.free), left_out)
+    contradicting: dict[str, str] = {}
     with showing(lambda: pictures_of_boards(found)):
         solved = solve_network(
-            network, left_out, progress, refine_board=options.refine_board, leave_one_out=options.leave_one_out
+            network, contradicting, progress, refine_board=options.refine_board, leave_one_out=options.leave_one_out
         )
     with progress.stage("uncertainty"):
         result = replace(
@@ -101,6 +102,7 @@ def run(
         doubts = gather_doubts(
             doubt,
             left_out_doubts(left_out.values()),
+            left_out_doubts(contradicting.values(), Severity.DOUBT),
             check_network([photo.cam_from_board for photo in result.photos], result.coverage),
             check_photos(solved.network.points, result.camera),
             check_predictions([photo.name for photo in result.photos], solved.apart_px, solved.apart_expected_px),
@@ -109,7 +111,7 @@ def run(
         comparison = None if other is None else compare(result.camera, other)
     return replace(
         result,
-        left_out=left_out,
+        left_out=left_out | contradicting,
         comparison=comparison,
         compared_with=other,
         thumbnails=found.thumbnails,

@@ -187,10 +187,13 @@ def _target_points(
     return points, tuple(found.names[k] for k in chosen) if place is None else ()
 
 
-def left_out_doubts(reasons: Iterable[str]) -> Iterator[Doubt]:
-    """Yield which photos were left out, and why."""
+def left_out_doubts(reasons: Iterable[str], severity: Severity = Severity.NOTE) -> Iterator[Doubt]:
+    """Yield which photos were left out, and why.
+
+    severity: A note where a photo shows no board or is a copy; more where it was measured and is not believed.
+    """
     for reason in reasons:
-        yield Doubt("photo_left_out", f"photo left out: {reason}", severity=Severity.NOTE)
+        yield Doubt("photo_left_out", f"photo left out: {reason}", severity=severity)
 
 
 def put_aside(found: FoundBoards, patterns: str | None) -> tuple[FoundBoards, tuple[BoardPoints, ...]]:

@@ -7,24 +7,26 @@ import numpy as np
 from calibration.camera.adjustment.another_photo import predict_photo
 from calibration.camera.adjustment.board_adjustment import Adjusted, adjust_as_drawn, adjust_with_shape, counted_alike
 from calibration.camera.adjustment.other_photos import (
+    PhotoFit,
     adjust_others,
     fit_any_turn,
+    fit_mirrored,
     fit_pose,
     known_from_all,
     known_from_others,
-    mirrored_rms_px,
 )
 from calibration.camera.adjustment.true_centers import with_true_centers
 from calibration.camera.boards import CircleGrid, TargetField
 from calibration.camera.corners.detection import BoardPoints
 from calibration.camera.files.findings import HeldOutPhoto
+from calibration.camera.judgement.network import CONTRADICTS, alike_text
 from calibration.camera.start_values.board_network import LEAST_PHOTOS, BoardNetwork
 from calibration.camera.start_values.orientation import Orientations
 from heliogauge.errors import EstimationError
-from heliogauge.running.progress import Progress
+from heliogauge.running.progress import Progress, Stage
 from heliogauge.validate import FloatArray
 
-#: A photo that fits this many times better as a mirror image, and was this many times worse than others, is one.
+#: A photo that fits this many times better as a mirror image may be one: worth another adjustment of the others.
 _MIRROR_GAIN = 3.0
 
 
@@ -33,7 +35,7 @@ class Solved:
     """An adjusted network, how its photos were counted, and how others predict each photo.
 
     apart_px, apart_expected_px (p,): RMS of a photo's residuals when the others predict it, and what their covariance
-        lets expect; NaN where that was not asked [px].
+        lets expect: infinite where the others alone determine no camera. NaN where that was not asked [px].
     """
 
     network: BoardNetwork
@@ -44,65 +46,135 @@ class Solved:
 
 
 def solve_network(
-    network: BoardNetwork, left_out: dict[str, str], progress: Progress, *, refine_board: bool, leave_one_out: bool
+    network: BoardNetwork, contradicting: dict[str, str], progress: Progress, *, refine_board: bool, leave_one_out: bool
 ) -> Solved:
-    """Adjust; a photo that turns out to be mirrored is left out, and all is done again.
+    """Adjust; photos that the others predict otherwise, or as mirror images, are left out.
 
-    left_out: Takes photos that do not agree with the others, with the reason.
+    contradicting: Takes these photos, with the reason.
     refine_board: Estimate the board's shape; otherwise it is held as drawn.
     leave_one_out: Calibrate again without each photo.
+    EstimationError: The photos do not determine the camera.
     """
     with progress.stage("adjust"):
-        drawn_rms = float("nan")
-        orientations = None
-        if network.places_known:
-            network, drawn_rms = adjust_as_drawn(network, left_out)
-            network, orientations = counted_alike(network)
-        raw, state = network.points, network.start()
-        # The first correction of centres takes the poses on a board as drawn, the second those on the board as it is.
-        for _ in range(2 if isinstance(network.board, CircleGrid | TargetField) else 1):
-            network = with_true_centers(network, raw, state)
-            adjusted = adjust_with_shape(network, drawn_rms, refine_board=refine_board)
-            state = adjusted.state
-    apart, expected = np.full((2, len(network.points)), np.nan)
-    if leave_one_out and len(network.points) > LEAST_PHOTOS:
-        mirrored = []
-        with progress.stage("keep photos apart", len(network.points)) as stage:
-            for photo, points in enumerate(network.points):
-                others = adjust_others(network, adjusted, photo)
-                known = known_from_others(others)
-                fit = fit_pose(known, points, adjusted.state.cam_from_world(photo))
-                apart[photo] = fit.rms_px
-                expected[photo] = predict_photo(others, points, fit.cam_from_board).expected_rms_px
-                if _MIRROR_GAIN * mirrored_rms_px(known, network.board, points) < apart[photo]:
-                    mirrored.append(photo)
-                stage.advance()
-        # One mirrored photo spoils what the others are compared with: the worst first.
-        if mirrored and len(network.points) - 1 >= LEAST_PHOTOS:
-            worst = max(mirrored, key=lambda photo: float(apart[photo]))
-            name = network.points[worst].photo
-            left_out[name] = f"{name}: fits the others as a mirror image only; the file is the wrong way round"
-            return solve_network(
-                network.without(worst), left_out, progress, refine_board=refine_board, leave_one_out=leave_one_out
+        try:
+            solved = _adjusted(network, contradicting, refine_board=refine_board)
+        except EstimationError as error:
+            raise type(error)(f"{error}{alike_text(network.points)}") from error
+    if not leave_one_out or len(solved.network.points) <= LEAST_PHOTOS:
+        return solved
+    with progress.stage("keep photos apart", len(solved.network.points)) as stage:
+        solved, mirrored = _kept_apart(solved, stage)
+    # One mirrored photo spoils what the others are compared with: the worst first. That they are right themselves is
+    # checked where they still determine each other; with fewer photos it is left to the user.
+    if not mirrored or len(solved.network.points) - 2 < LEAST_PHOTOS:
+        return solved
+    worst = max(mirrored, key=lambda photo: float(solved.apart_px[photo]))
+    name = solved.network.points[worst].photo
+    contradicting[name] = (
+        f"{name}: fits the others as a mirror image only ({mirrored[worst]:.2f} px; as it is "
+        f"{solved.apart_px[worst]:.2f} px, where {solved.apart_expected_px[worst]:.2f} are expected): the file is the "
+        "wrong way round"
+    )
+    return solve_network(
+        solved.network.without(worst), contradicting, progress, refine_board=refine_board, leave_one_out=leave_one_out
+    )
+
+
+def _adjusted(network: BoardNetwork, contradicting: dict[str, str], *, refine_board: bool) -> Solved:
+    """Adjust; photos that were put aside when the board's shape was not known come back if they fit as predicted."""
+    aside: tuple[BoardPoints, ...] = ()
+    drawn_rms, orientations = float("nan"), None
+    if network.places_known:
+        order = [one.photo for one in network.points]
+        network, drawn_rms, aside = adjust_as_drawn(network)
+        network, orientations = counted_alike(network)
+    network, adjusted = _with_shape(network, drawn_rms, refine_board=refine_board)
+    back = []
+    for raw in aside:
+        try:
+            fit = _fit_outside(network, adjusted, raw)
+        except EstimationError as error:
+            contradicting[raw.photo] = str(error)
+            continue
+        expected_px = predict_photo(adjusted.mixed, fit.points, fit.cam_from_board).expected_rms_px
+        if fit.rms_px <= CONTRADICTS * expected_px:
+            back.append(fit)
+        else:
+            contradicting[raw.photo] = (
+                f"{raw.photo}: its points miss the board by {fit.rms_px:.1f} px, where {expected_px:.2g} px are "
+                "expected from the other photos: it shows another board, or its points are mixed up"
             )
-    return Solved(network, adjusted, orientations, apart, expected)
+    if back:
+        photos = [*zip(network.points, network.poses, strict=True), *((one.points, one.cam_from_board) for one in back)]
+        photos.sort(key=lambda one: order.index(one[0].photo))
+        points, poses = zip(*photos, strict=True)
+        network, adjusted = _with_shape(
+            replace(network, points=points, poses=poses), drawn_rms, refine_board=refine_board
+        )
+    unknown = np.full((2, len(network.points)), np.nan)
+    return Solved(network, adjusted, orientations, *unknown)
+
+
+def _with_shape(network: BoardNetwork, drawn_rms: float, *, refine_board: bool) -> tuple[BoardNetwork, Adjusted]:
+    raw, state = network.points, network.start()
+    # The first correction of centres takes the poses on a board as drawn, the second those on the board as it is.
+    for _ in range(2 if isinstance(network.board, CircleGrid | TargetField) else 1):
+        network = with_true_centers(network, raw, state)
+        adjusted = adjust_with_shape(network, drawn_rms, refine_board=refine_board)
+        state = adjusted.state
+    return network, adjusted
+
+
+def _kept_apart(solved: Solved, stage: Stage) -> tuple[Solved, dict[int, float]]:
+    """Predict each photo from the others; return also those that fit as mirror images, with their residuals [px]."""
+    network, adjusted = solved.network, solved.adjusted
+    apart, expected = np.full((2, len(network.points)), np.nan)
+    mirrored: dict[int, float] = {}
+    for photo, points in enumerate(network.points):
+        pose = adjusted.state.cam_from_world(photo)
+        try:
+            others = adjust_others(network, adjusted, photo)
+            known = known_from_others(others)
+            fit = fit_pose(known, points, pose)
+            reversed_fit = fit_mirrored(known, network.board, points)
+            if reversed_fit is not None and _MIRROR_GAIN * reversed_fit.rms_px < fit.rms_px:
+                others = adjust_others(network, adjusted, photo, own_sizes=True)
+                known = known_from_others(others)
+                fit = fit_pose(known, points, fit.cam_from_board)
+                reversed_fit = fit_mirrored(known, network.board, points)
+            apart[photo] = fit.rms_px
+            expected[photo] = predict_photo(others, points, fit.cam_from_board).expected_rms_px
+            if reversed_fit is not None and fit.rms_px > CONTRADICTS * expected[photo]:
+                as_mirrored = predict_photo(others, reversed_fit.points, reversed_fit.cam_from_board)
+                if reversed_fit.rms_px <= CONTRADICTS * as_mirrored.expected_rms_px:
+                    mirrored[photo] = reversed_fit.rms_px
+        except EstimationError:
+            expected[photo] = np.inf
+        stage.advance()
+    return replace(solved, apart_px=apart, apart_expected_px=expected), mirrored
+
+
+def _fit_outside(network: BoardNetwork, adjusted: Adjusted, raw: BoardPoints) -> PhotoFit:
+    """Fit the pose of a photo outside the network, counted from whichever corner fits best.
+
+    EstimationError: No pose explains the photo.
+    """
+    known = known_from_all(network, adjusted)
+    found = fit_any_turn(known, network.board, raw)
+    # Circles' centres are corrected as those of the photos used; so near a pose the first one does.
+    alone = replace(network, points=(found.points,))
+    pose = found.cam_from_board
+    state = replace(adjusted.state, rotations=pose.rotation[None], translations_m=pose.translation_m[None])
+    points = with_true_centers(alone, (found.points,), state).points[0]
+    return fit_pose(known, points, pose)
 
 
 def check_held_out(solved: Solved, held: tuple[BoardPoints, ...], left_out: dict[str, str]) -> tuple[HeldOutPhoto, ...]:
     """Fit the poses of the photos that were held out."""
-    network, checks = solved.network, []
-    known = known_from_all(network, solved.adjusted)
+    checks = []
     for raw in held:
         try:
-            found = fit_any_turn(known, network.board, raw)
-            # Circles' centres are corrected as those of the photos used; so near a pose the first one does.
-            alone = replace(network, points=(found.points,))
-            pose = found.cam_from_board
-            state = replace(
-                solved.adjusted.state, rotations=pose.rotation[None], translations_m=pose.translation_m[None]
-            )
-            points = with_true_centers(alone, (found.points,), state).points[0]
-            found = fit_pose(known, points, pose)
+            found = _fit_outside(solved.network, solved.adjusted, raw)
         except EstimationError as error:
             left_out[raw.photo] = f"{raw.photo}: held out, and {error}"
             continue
