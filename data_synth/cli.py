@@ -4,6 +4,7 @@ Each function is the ``synth`` of the instrument whose name it has.
 """
 
 import math
+from collections.abc import Collection
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal
@@ -65,7 +66,52 @@ BlurPx = Annotated[float | None, typer.Option(min=0.0, help="Gaussian blur of th
 JpegQuality = Annotated[int | None, typer.Option(min=1, max=100, help="Write JPEG of this quality instead of PNG.")]
 
 
+#: Options that every preset has a use for.
+_ALWAYS = ("folder", "preset", "seed", "force", "quiet", "verbose")
+#: What presets of fringes that are drawn by themselves take besides: nothing.
+_DRAWN_ALONE = (
+    *("tower", "laser-scan", "line-sweep", "gazing", "gazing-close", "stars", "overlay"),
+    *("screen-dots", "screen-rims", "surface-scan"),
+)
+# Of one photo of dots, and of fringes; what belongs to several photos or poses says so itself.
+_OF_DOTS = ("noise_dn", "shot_gain_dn", "bits", "blur_px", "dots", "frames", "pose_known", "gamma", "fault", "poses")
+_NOT_OF_TARGETS = {
+    "retro": ("light_on_dark",),
+    "markers": ("dictionary", "light_on_dark", "mirrored", "ring_radii", "hole", "cross"),
+}
+_OF_PHOTOS = (
+    *("noise_dn", "blur_px", "defocus_px_m", "sharpening", "moire_pitch_px"),
+    *("bits", "jpeg_quality", "colour"),
+)
+_NOT_OF_TROUGHS = {
+    "displaced": ("shaped",),
+    "far": ("dictionary",),
+    "fixture": ("photos",),
+    "absorber": ("photos",),
+}
+_NOT_OF_HELIOSTATS = {
+    "drone": ("spot_sigma_mm", "wind_mrad", "outliers"),
+    "images": ("spot_sigma_mm", "outliers"),
+    "images-lens": ("spot_sigma_mm", "outliers"),
+    "tests": ("heliostats", "observations", "spot_sigma_mm", "wind_mrad", "outliers", "fault"),
+}
+
+
+def refuse_idle(context: typer.Context, what: str, idle: Collection[str]) -> None:
+    """Refuse an option that was given although what is drawn does not depend on it.
+
+    what: What is drawn.
+    idle: Options that have no effect on it.
+    InputError: Names the first such option.
+    """
+    for name in context.params:
+        source = context.get_parameter_source(name)
+        if name in idle and source is not None and source.name == "COMMANDLINE":
+            raise InputError(f"{what} has no use for --{name.replace('_', '-')}; leave it out")
+
+
 def deflectometry(
+    context: typer.Context,
     folder: NewFolder,
     preset: Annotated[FringePreset, typer.Option(help="Scene.")] = "small",
     seed: Annotated[int, typer.Option(min=0, help="Seed of all noise; the same seed gives the same files.")] = 0,
@@ -117,6 +163,10 @@ def deflectometry(
     from deflectometry.setup import make_pattern
     from heliogauge.running.terminal import terminal_progress
 
+    if preset in _DRAWN_ALONE:
+        refuse_idle(context, f"preset {preset!r}", set(context.params).difference(_ALWAYS))
+    if dots is not None:
+        refuse_idle(context, "a photo of dots", set(context.params).difference(_ALWAYS, _OF_DOTS))
     if preset in ("laser-scan", "line-sweep", "surface-scan"):
         from data_synth.preset_folders import deflectometry as write_preset
 
@@ -205,6 +255,7 @@ def deflectometry(
 
 
 def photogrammetry(
+    context: typer.Context,
     folder: NewFolder,
     preset: Annotated[
         TargetPreset,
@@ -255,6 +306,11 @@ def photogrammetry(
     from heliogauge.running.terminal import terminal_progress
     from photogrammetry.targets import RingRadii
 
+    refuse_idle(context, f"preset {preset!r}", _NOT_OF_TARGETS.get(preset, ()))
+    if points_only:
+        refuse_idle(context, "a table of points (--points-only)", _OF_PHOTOS)
+    else:
+        refuse_idle(context, "a set of photos (without --points-only)", ("sigma_px",))
     radii = None if ring_radii is None else RingRadii(*ring_radii)
     prints = PrintChoice(dictionary, light_on_dark, mirrored, radii, hole, cross)
     scene = target_scene(preset, seed, prints).scaled(scale)
@@ -301,6 +357,7 @@ def camera(
 
 
 def observer(
+    context: typer.Context,
     folder: NewFolder,
     preset: Annotated[
         TroughPreset,
@@ -368,6 +425,8 @@ def observer(
     from data_synth.troughs.presets import TroughChoice, trough_scene
     from heliogauge.running.terminal import terminal_progress
 
+    idle = (*_NOT_OF_TROUGHS.get(preset, ()), *(() if preset == "far" else ("tilt_mrad",)))
+    refuse_idle(context, f"preset {preset!r}", idle)
     choice = TroughChoice(
         seed,
         photos,
@@ -430,6 +489,7 @@ def beam(
 
 
 def heliostat(
+    context: typer.Context,
     folder: NewFolder,
     preset: Annotated[
         HeliostatPreset,
@@ -473,6 +533,7 @@ def heliostat(
     from data_synth.heliostats.presets import HeliostatChoice, heliostat_scene
     from heliogauge.running.terminal import terminal_progress
 
+    refuse_idle(context, f"preset {preset!r}", _NOT_OF_HELIOSTATS.get(preset, ()))
     if preset == "tests":
         from data_synth.acceptance.dataset import write_tests_folder
 

@@ -84,6 +84,9 @@ JUELICH_ACTUATORS: Values = {
     "pivot_radius_2": 0.3191,
     "increment_2": 154166.6667,
 }
+#: Faults of beams, clocks and times, which sightings of a drone have not; and of spots, which photos show themselves.
+NOT_OF_SIGHTINGS = ("change-point", "drift", "backlash", "outliers", "south-azimuth", "local-time", "duplicates")
+NOT_OF_PHOTOS = ("outliers",)
 _JUELICH_LIMITS = ((0.0, 69171.0), (0.0, 75641.0))
 _ALMERIA = Site(37.094, -2.358, 500.0)
 _JUELICH = Site(50.9134, 6.3878, 90.0)
@@ -172,13 +175,15 @@ class HeliostatScene:
         """
         units = list(self.units)
         names = [unit.true.name for unit in units]
+        if any(":" not in text for text in faults[len(units) :]):
+            raise InputError(f"{len(faults)} faults for {len(units)} heliostats; ask for more heliostats")
         for number, text in enumerate(faults):
             fault, _, name = text.partition(":")
             if name and name not in names:
                 raise InputError(f"fault={text}: there is no heliostat {name}; the first is {names[0]}")
             index = names.index(name) if name else number
-            if index >= len(units):
-                raise InputError(f"{len(faults)} faults for {len(units)} heliostats; ask for more heliostats")
+            if (self.flight is not None and fault in NOT_OF_SIGHTINGS) or (self.photos and fault in NOT_OF_PHOTOS):
+                raise InputError(f"fault={text}: preset {self.name!r} does not show it: it has no spots in a table")
             units[index] = spoiled(units[index], fault, self.schedule.days)
         has_south = any("south-azimuth" in unit.faults for unit in units)
         return replace(self, units=tuple(units), states_sun=self.states_sun or has_south)
@@ -292,6 +297,8 @@ def _stellenbosch(choice: HeliostatChoice) -> HeliostatScene:
     disturbances = Disturbances((7.6e-3, 7.6e-3), aim_m=0.1, hold_s=13.0, count=(1.0, 1.0))
     target = PlaneTarget.facing("lower", [0.0, 0.0, 13.0], np.pi, 2.0, 2.0)
     days = ("2012-09-02", "2012-09-06", "2012-09-07", "2012-09-08")
+    if choice.heliostats not in (None, 1):
+        raise InputError(f"heliostats={choice.heliostats}: preset 'stellenbosch' is the one that was published")
     schedule = _sized(Schedule(days, 20, whole_day=True), choice)
     priors = dict.fromkeys(stated, 0.3)
     units = (Unit(true, stated, disturbances),)
@@ -302,7 +309,6 @@ def _stellenbosch(choice: HeliostatChoice) -> HeliostatScene:
 def _drone(choice: HeliostatChoice) -> HeliostatScene:
     # Gouws (2018), heliostat 1: arm 432.5 and 240 mm, target at (11, 27, 4.25) m, offsets +3 and -3 deg.
     nominal = {
-        **_position(np.array([-11.0, -27.0, 0.0])),
         "arm_normal": 0.4325,
         "arm_up": 0.24,
         "pylon_length": 1.5,
@@ -312,13 +318,17 @@ def _drone(choice: HeliostatChoice) -> HeliostatScene:
         "elevation_offset": np.radians(3.0),
     }
     rng = np.random.default_rng([choice.seed, 2])
-    true = TrueHeliostat("1", "drone", nominal)
-    unit = _drawn(true, Disturbances(), rng)
+    units = []
+    for k in range(choice.heliostats or 1):
+        # Its place first; the others in rows of five behind it.
+        place = np.array([-11.0 + 5.5 * (k % 5), -27.0 - 6.0 * (k // 5), 0.0])
+        true = TrueHeliostat(f"{k + 1}", "drone", {**_position(place), **nominal})
+        units.append(_drawn(true, Disturbances(), rng))
     target = PlaneTarget.facing("tower", [0.0, 0.0, 4.25], np.pi, 2.0, 2.0)
     flight = Flight((32.0, 70.0), choice.observations or 60)
     plant = Plant(_STELLENBOSCH, (target,))
     schedule = Schedule(("2018-01-10",), 2)
-    return HeliostatScene("drone", plant, (unit,), schedule, flight=flight, priors=ERROR_SIZES["drone"])
+    return HeliostatScene("drone", plant, tuple(units), schedule, flight=flight, priors=ERROR_SIZES["drone"])
 
 
 PRESETS: Mapping[str, Callable[[HeliostatChoice], HeliostatScene]] = {
