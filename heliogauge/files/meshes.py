@@ -39,7 +39,7 @@ def read_triangles(path: Path, load_open3d: Callable[[], Any]) -> tuple[FloatArr
         # Materials and pictures are other files, anywhere; a shape needs none of them.
         content = b"\n".join(line for line in content.splitlines() if line.split()[:1] in _OBJ_SHAPE)
     elif kind == ".ply":
-        check_ply(path)
+        check_ply(path, content)
     else:
         _check_stl(path, content)
     open3d = load_open3d()

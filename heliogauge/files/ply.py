@@ -1,6 +1,6 @@
 """PLY files: their header, checked against what the file can hold, and the columns of their vertices."""
 
-import os
+import io
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -61,20 +61,19 @@ class _Element:
 
 @dataclass(frozen=True, slots=True)
 class _Header:
-    """What a header says, and at which byte the content begins."""
+    """What a header says: order of bytes, empty for text, and elements."""
 
     order: str
     elements: tuple[_Element, ...]
-    start: int
 
 
-def check_ply(path: Path) -> None:
+def check_ply(path: Path, content: bytes) -> None:
     """Check a PLY file that a library will read, which makes room for what the header claims.
 
-    InputError: No regular file, no PLY, or it claims more than it holds.
+    path: For messages.
+    InputError: No PLY, or it claims more than it holds.
     """
-    with open_regular(path, "a PLY file") as file:
-        _read_header(path, file)
+    _read_header(path, io.BytesIO(content))
 
 
 def read_ply_columns(path: Path) -> dict[str, FloatArray]:
@@ -102,6 +101,7 @@ def read_ply_columns(path: Path) -> dict[str, FloatArray]:
 
 
 def _read_header(path: Path, file: BinaryIO) -> _Header:
+    """Read and check the header; the file then stands at the content."""
     begin = file.read(_MOST_HEADER_BYTES)
     end = _END.search(begin)
     lines = begin[: end.start()].decode("latin-1").splitlines() if end else []
@@ -123,15 +123,15 @@ def _read_header(path: Path, file: BinaryIO) -> _Header:
                 raise InputError(f"{path}, line {number}: a type and a name are needed, not {shown!r}")
             last = elements[-1]
             elements[-1] = _Element(last.name, last.count, (*last.properties, (line[-1], line[1])))
+    held = file.seek(0, io.SEEK_END) - end.end()
     file.seek(end.end())
-    held = os.fstat(file.fileno()).st_size - end.end()
     for element in elements:
         # The last line of a text may have no end.
         if element.count * element.least_bytes(not _ORDERS[form]) > held + 1:
             raise InputError(
                 f"{path}: claims {element.count} of {element.name}, which {held} bytes cannot hold; copy it again"
             )
-    return _Header(_ORDERS[form], tuple(elements), end.end())
+    return _Header(_ORDERS[form], tuple(elements))
 
 
 def _binary_columns(file: BinaryIO, vertex: _Element, order: str) -> dict[str, FloatArray]:

@@ -214,7 +214,7 @@ class TestPly:
         (tmp_path / "a.ply").write_bytes(text.replace("\n", "\r\n").encode())
         assert read_ply_columns(tmp_path / "a.ply")["y"].tolist() == [2.0, 5.0]
 
-    @pytest.mark.parametrize("reader", [read_ply_columns, check_ply])
+    @pytest.mark.parametrize("reader", [read_ply_columns, lambda path: check_ply(path, path.read_bytes())])
     @pytest.mark.parametrize(
         ("count", "words"),
         [
