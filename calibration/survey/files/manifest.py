@@ -9,6 +9,7 @@ from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
+from heliogauge.doubts import Doubt, read_doubt
 from heliogauge.errors import InputError
 from heliogauge.files.on_disk import put_on_disk
 from heliogauge.files.regular import read_regular
@@ -32,6 +33,7 @@ class Entry:
     measurement: Hash of what was measured (photos and tables, not settings); empty where it says none.
     summary: Hash of its summary.json.
     taken_over: From a store without a manifest, where it may be a part of the result.
+    doubts: What makes the result doubtful, without its notes and numbers.
     """
 
     result: str
@@ -43,6 +45,7 @@ class Entry:
     measurement: str
     summary: str
     taken_over: bool = False
+    doubts: tuple[Doubt, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,9 +140,10 @@ def _change(content: Any, where: str) -> Change:
 
 
 def _entry(content: Mapping[str, Any]) -> Entry:
-    entry = Entry(**{one.name: content[one.name] for one in fields(Entry)})
+    own = {one.name: content[one.name] for one in fields(Entry)}
+    entry = Entry(**own | {"doubts": tuple(read_doubt(one) for one in own["doubts"])})
     for one in fields(Entry):
-        if type(getattr(entry, one.name)) is not one.type:
+        if one.name != "doubts" and type(getattr(entry, one.name)) is not one.type:
             raise TypeError(one.name)
     if not _RESULT_NAME.fullmatch(entry.result) or entry.rows < 1:
         raise ValueError(entry.result)

@@ -29,6 +29,7 @@ from calibration.survey.files.manifest import (
     write_change,
 )
 from calibration.survey.files.result_rows import OWN_COLUMNS, StoredResult, numbers_digest, result_name
+from heliogauge.doubts import Doubt
 from heliogauge.errors import InputError
 from heliogauge.files.extras import of_extra
 from heliogauge.files.locks import held
@@ -185,6 +186,7 @@ def _entry(result: StoredResult) -> Entry:
         result.measurement,
         result.summary,
         result.taken_over,
+        result.doubts,
     )
 
 
@@ -364,6 +366,20 @@ def query(store: Path) -> Iterator[Any]:
 
 
 @contextmanager
+def explain_disk(store: Path) -> Iterator[None]:
+    """Turn what the system raises on folders that cannot be entered, or a drive that is gone, into a message.
+
+    InputError: The system refused something in the ``with``.
+    """
+    try:
+        yield
+    except OSError as error:
+        raise InputError(
+            f"{error.filename or store}: {error.strerror or error}; check permissions and space"
+        ) from error
+
+
+@contextmanager
 def explain_query(store: Path) -> Iterator[None]:
     """Turn what DuckDB raises into a message that names the store.
 
@@ -373,6 +389,18 @@ def explain_query(store: Path) -> Iterator[None]:
         yield
     except of_extra("duckdb").Error as error:
         raise InputError(f"{store}: cannot be read ({_first_line(error)})") from error
+
+
+def doubts_of_results(store: Path, results: Iterable[str]) -> dict[str, tuple[Doubt, ...]]:
+    """Return what makes results of a store doubtful, by the names of their folders.
+
+    results: Names of the results.
+    """
+    chosen, found = set(results), dict[str, tuple[Doubt, ...]]()
+    for _, entry in read_manifest(store).entries():
+        if entry.result in chosen:
+            found[entry.source if entry.source not in found else f"{entry.source} ({entry.result[:6]})"] = entry.doubts
+    return found
 
 
 def strangers(store: Path) -> list[str]:

@@ -2,12 +2,13 @@
 
 import hashlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from calibration.survey.files.moments import read_moment, refuse_impossible
+from heliogauge.doubts import Doubt, Severity
 from heliogauge.errors import InputError
 from heliogauge.files.regular import read_regular
 from heliogauge.geometry.sun import utc_times
@@ -54,6 +55,7 @@ class StoredResult:
     measurement: Hash of what was measured (photos and tables, not settings); empty where the result says none.
     summary: Hash of its summary.json.
     taken_over: From a store without a manifest, where it may be a part of the result.
+    doubts: What makes the result doubtful, without its notes and numbers.
     """
 
     folder: Path
@@ -63,6 +65,7 @@ class StoredResult:
     measurement: str
     summary: str
     taken_over: bool = False
+    doubts: tuple[Doubt, ...] = ()
 
 
 def read_result(folder: Path, *, date: str | None = None, subject: str | None = None) -> StoredResult:
@@ -87,7 +90,8 @@ def read_result(folder: Path, *, date: str | None = None, subject: str | None = 
     if not pieces:
         raise InputError(f"{folder}: the result holds no numbers")
     rows = Rows({column: np.concatenate([piece.columns[column] for piece in pieces]) for column in OWN_COLUMNS})
-    return StoredResult(folder, summary.kind, name, rows, _measurement(summary), digest)
+    doubts = tuple(replace(one, numbers={}) for one in summary.doubts if one.severity is not Severity.NOTE)
+    return StoredResult(folder, summary.kind, name, rows, _measurement(summary), digest, doubts=doubts)
 
 
 def _measurement(summary: Summary) -> str:

@@ -47,7 +47,7 @@ class StoreCheck:
 
 
 def check_store(store: Path) -> StoreCheck:
-    """Compare a store with its manifest; nothing in it is changed.
+    """Compare a store with its manifest; nothing in it is changed but the lock.
 
     InputError: No store, or a manifest that cannot be read.
     """

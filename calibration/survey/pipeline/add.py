@@ -6,7 +6,7 @@ from pathlib import Path
 
 from calibration.survey.files.events import event_files, read_event, write_event
 from calibration.survey.files.old_store import old_results
-from calibration.survey.files.parquet_store import OLD_SCHEMA, ROWS_AT_ONCE, put, schema_of, writing
+from calibration.survey.files.parquet_store import OLD_SCHEMA, ROWS_AT_ONCE, explain_disk, put, schema_of, writing
 from calibration.survey.files.result_rows import StoredResult, read_result
 from heliogauge.errors import InputError
 from heliogauge.results.folder import SUMMARY_FILE
@@ -93,7 +93,7 @@ def add(
     again: list[tuple[Path, str]] = []
     left_out: list[tuple[Path, str]] = []
     for some in _together(_results(folders, options, left_out)):
-        with writing(store, progress.say, create=True) as manifest:
+        with explain_disk(store), writing(store, progress.say, create=True) as manifest:
             done = put(store, manifest, some, force=options.force)
         # Folders alone are kept: rows of a plant's year take 300 MB.
         added += [(one.folder, name) for one, name in done.added]
@@ -133,7 +133,10 @@ def _together(results: Iterator[StoredResult]) -> Iterator[list[StoredResult]]:
 
 def _results(folders: Sequence[Path], options: AddOptions, left_out: list[tuple[Path, str]]) -> Iterator[StoredResult]:
     """Yield the results of folders; those that cannot be taken go into `left_out`."""
-    chosen = [one for folder in folders for one in _results_in(folder)]
+    chosen = []
+    for folder in folders:
+        with explain_disk(folder):
+            chosen += _results_in(folder)
     if not chosen:
         raise InputError(f"no results in {', '.join(map(str, folders))}: folders with {SUMMARY_FILE} are needed")
     for folder in chosen:
@@ -145,9 +148,12 @@ def _results(folders: Sequence[Path], options: AddOptions, left_out: list[tuple[
                     left_out.append((folder, str(one)))
             continue
         try:
-            yield read_result(folder, date=options.date, subject=options.subject)
+            with explain_disk(folder):
+                result = read_result(folder, date=options.date, subject=options.subject)
         except InputError as error:
             left_out.append((folder, str(error)))
+        else:
+            yield result
 
 
 def _results_in(folder: Path) -> list[Path]:

@@ -8,9 +8,9 @@ from typing import Any, ClassVar
 import numpy as np
 
 from calibration.survey.files.moments import BEYOND, FIRST, read_day
-from calibration.survey.files.parquet_store import query, strangers
+from calibration.survey.files.parquet_store import doubts_of_results, explain_disk, query, strangers
 from calibration.survey.judgement import chance, changes, trends
-from heliogauge.doubts import Doubt, gather_doubts
+from heliogauge.doubts import Doubt, doubts_of_parts, gather_doubts
 from heliogauge.errors import InputError
 from heliogauge.instruments import near_match
 from heliogauge.reporting.notation import quantity_text
@@ -166,9 +166,12 @@ def run(store: Path, options: SurveyOptions | None = None, progress: Progress | 
     are enlarged by Birge's ratio. Results without a sigma have no weight.
     """
     options, progress = options or SurveyOptions(), progress or SilentProgress()
-    for name in strangers(store):
-        progress.say(f"{store}: {name} is not in the manifest and does not count; `heliogauge survey check {store}`")
-    with query(store) as connection, progress.stage("query"):
+    with explain_disk(store):
+        for name in strangers(store):
+            progress.say(
+                f"{store}: {name} is not in the manifest and does not count; `heliogauge survey check {store}`"
+            )
+    with explain_disk(store), query(store) as connection, progress.stage("query"):
         where = _between(options)
         # Rows without a sigma have no weight: they are counted in the overview alone.
         connection.execute(f"CREATE VIEW chosen AS SELECT * FROM rows WHERE {where}")
@@ -213,6 +216,8 @@ def run(store: Path, options: SurveyOptions | None = None, progress: Progress | 
         worst = _worst(table)
         history = _history(connection, worst)
         events = _events(connection)
+        results = [name for (name,) in connection.execute("SELECT DISTINCT result FROM chosen").fetchall()]
+    of_results = doubts_of_parts(doubts_of_results(store, results), "results")
     return SurveyResult(
         overview=_overview(overview),
         trends=table,
@@ -221,7 +226,7 @@ def run(store: Path, options: SurveyOptions | None = None, progress: Progress | 
         history=history,
         counts={name: int(count) for name, count in counts.items()},
         name=store.resolve().name,
-        doubts=_doubts(overview, quantities, table, events),
+        doubts=gather_doubts(_doubts(overview, quantities, table, events), of_results),
         durations_s=dict(progress.durations_s),
     )
 

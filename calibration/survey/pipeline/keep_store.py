@@ -6,13 +6,13 @@ from pathlib import Path
 from calibration.survey.files import parquet_store, store_check
 from calibration.survey.files.events import write_event
 from calibration.survey.files.manifest import Entry
-from calibration.survey.files.parquet_store import open_store, writing
+from calibration.survey.files.parquet_store import explain_disk, open_store, writing
 from calibration.survey.files.store_check import StoreCheck
 from heliogauge.running.progress import Progress, SilentProgress
 
 
 def check(store: Path) -> StoreCheck:
-    """Compare a store with its manifest: files, rows of each result, events; nothing is changed.
+    """Compare a store with its manifest: files, rows of each result, events; nothing is changed but the lock.
 
     Parameters
     ----------
@@ -29,7 +29,8 @@ def check(store: Path) -> StoreCheck:
     InputError
         No store, or a manifest that cannot be read.
     """
-    return store_check.check_store(store)
+    with explain_disk(store):
+        return store_check.check_store(store)
 
 
 def remove(store: Path, results: Sequence[str], progress: Progress | None = None) -> list[Entry]:
@@ -54,7 +55,7 @@ def remove(store: Path, results: Sequence[str], progress: Progress | None = None
     InputError
         No such result, several that begin so, or a store that cannot be written.
     """
-    with writing(store, (progress or SilentProgress()).say) as manifest:
+    with explain_disk(store), writing(store, (progress or SilentProgress()).say) as manifest:
         return parquet_store.remove(store, manifest, results)
 
 
@@ -67,5 +68,6 @@ def add_event(store: Path, subject: str, date: str, what: str) -> bool:
     Returns: Whether it was new; the same event is noted once.
     InputError: No store, no day, no word, or the store cannot be written.
     """
-    open_store(store)
-    return write_event(store, subject, date, what)
+    with explain_disk(store):
+        open_store(store)
+        return write_event(store, subject, date, what)

@@ -9,12 +9,14 @@ import signal
 import subprocess
 import sys
 import tempfile
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from heliogauge.doubts import Doubt, Severity
 from heliogauge.errors import InputError
 from heliogauge.files.locks import held
 from heliogauge.results.folder import Summary, write_json, write_summary, write_table_csv
@@ -157,6 +159,24 @@ def test_times_of_rows_that_cannot_be_meant(tmp_path):
     write_table_csv(result / "beams.csv", {"time_utc": ["9999-01-01T00:00:00Z"], "x_m": [0.5]})
     with pytest.raises(InputError, match=r"beams\.csv: time_utc: days"):
         add([result], tmp_path / "store")
+
+
+def test_the_report_counts_the_doubts_of_its_results(tmp_path):
+    doubts = (
+        Doubt("photos_few", "3 photos only", {"photos_count": float("nan")}, Severity.SERIOUS),
+        Doubt("photos_copied", "a note", {}, Severity.NOTE),
+    )
+    for number in range(3):
+        summary = Summary("beam", "H01", {"sd_rad": 1e-3 * (1 + number), "sigma_sd_rad": 2e-5}, {"date": "2026-05-01"})
+        (tmp_path / "all" / f"r{number}").mkdir(parents=True)
+        write_summary(tmp_path / "all" / f"r{number}" / "summary.json", replace(summary, doubts=doubts[: number + 1]))
+    write_result(tmp_path / "all" / "sound", value=4e-3, texts={"date": "2026-06-01"})
+    add([tmp_path / "all"], tmp_path / "store")
+    (found,) = [one for one in run(tmp_path / "store").doubts if one.code == "photos_few"]
+    assert (found.numbers, found.severity) == ({"parts_count": 3}, Severity.SERIOUS)
+    assert "3 of 4 results" in found.text
+    assert "r0, r1, r2" in found.text
+    assert "photos_few" not in {one.code for one in run(tmp_path / "store", SurveyOptions(since="2026-06-01")).doubts}
 
 
 def test_results_until_a_day_end_before_it(tmp_path):
@@ -409,6 +429,8 @@ def test_a_store_that_cannot_be_written_says_so():
     try:
         place.chmod(0o755)
         store, _ = stored(place)
+        closed = write_result(place / "closed" / "result").parent
+        closed.chmod(0)
         reading, writing = os.pipe()
         number = os.fork()
         if number == 0:
@@ -418,7 +440,16 @@ def test_a_store_that_cannot_be_written_says_so():
             for path in (store / "rows", store / "events", store / "store.lock", store / "manifest.jsonl", store):
                 if path.stat().st_uid == os.getuid():
                     path.chmod(path.stat().st_mode & 0o555)
-            for work in (lambda: add([place / "r0"], store), lambda: add_event(store, "*", "2026-01-01", "cleaned")):
+            every = [
+                lambda: add([place / "r0"], store),
+                lambda: add_event(store, "*", "2026-01-01", "cleaned"),
+                lambda: add([closed / "result"], store),
+                lambda: add([place / "r0"], closed / "store"),
+                lambda: run(closed / "store"),
+                lambda: check(closed / "store"),
+                lambda: remove(closed / "store", ["123456"]),
+            ]
+            for work in every:
                 try:
                     work()
                     texts.append("no error")
@@ -428,14 +459,16 @@ def test_a_store_that_cannot_be_written_says_so():
             os.write(writing, "\n".join(texts).encode())
             os._exit(0)
         os.waitpid(number, 0)
-        added, noted, faults = os.read(reading, 10_000).decode().splitlines()
+        added, noted, *refused, faults = os.read(reading, 10_000).decode().splitlines()
         assert added.startswith(f"{store / LOCK_FILE}: cannot be written (Permission denied)")
         assert noted.startswith(f"{store / 'events'}: cannot be written (")
+        assert len(refused) == 5
+        assert all(text.startswith(str(closed)) and "Permission denied" in text for text in refused)
         assert faults == "()"
         with pytest.raises(InputError, match="cannot be made"):
             add([place / "r0"], Path("/proc/store"))
     finally:
-        subprocess.run(["chmod", "-R", "u+w", str(place)], check=True)
+        subprocess.run(["chmod", "-R", "u+rwx", str(place)], check=True)
         shutil.rmtree(place)
 
 
