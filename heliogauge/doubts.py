@@ -99,7 +99,7 @@ def doubts_of_parts(parts: Mapping[str, Iterable[Doubt]], what: str) -> tuple[Do
         worst = max(members.values(), key=lambda one: order.index(one.severity))
         shown = ", ".join(list(members)[:_MOST_NAMES]) + (", ..." if len(members) > _MOST_NAMES else "")
         text = f"{len(members)} of {len(parts)} {what}, {worst.code.replace('_', ' ')} ({shown}): {worst.text}"
-        found.append(Doubt(worst.code, text, {"parts_count": len(members)}, worst.severity))
+        found.append(replace(worst, text=text, numbers={"parts_count": len(members)}))
     return tuple(found)
 
 
