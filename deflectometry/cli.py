@@ -87,7 +87,7 @@ def measure_command(
 
 
 @app.command("plan")
-@writes_results(json=False)
+@writes_results()
 def plan_command(
     folder: EitherFolder,
     out: OutFolder,

@@ -53,7 +53,7 @@ def measure_command(
 
 
 @app.command("align")
-@writes_results(json=False)
+@writes_results()
 def align_command(
     folder: Annotated[
         Path,
@@ -90,7 +90,7 @@ def align_command(
 
 
 @app.command("overview")
-@writes_results(json=False)
+@writes_results()
 def overview_command(
     results: Annotated[list[Path], typer.Argument(metavar="RESULT", help="Results of the modules.")],
     out: OutFolder,
@@ -102,7 +102,7 @@ def overview_command(
 
 
 @app.command("absorber")
-@writes_results(json=False)
+@writes_results()
 def absorber_command(
     folder: MeasurementFolder,
     out: OutFolder,
@@ -116,7 +116,7 @@ def absorber_command(
 
 
 @app.command("plan")
-@writes_results(json=False)
+@writes_results()
 def plan_command(
     folder: EitherFolder,
     out: OutFolder,
@@ -132,7 +132,7 @@ def plan_command(
 
 
 @app.command("compare")
-@writes_results(json=False)
+@writes_results()
 def compare_command(
     results: Annotated[list[Path], typer.Argument(metavar="RESULT", help="Results at other orientations or dates.")],
     out: OutFolder,

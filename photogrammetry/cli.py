@@ -85,7 +85,7 @@ def export_colmap_command(
 
 
 @app.command("plan")
-@writes_results(json=False)
+@writes_results()
 def plan_command(
     folder: EitherFolder,
     out: OutFolder,

@@ -7,6 +7,8 @@ from typing import Annotated
 import typer
 
 from heliogauge.running.commands import (
+    AsJson,
+    Force,
     ForceMeasurement,
     Job,
     Jobs,
@@ -119,14 +121,35 @@ def compare_command(
     other: Annotated[
         Path, typer.Argument(metavar="OTHER", help="Another calibration of the same camera.", show_default=False)
     ],
+    out: Annotated[
+        Path | None,
+        typer.Option("-o", "--out", metavar="DIR", help="Folder for the results; default: they are only said."),
+    ] = None,
+    force: Force = False,
+    as_json: AsJson = False,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
 ) -> None:
     """Say how far two calibrations differ, as angles between their lines of sight, and whether by more than chance."""
+    from calibration.camera.files.compared import Compared
     from calibration.camera.files.opencv_files import read_calibrated
-    from calibration.camera.files.summary import comparison_lines
     from calibration.camera.judgement.comparison import compare
+    from heliogauge.results.folder import summary_content
+    from heliogauge.results.frame import into_folder
+    from heliogauge.results.json_file import json_text
+    from heliogauge.running.terminal import terminal_progress
 
-    for line in comparison_lines(compare(read_calibrated(camera), read_calibrated(other))):
-        typer.echo(line)
+    both = [read_calibrated(path) for path in (camera, other)]
+    result = Compared(name=f"{camera.name} and {other.name}", comparison=compare(*both))
+    if out is not None:
+        progress = terminal_progress(quiet=quiet, verbose=verbose)
+        into_folder(out, lambda: result, progress, force=force, report=False)
+    if as_json:
+        typer.echo(json_text("summary", summary_content(result.summarise())).rstrip())
+    elif not quiet:
+        typer.echo(result.headline())
+        if out is not None:
+            typer.echo(f"results: {out}")
 
 
 @imports.command("opencv")

@@ -1,9 +1,9 @@
 """``heliogauge heliostat``: beams and drive readings to tracking models; plans of measurements; exports."""
 
 import datetime
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -11,6 +11,7 @@ from calibration.heliostat.performance.cli import add_performance
 from heliogauge.running.commands import (
     AsJson,
     Force,
+    FoundAsJson,
     Jobs,
     NoReport,
     OutFolder,
@@ -187,6 +188,7 @@ def aim_command(
         typer.Option(metavar="TIME", help="Time of the search with its zone, such as 2026-06-21T10:00:00Z."),
     ] = None,
     force: Force = False,
+    as_json: FoundAsJson = False,
     quiet: Quiet = False,
     verbose: Verbose = False,
 ) -> None:
@@ -195,7 +197,9 @@ def aim_command(
 
     options = AimOptions(_day("date", date), step_minutes, target, only, readings, search, time, force)
     sentences = run(result, out, options)
-    if not quiet:
+    if as_json:
+        _print_json({"results": str(out), "heliostats": sentences})
+    elif not quiet:
         _say_heliostats(sentences, out)
 
 
@@ -219,6 +223,7 @@ def curves_command(
     sigma_mm: Annotated[float, typer.Option(help="Noise of those beams' centres, each axis.")] = 20.0,
     seed: Annotated[int, typer.Option(min=0, help="Of that noise.")] = 0,
     force: Force = False,
+    as_json: FoundAsJson = False,
     quiet: Quiet = False,
     verbose: Verbose = False,
 ) -> None:
@@ -238,7 +243,9 @@ def curves_command(
         force=force,
     )
     sentences = run(result, out, options)
-    if not quiet:
+    if as_json:
+        _print_json({"results": str(out), "heliostats": sentences})
+    elif not quiet:
         _say_heliostats(sentences, out)
 
 
@@ -266,11 +273,13 @@ def plan_command(
         str | None, typer.Option(help="Target whose centre stands for where the beam shall go; default: the first.")
     ] = None,
     force: Force = False,
+    as_json: FoundAsJson = False,
     quiet: Quiet = False,
     verbose: Verbose = False,
 ) -> None:
     """Plan what to measure next of calibrated heliostats, at which suns, and a schedule, the worst first."""
-    from calibration.heliostat.planning.plan import NextOptions, run
+    from calibration.heliostat.planning.plan import MARK, NextOptions, run
+    from heliogauge.results.json_file import read_json
     from heliogauge.running.either_folder import results_of
     from heliogauge.running.terminal import terminal_progress
 
@@ -279,8 +288,16 @@ def plan_command(
     with results_of(folder, terminal_progress(quiet=quiet, verbose=verbose)) as results:
         sentences = run(results, out, options)
     # Of thousands the worst are enough to read; heliostats.csv has all.
-    if not quiet:
+    if as_json:
+        _print_json(read_json(out / MARK))
+    elif not quiet:
         _say_heliostats(sentences[:-1], out, sentences[-1])
+
+
+def _print_json(content: Mapping[str, Any]) -> None:
+    from heliogauge.results.json_file import json_text
+
+    typer.echo(json_text("result", content).rstrip())
 
 
 def _say_heliostats(sentences: Sequence[str], out: Path, last: str | None = None) -> None:

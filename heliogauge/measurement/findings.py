@@ -6,9 +6,9 @@ from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import ParamSpec, TypeVar
+from typing import Any, ParamSpec, TypeVar
 
-from heliogauge.doubts import Doubt, Severity
+from heliogauge.doubts import Doubt, Severity, doubt_content
 from heliogauge.errors import InputError, MetrologyError
 from heliogauge.images.video_names import video_of
 from heliogauge.running.progress import Progress
@@ -54,6 +54,15 @@ class Findings:
         except MetrologyError as error:
             self.refuse(str(error))
             return None
+
+    def content(self) -> dict[str, Any]:
+        """Return what was found as JSON has it."""
+        return {
+            "faults": list(self.faults),
+            "doubts": [doubt_content(one) for one in self.doubts],
+            "images_count": len(self.photos),
+            "copies": {path.name: first.name for path, first in self.copies.items()},
+        }
 
     def refuse(self, *texts: str) -> None:
         """Note what makes measuring impossible; the same sentence counts once."""

@@ -15,6 +15,7 @@ from heliogauge.reporting.html import FirstScreen, Shown
 from heliogauge.reporting.notebook import Notebook, read_notebook
 from heliogauge.reporting.page_frame import page_frame
 from heliogauge.results.folder import SUMMARY_FILE, Summary, read_summary
+from heliogauge.results.opened import what_instead
 from heliogauge.view.arrays import PAGE, ArrayStore
 
 _NEEDED = "a folder of results as heliogauge wrote it"
@@ -69,6 +70,8 @@ def first_picture(folder: Path) -> Shown | None:
 
 
 def _open(folder: Path) -> tuple[Summary, Notebook]:
+    if not (folder / SUMMARY_FILE).is_file():
+        raise InputError(f"{folder}: {what_instead(folder)}")
     summary = read_summary(folder / SUMMARY_FILE)
     reports = every_report()
     if summary.kind not in reports:

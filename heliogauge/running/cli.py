@@ -30,6 +30,7 @@ from heliogauge.instruments import Instrument, instruments, resolve
 from heliogauge.running.commands import (
     AsJson,
     Force,
+    FoundAsJson,
     Jobs,
     MeasurementFolder,
     NoReport,
@@ -235,6 +236,7 @@ def measure(
 def check(
     folder: MeasurementFolder,
     jobs: Jobs = None,
+    as_json: FoundAsJson = False,
     quiet: Quiet = False,
     verbose: Verbose = False,
 ) -> None:
@@ -247,10 +249,15 @@ def check(
     from heliogauge.running.terminal import terminal_progress
 
     kind, findings = check_folder(folder, terminal_progress(quiet=quiet, verbose=verbose), jobs=jobs)
+    if as_json:
+        from heliogauge.results.json_file import json_text
+
+        name = None if kind is None else kind.name
+        print(json_text("check", {"folder": str(folder), "kind": name, **findings.content()}).rstrip())
     for fault in findings.faults:
         print(f"error: {on_command_line(fault)}", file=sys.stderr)
     say_doubts(findings.doubts)
-    if not quiet and kind is not None:
+    if not (quiet or as_json) and kind is not None:
         print(f"{folder}: {kind.name}, {findings.summary()}")
     if findings.faults:
         raise typer.Exit(2)

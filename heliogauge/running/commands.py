@@ -52,6 +52,7 @@ NoReport = Annotated[
     bool, typer.Option("--no-report", help="Leave out report.html; `heliogauge report` makes it later.")
 ]
 AsJson = Annotated[bool, typer.Option("--json", help="Print summary.json on standard output, and nothing else there.")]
+FoundAsJson = Annotated[bool, typer.Option("--json", help="Print what was found as JSON, and nothing else there.")]
 Jobs = Annotated[
     int | None,
     typer.Option("--jobs", metavar="N", min=1, help="Work side by side on this machine; default: what it has."),
@@ -113,21 +114,19 @@ class Job:
     measured: Path | None = None
 
 
-def writes_results(*, report: bool = True, json: bool = True) -> Callable[[Callable[..., Job]], Callable[..., None]]:
+def writes_results(*, report: bool = True) -> Callable[[Callable[..., Job]], Callable[..., None]]:
     """Make a command of a function that returns its job: it does the job, writes the result and says how it ended.
 
     The command has the parameters of the function, and behind them the flags of all commands that write results.
 
     report: The results have a report, which ``--no-report`` leaves out.
-    json: The command can print its summary.
     """
-    flags: dict[str, Any] = {"force": Force}
-    flags |= ({"no_report": NoReport} if report else {}) | ({"as_json": AsJson} if json else {})
-    flags |= {"quiet": Quiet, "verbose": Verbose}
+    flags: dict[str, Any] = {"force": Force} | ({"no_report": NoReport} if report else {})
+    flags |= {"as_json": AsJson, "quiet": Quiet, "verbose": Verbose}
 
     def make(prepare: Callable[..., Job]) -> Callable[..., None]:
         def command(
-            *, force: bool, quiet: bool, verbose: bool, no_report: bool = not report, as_json: bool = False, **own: Any
+            *, force: bool, quiet: bool, verbose: bool, as_json: bool, no_report: bool = not report, **own: Any
         ) -> None:
             from heliogauge.results.frame import into_folder
             from heliogauge.running.terminal import terminal_progress

@@ -42,8 +42,18 @@ class HelpContext(typer.Context):
     formatter_class = WholeHelp
 
 
+#: Commands for all instruments, which none has of its own.
+_FOR_ALL = ("check", "report", "view", "demo")
+
+
 class VerbGroup(TyperGroup):
     """A group that lists what its commands do in whole sentences."""
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        """Return the command that the arguments name; one for all instruments is named as it is called."""
+        if args and args[0] in _FOR_ALL and self.get_command(ctx, args[0]) is None:
+            ctx.fail(f"'{args[0]}' is for all instruments alike: heliogauge {' '.join(args)}")
+        return super().resolve_command(ctx, args)
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
         """Write the list of commands."""

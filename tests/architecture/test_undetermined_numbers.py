@@ -23,7 +23,9 @@ from calibration.beam.keys import load_beams
 from calibration.beam.pipeline import compare
 from calibration.beam.pipeline.measure import run as measure_beams
 from calibration.beam.planning.plan import BeamPlan
+from calibration.camera.files.compared import Compared
 from calibration.camera.files.summary import headline_numbers, not_determined
+from calibration.camera.judgement.comparison import Comparison as CameraComparison
 from calibration.heliostat.files.store_field import failed_row, field_summary
 from calibration.heliostat.performance.entries import Entry
 from calibration.heliostat.performance.files.result import Result as SheetTests
@@ -149,6 +151,12 @@ def camera_without_drawing(_: Path) -> Summary:
         comparison=SimpleNamespace(**chance, **dict.fromkeys(others, 1.0), rotation_rad=np.zeros(3), freedom=0),
     )
     return explained(Summary("camera", "one", headline_numbers(result), not_determined=not_determined(result)))
+
+
+def cameras_without_covariance(_: Path) -> Summary:
+    grid = np.zeros((2, 2))
+    same = CameraComparison(np.arange(2.0), np.arange(2.0), grid, grid, grid, grid, np.zeros(3), NAN, 0)
+    return bare(Compared, comparison=same).summarise()
 
 
 def heliostats_that_failed(_: Path) -> Summary:
@@ -323,6 +331,7 @@ UNDETERMINED: dict[str, Callable[[Path], Summary]] = {
     "beam-mirror": beam_that_leaves_canting_open,
     "beam-plan": beam_plan,
     "camera": camera_without_drawing,
+    "camera-compare": cameras_without_covariance,
     "deflectometry": series,
     "deflectometry-compare": maps_without_sigma,
     "deflectometry-dots-series": series,

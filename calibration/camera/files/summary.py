@@ -47,19 +47,29 @@ def headline_numbers(result: Findings) -> Numbers:
         "residual_over_noise_ratio": quality.sigma_factor_ratio,
         "board_departure_rms_share": float(_departure(result)) if result.shape.has_drawing else float("nan"),
     }
-    if result.comparison is not None:
-        numbers |= {
-            "compared_angle_rms_rad": result.comparison.rms_rad,
-            "compared_angle_largest_rad": result.comparison.largest_rad,
-            "compared_angle_expected_rad": result.comparison.expected_rad,
-            "compared_angle_with_rotation_rms_rad": result.comparison.raw_rms_rad,
-            "compared_angle_with_rotation_largest_rad": result.comparison.raw_largest_rad,
-            "compared_angle_with_rotation_expected_rad": result.comparison.raw_expected_rad,
-            "compared_rotation_rad": float(np.linalg.norm(result.comparison.rotation_rad)),
-            "compared_chi_square_ratio": result.comparison.chi_square / max(result.comparison.freedom, 1),
-            "compared_chance_share": result.comparison.chance,
-        }
-    return numbers
+    return numbers if result.comparison is None else numbers | comparison_numbers(result.comparison)
+
+
+def comparison_numbers(one: Comparison) -> dict[str, float | int | None]:
+    """Return how two calibrations differ."""
+    return {
+        "compared_angle_rms_rad": one.rms_rad,
+        "compared_angle_largest_rad": one.largest_rad,
+        "compared_angle_expected_rad": one.expected_rad,
+        "compared_angle_with_rotation_rms_rad": one.raw_rms_rad,
+        "compared_angle_with_rotation_largest_rad": one.raw_largest_rad,
+        "compared_angle_with_rotation_expected_rad": one.raw_expected_rad,
+        "compared_rotation_rad": float(np.linalg.norm(one.rotation_rad)),
+        "compared_chi_square_ratio": one.chi_square / max(one.freedom, 1),
+        "compared_chance_share": one.chance,
+    }
+
+
+def comparison_reasons(one: Comparison) -> dict[str, str]:
+    """Return why numbers of `comparison_numbers` are missing."""
+    if np.isfinite(one.chance):
+        return {}
+    return dict.fromkeys(("compared_chi_square_ratio", "compared_chance_share"), "neither calibration has a covariance")
 
 
 def not_determined(result: Findings) -> dict[str, str]:
@@ -70,10 +80,8 @@ def not_determined(result: Findings) -> dict[str, str]:
         missing |= dict.fromkeys(keys, "nothing was known of the targets' places")
     if not result.held_out:
         missing["held_out_rms_px"] = "no photo was held out"
-    if result.comparison is not None and not np.isfinite(result.comparison.chance):
-        missing |= dict.fromkeys(
-            ("compared_chi_square_ratio", "compared_chance_share"), "neither calibration has a covariance"
-        )
+    if result.comparison is not None:
+        missing |= comparison_reasons(result.comparison)
     if not np.isfinite(result.kept_apart_px):
         missing["photos_kept_apart_rms_px"] = "not asked for, or too few photos"
     return missing

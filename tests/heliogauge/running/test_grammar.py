@@ -9,17 +9,23 @@ import sys
 from pathlib import Path
 from typing import Any, get_args
 
+import numpy as np
 import pytest
 import typer
 
+import heliogauge as hg
 from data_synth import cli as synth
 from data_synth.fringes.presets import PRESETS as FRINGE_PRESETS
 from data_synth.heliostats.presets import PRESETS as HELIOSTAT_PRESETS
 from data_synth.targets import boards
 from data_synth.targets import presets as targets
 from data_synth.troughs.presets import TROUGH_PRESETS
+from heliogauge.camera.distortion import BrownDistortion, DistortionDirection
+from heliogauge.camera.model import Camera
+from heliogauge.errors import InputError
 from heliogauge.instruments import instruments
-from heliogauge.running.cli import app
+from heliogauge.results.tables import write_camera_json
+from heliogauge.running.cli import app, main
 from tests.conftest import REPOSITORY
 
 FOR_ALL = ["measure", "check", "report", "demo", "view"]
@@ -160,9 +166,7 @@ def test_help_uses_the_width_of_the_terminal(monkeypatch: pytest.MonkeyPatch) ->
     assert 170 < max(len(line) for line in one.get_help(context).splitlines()) <= 200
 
 
-@pytest.mark.parametrize(
-    "words", [words for words in COMMANDS if words not in ("check", "view", "camera compare", "survey check")]
-)
+@pytest.mark.parametrize("words", [words for words in COMMANDS if words not in ("check", "view", "survey check")])
 def test_what_writes_has_the_options_of_all_that_write(words: str) -> None:
     known = options(words)
     verb = words.split()[-1] if words in FOR_ALL else words.split()[1]
@@ -174,9 +178,77 @@ def test_what_writes_has_the_options_of_all_that_write(words: str) -> None:
         wanted |= {"-o", "--out"} if verb not in ("init", "synth") else {"folder"}
     if verb == "measure":
         wanted |= {"--no-report", "--jobs", "--json"}
-    if words.startswith("survey "):
-        wanted |= {"--json"}
     assert wanted <= known.keys()
+
+
+#: Why the last words of a command have no numbers to print: what they write is a file for people or programs.
+WITHOUT_NUMBERS = {
+    "init": "a template",
+    "synth": "a measurement, whose truth is truth.json",
+    "import": "a measurement",
+    "export": "files of another program",
+    "patterns": "frames to display",
+    "sheets": "pages to print",
+    "report": "a page of results that are there",
+    "view": "a page of results that are there",
+    "demo": "several results, each with its own summary.json",
+}
+
+
+@pytest.mark.parametrize("words", COMMANDS)
+def test_what_has_numbers_prints_them_as_json(words: str) -> None:
+    """Every leaf of the tree of commands: with a result it has --json, and without one a reason."""
+    verb = words if words in FOR_ALL else words.split()[1]
+    has_reason = verb in WITHOUT_NUMBERS and not words.startswith("survey ")
+    assert ("--json" in options(words)) != has_reason
+
+
+@pytest.mark.parametrize("instrument", [one.name for one in instruments()])
+def test_commands_for_all_instruments_are_named_where_one_has_none(
+    instrument: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    own = {words.split()[1] for words in COMMANDS if words.startswith(f"{instrument} ")}
+    for name in {"check", "report", "view"} - own:
+        with pytest.raises(SystemExit) as ended:
+            main([instrument, name, "FOLDER"])
+        assert ended.value.code == 2
+        assert f"heliogauge {name} FOLDER" in capsys.readouterr().err
+
+
+def test_report_of_a_measurement_says_what_open_says(tmp_path: Path) -> None:
+    for content, said in (("", "a measurement, not results"), (None, "no results, for there is no summary.json")):
+        folder = tmp_path / said[:5].strip()
+        folder.mkdir()
+        if content is not None:
+            (folder / "measurement.toml").write_text(content)
+        for look in (hg.open, hg.report):
+            with pytest.raises(InputError, match=said):
+                look(folder)
+
+
+def test_found_things_are_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    def found(*words: str) -> dict[str, Any]:
+        with pytest.raises(SystemExit):
+            main(list(words))
+        content: dict[str, Any] = json.loads(capsys.readouterr().out)
+        return content
+
+    (tmp_path / "measurement.toml").write_text('kind = "beam"\nname = "one"\n')
+    checked = found("check", str(tmp_path), "--json", "-q")
+    assert checked["kind"] == "beam"
+    assert checked["faults"]
+    lens = BrownDistortion(direction=DistortionDirection.IDEAL_TO_MEASURED)
+    for name, focal_px in (("a.json", 2000.0), ("b.json", 2001.0)):
+        camera = Camera(1600, 1200, focal_px, focal_px, 799.5, 599.5, 0.0, lens, np.zeros((10, 10)))
+        write_camera_json(tmp_path / name, camera)
+    both = (str(tmp_path / "a.json"), str(tmp_path / "b.json"))
+    compared = found("camera", "compare", *both, "-o", str(tmp_path / "out"), "--json")
+    assert compared["numbers"] == json.loads((tmp_path / "out" / "summary.json").read_text())["numbers"]
+    # 1 px in 2000 px at the corner, (800, 600) px from the middle: 1000 / 2000 / (1 + 1/4) / 2000 rad at most.
+    largest = compared["numbers"]["compared_angle_with_rotation_largest_rad"]
+    assert largest == pytest.approx(0.5 / 1.25 / 2000, rel=0.02)
+    assert compared["not_determined"]["compared_chance_share"] == "neither calibration has a covariance"
+    assert found("camera", "compare", *both, "--json")["numbers"] == compared["numbers"]
 
 
 @pytest.mark.parametrize(
