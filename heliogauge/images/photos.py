@@ -30,6 +30,7 @@ from heliogauge.errors import InputError
 from heliogauge.files.image_headers import ImageHeader, image_header
 from heliogauge.files.memory import refuse_large
 from heliogauge.files.regular import MOST_IMAGE_BYTES, read_regular
+from heliogauge.images.camera_raw import decode_raw, is_camera_raw, raw_header
 from heliogauge.images.video import read_frame
 from heliogauge.images.video_names import video_of
 from heliogauge.running.progress import Progress, SilentProgress
@@ -42,8 +43,6 @@ LUMINANCE_WEIGHTS = (0.2126, 0.7152, 0.0722)
 #: Largest raster that is read: nearly twice the largest sensor of a camera that is sold (151 million).
 MOST_PIXELS = 268_000_000
 
-# OpenCV takes some of these for TIFF and returns the preview they carry.
-_CAMERA_RAW = frozenset({".dng", ".cr2", ".cr3", ".nef", ".arw", ".raf", ".rw2", ".orf", ".pef", ".srw"})
 #: Where OpenCV puts each colour.
 _CHANNELS = {"red": 2, "green": 1, "blue": 0}
 _PNG_SIGNATURE, _JPEG_SIGNATURE = b"\x89PNG\r\n\x1a\n", b"\xff\xd8"
@@ -75,8 +74,8 @@ class Frames:
 def read_image(path: Path) -> Image:
     """Read one photograph as grey values.
 
-    path: JPEG, PNG, TIFF or BMP; 8 or 16 bit, mono or colour. Or a frame of a video, such
-        as ``pass.mp4#00012`` (`heliogauge.images.video`).
+    path: JPEG, PNG, TIFF or BMP; 8 or 16 bit, mono or colour. Or a camera raw file (`heliogauge.images.camera_raw`), or
+        a frame of a video, such as ``pass.mp4#00012`` (`heliogauge.images.video`).
     Returns (height, width): Grey values in the file's depth; float32 luminance of a photograph in colour [DN].
         Luminance of a frame is rounded to uint8: a video holds no more.
 
@@ -188,7 +187,8 @@ def _check_sum(paths: Sequence[Path]) -> None:
     """Check that all photographs have room side by side, judged by the first: they are of one size."""
     if video_of(paths[0]) != paths[0]:
         return
-    header = image_header(_read_bytes(paths[0]))
+    content = _read_bytes(paths[0])
+    header = raw_header(paths[0], content) if is_camera_raw(paths[0]) else image_header(content)
     if header is not None:
         # In one array, and a few as they are decoded.
         each = header.pixels * (header.depth_bytes if header.channels == 1 else 4)
@@ -254,8 +254,9 @@ def _read_with_orientation(path: Path) -> tuple[npt.NDArray[Any], int]:
 
 def _decode(path: Path, content: bytes, how: int = cv2.IMREAD_UNCHANGED) -> npt.NDArray[Any]:
     """Return the file's values as they are, shape (height, width) or (height, width, colours in OpenCV's order)."""
-    if path.suffix.lower() in _CAMERA_RAW:
-        raise InputError(f"{path}: camera raw files are not read; convert them to 16-bit TIFF, linear, all of one size")
+    if is_camera_raw(path):
+        _check_size(path, content)
+        return decode_raw(path, content)
     fault = _fault(content)
     if fault:
         raise InputError(f"{path}: {fault}; copy the file again from the camera")
@@ -274,7 +275,7 @@ def _decode(path: Path, content: bytes, how: int = cv2.IMREAD_UNCHANGED) -> npt.
 
 def _check_size(path: Path, content: bytes) -> ImageHeader:
     """Check what the header says before anything is decoded: a file of 5 MB can hold a raster of 10 GB."""
-    header = image_header(content)
+    header = raw_header(path, content) if is_camera_raw(path) else image_header(content)
     if header is None:
         raise InputError(f"{path}: cannot be decoded ({len(content)} bytes); an undamaged JPEG, PNG or TIFF is needed")
     size = f"{header.width_px} x {header.height_px} px"

@@ -11,6 +11,7 @@ from heliogauge.doubts import Doubt
 from heliogauge.errors import InputError
 from heliogauge.files.regular import MOST_IMAGE_BYTES
 from heliogauge.flags import SampleFlag
+from heliogauge.images.camera_raw import CAMERA_RAW
 from heliogauge.images.photos import read_image
 from heliogauge.images.thumbnails import make_thumbnail
 from heliogauge.results.folder import Summary, hash_files, write_table_csv
@@ -32,7 +33,7 @@ from photogrammetry.pipeline.photos import (
 )
 
 OVERLAY_FOLDER = "overlays"
-_PHOTO_SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp"})
+_PHOTO_SUFFIXES = CAMERA_RAW | {".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp"}
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

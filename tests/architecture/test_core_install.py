@@ -91,9 +91,7 @@ def test_the_core_is_this_list() -> None:
     project = tomllib.loads((REPOSITORY / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     names = {canonical(re.split(r"[^A-Za-z0-9._-]", one, maxsplit=1)[0]) for one in project["dependencies"]}
     assert names == set(CORE)
-    extras = {
-        extra for extra in project["optional-dependencies"] if extra not in {"all", "bench", "dev", "docs", "raw"}
-    }
+    extras = {extra for extra in project["optional-dependencies"] if extra not in {"all", "bench", "dev", "docs"}}
     (every,) = project["optional-dependencies"]["all"]
     assert set(re.findall(r"\[(.*)\]", every)[0].split(",")) == extras
 

@@ -183,13 +183,6 @@ class TestUnreadable:
         with pytest.raises(InputError, match=r"damaged \(checksum of its IDAT part\)"):
             read_image(tmp_path / "a.png")
 
-    def test_camera_raw_is_not_taken_for_its_preview(self, tmp_path: Path, rng: np.random.Generator) -> None:
-        """A DNG file is a TIFF file whose first picture is a thumbnail."""
-        path = tmp_path / "DSC_1.DNG"
-        path.write_bytes(encoded(".tif", picture(rng, 4, 4)))
-        with pytest.raises(InputError, match="camera raw files are not read; convert"):
-            read_image(path)
-
     def test_floating_point_is_not_a_photograph(self, tmp_path: Path) -> None:
         tifffile.imwrite(tmp_path / "a.tif", np.zeros((4, 4), np.float32))
         with pytest.raises(InputError, match="float32; 8 or 16 bit"):
