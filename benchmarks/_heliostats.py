@@ -23,6 +23,14 @@ def close(what, asked, measured, tolerance):
     line(what, f"{asked:g}", f"{measured:.5g}", bool(abs(measured - asked) <= tolerance))
 
 
+def within(what, low, high, measured, more=""):
+    line(what, f"{low:g} to {high:g}", f"{measured:.2f}{more}", bool(low <= measured <= high))
+
+
+def below(what, limit, measured, more=""):
+    line(what, f"< {limit:.3g}", f"{measured:.2f}{more}", bool(measured < limit))
+
+
 def run(studies, names):
     """Run some studies by name, all without names."""
     known = {study.__name__: study for study in studies}

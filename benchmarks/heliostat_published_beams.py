@@ -7,7 +7,7 @@ import sys
 from dataclasses import dataclass
 
 import numpy as np
-from _heliostats import close, line, run, title
+from _heliostats import below, close, line, run, title, within
 
 from calibration.heliostat.fitting import FitOptions, fit
 from calibration.heliostat.kinematic_model import (
@@ -139,8 +139,8 @@ def stability(trials=40):
     title("Spec 001, V-8, V-9, C7: one day fitted predicts the other solstice; mean of inter over mean of intra")
     angles_only = dict(zip(ANGLES, (1e-3, -1e-3, 1e-3, -1e-3, 1e-3), strict=True))
     for name, place, errors, asked in (
-        ("angles, 30.8 E 19.2 S", (30.8, -19.2, 1.0), angles_only, "4.1 to 4.5"),
-        ("table 6.1, 19.2 E 30.8 S", (19.2, -30.8, 1.2), TABLE_61, "5 to 26"),
+        ("angles, 30.8 E 19.2 S", (30.8, -19.2, 1.0), angles_only, (4.1, 4.5)),
+        ("table 6.1, 19.2 E 30.8 S", (19.2, -30.8, 1.2), TABLE_61, (5.0, 26.0)),
     ):
         _stability_of(name, Case.of(place, errors), asked, trials)
 
@@ -158,7 +158,7 @@ def _stability_of(name, case, asked, trials):
     exact = monte_carlo(case.truth, case.known(0.05), beams(1e-6), 1, 0, evaluate=both).figures[0]
     line(f"V-8 {name}: no noise, beam left [mrad]", "< 1e-4", f"{exact[0]:.1e}", bool(exact[0] < 1e-4))
     reference, other = case.tracked(summer, case.nominal), case.tracked(winter, case.nominal)
-    for position, label, text in ((3.0, "location within 3 m", asked), (0.05, "location within 5 cm", "lower")):
+    for position, label in ((3.0, "location within 3 m"), (0.05, "location within 5 cm")):
         for noise in (0.1, 0.25, 0.5, 1.0):
             # Even noise of that share of the RMS on each of the two values.
             sigma = noise * reference * 1e-3 * case.distance_m / np.sqrt(3)
@@ -166,19 +166,12 @@ def _stability_of(name, case, asked, trials):
             # Both over the RMS without any correction on their own day.
             median = np.median(found[:, 1] / found[:, 0]) * reference / other
             mean = found[:, 1].mean() / found[:, 0].mean() * reference / other
-            line(
-                f"V-9 {name}, noise {noise:g}, {label}",
-                text,
-                f"{mean:.1f} (median {median:.1f})",
-                _verdict(mean, position, noise),
-            )
-
-
-def _verdict(mean, position_sigma_m, noise):
-    if position_sigma_m < 1:
-        return "noted"
-    # Noise as large as the errors themselves: what is known of the location decides, which the thesis left open.
-    return bool(mean > 2) if mean > 2 or noise < 0.5 else "the prior decides"
+            row, more = f"V-9 {name}, noise {noise:g}, {label}", f" (median {median:.1f})"
+            if position > 1:
+                within(row, *asked, mean, more)
+            else:
+                # A location that is known leaves less to the other solstice.
+                below(row, asked[0], mean, more)
 
 
 def twin():
@@ -199,14 +192,15 @@ def twin():
     def corrected(design):
         return np.array([case.tracked(sun, design, control=steps) for sun in days])
 
-    for name, model, asked, limit in (
-        ("8 parameters", known, "1.94", 2.2),
-        ("with the worm's 2", worm, "noise floor", 0.6),
-    ):
-        mean = monte_carlo(case.truth, model, beams, 20, 4, evaluate=corrected).figures.mean(axis=0)
-        line(f"V-11 {name}: 6 Sep corrected, beam [mrad]", asked, f"{mean[0]:.2f}", bool(mean[0] < limit))
+    means = {}
+    for name, model in (("8 parameters", known), ("with the worm's 2", worm)):
+        means[name] = mean = monte_carlo(case.truth, model, beams, 20, 4, evaluate=corrected).figures.mean(axis=0)
         line(f"V-13 {name}: 7 and 8 Sep alike", "the same", f"{mean[1]:.2f} {mean[2]:.2f}", bool(np.ptp(mean) < 0.1))
-        line(f"V-11 {name}: half of it, normal [mrad]", "0.97; goal < 1", f"{mean[0] / 2:.2f}", bool(mean[0] < 2.0))
+        below(f"V-11 {name}: half of 6 Sep, normal [mrad]", 1.0, mean[0] / 2)
+    plainly, wormed = (float(one[0]) for one in means.values())
+    # Over the worm's phase, which is not published; 1.94 were measured.
+    within("V-11 8 parameters: 6 Sep corrected, beam [mrad]", 1.57, 1.87, plainly)
+    below("V-11 with the worm's 2: less than without", plainly, wormed)
     study = monte_carlo(case.truth, worm, beams, 40, 5)
     ratio = study.scatter_over_sigma[[study.names.index(name) for name in ANGLES]].mean()
     line("V-10 angles of table 6.1: scatter over stated sigma", "1", f"{ratio:.2f}", bool(abs(ratio - 1) < 0.3))

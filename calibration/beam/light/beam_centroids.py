@@ -169,10 +169,12 @@ def intensity_centroid(spot: Spot) -> Centroid:
 
 
 def threshold_centroid(spot: Spot) -> Centroid:
-    """Return the centre of the light of the pixels above half the peak (Malan 2014, eq. 5.3 and 5.4).
+    """Return the centre of the light of the pixels above half the peak.
 
     Returns: ``sum(x B)/sum(B)`` over pixels whose smoothed brightness above the background is more than half the
-        peak's.
+        peak's, B their brightness above it; a ramp of a tenth of the peak takes the place of the sharp level. Malan
+        (2014, eq. 5.4) weighs alike, but above a level halfway from the picture's mean to its brightest pixel (5.3),
+        which moves with how much of the target the picture shows, and without taking a background off.
     EstimationError: The light does not add up to a positive sum.
     """
     return _weighted(spot, _THRESHOLD * spot.peak_dn, 0.1 * spot.peak_dn)
