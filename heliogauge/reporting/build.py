@@ -14,8 +14,7 @@ from heliogauge.instruments import every_report, read_resource
 from heliogauge.reporting.html import FirstScreen, Shown
 from heliogauge.reporting.notebook import Notebook, read_notebook
 from heliogauge.reporting.page_frame import page_frame
-from heliogauge.results.folder import SUMMARY_FILE, Summary, read_summary
-from heliogauge.results.opened import what_instead
+from heliogauge.results.folder import SUMMARY_FILE, Summary, read_summary, what_instead
 from heliogauge.view.arrays import PAGE, ArrayStore
 
 _NEEDED = "a folder of results as heliogauge wrote it"

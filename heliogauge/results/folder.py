@@ -65,6 +65,7 @@ __all__ = [
     "read_table_csv",
     "refuse_copies",
     "unit_of",
+    "what_instead",
     "write_camera_json",
     "write_cameras_json",
     "write_json",
@@ -279,6 +280,15 @@ def _finite(key: str, value: float | int | None) -> float | int | None:
     if value is None or not math.isfinite(value):
         return None
     return value if isinstance(value, int) else float(value)
+
+
+def what_instead(folder: Path) -> str:
+    """Say why a folder is not one of results."""
+    if not folder.is_dir():
+        return "there is no such folder"
+    if (folder / "measurement.toml").is_file():
+        return "a measurement, not results; evaluate it with `hg.measure` or on the command line first"
+    return f"no results, for there is no {SUMMARY_FILE} in it"
 
 
 def hash_files(paths: Iterable[Path], relative_to: Path | None = None, most_bytes: int | None = None) -> dict[str, str]:

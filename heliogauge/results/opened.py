@@ -19,7 +19,7 @@ from heliogauge.files.hdf5 import read_netcdf
 from heliogauge.files.own_folder import refuse_links_out
 from heliogauge.files.regular import read_regular
 from heliogauge.formula_cells import plain_cell
-from heliogauge.results.folder import SUMMARY_FILE, ResultFolder, Summary, read_summary
+from heliogauge.results.folder import SUMMARY_FILE, ResultFolder, Summary, read_summary, what_instead
 from heliogauge.short_repr import shortened
 
 if TYPE_CHECKING:
@@ -397,12 +397,3 @@ def _remove(folder: Path, process: int) -> None:
     """Remove a temporary folder, but not from a copy of the process that made it."""
     if os.getpid() == process:
         shutil.rmtree(folder, ignore_errors=True)
-
-
-def what_instead(folder: Path) -> str:
-    """Say why a folder is not one of results."""
-    if not folder.is_dir():
-        return "there is no such folder"
-    if (folder / "measurement.toml").is_file():
-        return "a measurement, not results; evaluate it with `hg.measure` or on the command line first"
-    return f"no results, for there is no {SUMMARY_FILE} in it"

@@ -13,8 +13,8 @@ from heliogauge.errors import InputError
 from heliogauge.reporting.build import REPORT_HTML, REPORT_NOTEBOOK
 from heliogauge.reporting.notebook import ShownCell
 from heliogauge.reporting.page_frame import page_frame
-from heliogauge.results.folder import SUMMARY_FILE, read_summary
-from heliogauge.results.opened import SLOPE_MAP_FILE, what_instead
+from heliogauge.results.folder import SUMMARY_FILE, read_summary, what_instead
+from heliogauge.results.opened import SLOPE_MAP_FILE
 from heliogauge.view.arrays import ServedStore
 from heliogauge.view.server.difference import Side, check_sides, difference_page
 from heliogauge.view.server.opened import (
