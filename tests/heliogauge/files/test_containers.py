@@ -116,6 +116,31 @@ class TestE57:
         # A quarter turn about x takes y to z and z to -y.
         np.testing.assert_allclose(np.array([found[axis] for axis in "xyz"]), [x + 5.0, -z, y], atol=1e-6)
 
+    def test_spherical_coordinates(self, tmp_path: Path) -> None:
+        """Range, azimuth from x towards y, elevation from the plane of x and y (ASTM E2807)."""
+        names = {
+            b"cartesianX": b"sphericalRange",
+            b"cartesianY": b"sphericalAzimuth",
+            b"cartesianZ": b"sphericalElevation",
+        }
+        write_e57(tmp_path / "a.e57", np.array([[2.0, np.pi / 2, 0.0], [3.0, 0.0, np.pi / 2], [1.0, np.pi, 0.1]]))
+
+        def renamed(xml: bytes) -> bytes:
+            for name, other in names.items():
+                xml = xml.replace(name, other)
+            return xml
+
+        change_xml(tmp_path / "a.e57", renamed)
+        found = read_e57_columns(tmp_path / "a.e57")
+        expected = [[0.0, 2.0, 0.0], [0.0, 0.0, 3.0], [-np.cos(0.1), 0.0, np.sin(0.1)]]
+        np.testing.assert_allclose(np.column_stack([found[axis] for axis in "xyz"]), expected, atol=1e-6)
+
+    def test_fields_that_are_no_place(self, tmp_path: Path) -> None:
+        write_e57(tmp_path / "a.e57", points(10))
+        change_xml(tmp_path / "a.e57", lambda xml: xml.replace(b"cartesianX", b"intensity"))
+        with pytest.raises(InputError, match="fields intensity, cartesianY, cartesianZ; x, y and z are needed"):
+            read_e57_columns(tmp_path / "a.e57")
+
     @pytest.mark.parametrize(
         ("change", "words"),
         [
