@@ -120,8 +120,22 @@ def only_numbers(path: Path, rng: random.Random) -> None:
     path.write_bytes(content.encode())
 
 
+def other_digit(path: Path, rng: random.Random) -> None:
+    """Mistype one digit of a number: what still looks right."""
+    content = path.read_bytes().decode("utf-8", "replace")
+    numbers = list(re.finditer(r"(?<![\w.])-?\d+(\.\d+)?", content))
+    if not numbers:
+        raise ValueError("no number in it")
+    found = rng.choice(numbers)
+    places = [at for at in range(*found.span()) if content[at].isdigit()]
+    # The first digits matter most.
+    at = places[min(rng.randrange(len(places)), rng.randrange(len(places)))]
+    other = rng.choice([digit for digit in "0123456789" if digit != content[at]])
+    path.write_bytes((content[:at] + other + content[at + 1 :]).encode())
+
+
 ANY = (flip_bits, cut_off, put_in, take_out, other_kind, no_file)
-ANY_TEXT = (other_encoding, only_numbers)
+ANY_TEXT = (other_encoding, only_numbers, other_digit, other_digit)
 
 
 # --- JSON, TOML, CSV --------------------------------------------------------------------------------------------------
