@@ -179,10 +179,6 @@ def sun_camera_test(tests: HeliostatTests, section: SunCameraSection) -> Outcome
     return Outcome(tuple(entries), tuple(doubts), {"sun_camera_rows": rows})
 
 
-#: The shift from a first reading needs a second one.
-_FEWEST_READINGS = 2
-
-
 def _sun_table(
     tests: HeliostatTests, section: SunCameraSection, doubts: list[Doubt]
 ) -> tuple[FloatArray, FloatArray, FloatArray, str]:
@@ -215,18 +211,8 @@ def _sun_table(
     keep: BoolArray = np.array(known)
     # Each time once: the first reading of it that has both angles.
     keep[np.flatnonzero(known)[1:]] = np.diff(instants[known]) > np.timedelta64(0)
-    if np.count_nonzero(keep) < _FEWEST_READINGS:
-        raise InputError(
-            f"{path}: {np.count_nonzero(keep)} of {keep.size} rows have both angles; {_FEWEST_READINGS} are needed, "
-            "the first of which the others are counted from"
-        )
-    lost = int(np.count_nonzero(~keep))
-    if lost:
-        twice = lost - int(np.count_nonzero(~known))
-        text = f"{path.name}: {lost} of {keep.size} readings are left out ({lost - twice} without an angle, {twice} of "
-        doubts.append(
-            Doubt("rows_left_out", f"{text}the time of another)", {"left_out_count": lost, "rows_count": keep.size})
-        )
+    if not keep.any():
+        raise InputError(f"{path}: no row has both angles; fill in azimuth and elevation")
     times = np.asarray((instants[keep] - instants[keep][0]) / _SECOND, dtype=np.float64)
     sigma = np.full((times.size, 2), 1e-3 * section.sigma_mrad)
     return times, angles[keep], sigma, str(instants[0].astype("datetime64[D]"))

@@ -335,6 +335,22 @@ class TestIdealActuators:
         with pytest.raises(InputError, match=r"motor positions are angles .* but the records hold counts"):
             see(tmp_path)
 
+    @pytest.mark.parametrize(
+        ("largest", "is_ideal", "unit"),
+        [(6.0, True, "rad"), (-6.0, True, "rad"), (7.0, True, "counts"), (1.0, False, "counts")],
+    )
+    def test_an_angle_is_within_a_turn(self, largest: float, is_ideal: bool, unit: str) -> None:
+        record = {
+            "motor_position": {"axis_1_motor_position": largest, "axis_2_motor_position": 0.1},
+            "target_name": TARGET.name,
+            "sun_elevation": 30.0,
+            "sun_azimuth": 10.0,
+            "focal_spot": {"UTIS": [37.0, -6.0, 50.0]},
+        }
+        origin = (37.0, -6.0, 0.0)
+        rows = parse_calibrations([("1", json.dumps(record))], [""], label="UTIS", origin=origin, is_ideal=is_ideal)
+        assert rows.numbers[f"axis_1_{unit}"].tolist() == [largest]
+
     @pytest.mark.parametrize("with_numbers", [True, False])
     def test_angles_are_taken_as_they_are(self, tmp_path: Path, with_numbers: bool) -> None:
         truth = write_paint(tmp_path, observations=30, ideal=True)["AA11"]

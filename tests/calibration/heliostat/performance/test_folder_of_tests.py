@@ -200,7 +200,7 @@ def test_angles_of_the_sun_camera_that_are_none_are_refused(drawn, tmp_path, col
         return "\n".join([head, *(",".join([*c[:place], cell, *c[place + 1 :]]) for c in cells)]) + "\n"
 
     folder = edited(drawn, tmp_path, "sun_camera.csv", emptied)
-    with pytest.raises(InputError, match=r"sun_camera.csv.*(0 of \d+ rows have both angles|is not finite)"):
+    with pytest.raises(InputError, match=r"sun_camera.csv.*(no row has both angles|is not finite)"):
         run(load_tests(folder), Options("sun_camera"))
 
 
