@@ -190,7 +190,7 @@ def read_rings(
             usual = f"those of the photo at {families[0].inner:.2f} to {families[0].outer:.2f}" if families else ""
             refused[k] = f"{place}, {usual or 'and no other ring of the photo confirms that'}"
     _leave_inside_out(found, refused, shapes, centers, families, allowed)
-    bits = _fitting_bits(profiles, own, families, spread, n_bits, allowed)
+    bits = _fitting_bits(profiles, own, families, spread, dictionary, allowed)
     return RingReadings(tuple(found), refused, tuple(families), bits)
 
 
@@ -468,10 +468,11 @@ def _fitting_bits(
     own: _Rings,
     families: Sequence[RingRadii],
     spread: FloatArray,
-    n_bits: int,
+    dictionary: RingDictionary,
     limits: RingLimits,
 ) -> int | None:
     """Return into how many sectors the photo's rings divide, where it is clearly another number than the given one."""
+    n_bits = dictionary.n_bits
     rings = (
         np.isfinite(own.misfit)
         & (own.gap <= limits.most_gap)
@@ -486,9 +487,26 @@ def _fitting_bits(
         rows = _densest(profiles, rings, spread)[1]
     else:
         return None
-    if rows.size < MEMBERS or np.sqrt(np.mean(own.misfit[rows] ** 2)) < 0.5 * limits.most_misfit:
+    if rows.size < MEMBERS:
         return None
-    part = profiles.chosen(rows)
+    read = own.bits[rows]
+    if np.sqrt(np.mean(own.misfit[rows] ** 2)) >= 0.5 * limits.most_misfit:
+        other = _read_otherwise(profiles.chosen(rows), n_bits)
+        if other is None:
+            return None
+        read = other
+    read = _coarsest(read)
+    fitting = read.shape[1]
+    if fitting == n_bits or fitting == _coarsest(np.array([one.sectors for one in dictionary.codes])).shape[1]:
+        return None
+    # Dots of a grid have rings of neighbours, all alike; codes of a sheet differ.
+    words = read @ (1 << np.arange(fitting)[::-1])
+    alike = Counter(smallest_rotation(word, fitting) for word in words.tolist()).most_common(1)[0][1]
+    return None if alike > _MOST_ALIKE * rows.size else fitting
+
+
+def _read_otherwise(part: RingProfiles, n_bits: int) -> BoolArray | None:
+    """Read rings as of the number of sectors that fits best; None where it is not clearly better than the given one."""
     width = part.outer - part.inner
     profile = part.band(part.inner + _RING_PART[0] * width, part.inner + _RING_PART[1] * width)
     closed = np.concatenate([profile, profile[:, :1]], axis=1)
@@ -506,12 +524,24 @@ def _fitting_bits(
     least = min(misfits.values())
     fitting = min(bits for bits, misfit in misfits.items() if misfit <= _AS_GOOD * least)
     clear = misfits[n_bits] >= _CLEARLY_BETTER * misfits[fitting]
-    if fitting == n_bits or not clear:
-        return None
-    # Dots of a grid have rings of neighbours, all alike; codes of a sheet differ.
-    read = words[fitting] @ (1 << np.arange(fitting)[::-1])
-    alike = Counter(smallest_rotation(word, fitting) for word in read.tolist()).most_common(1)[0][1]
-    return None if alike > _MOST_ALIKE * rows.size else fitting
+    return words[fitting] if fitting != n_bits and clear else None
+
+
+def _coarsest(words: BoolArray) -> BoolArray:
+    """Return what was read in the fewest sectors that hold it: where all are equal in twos, each pair is one sector.
+
+    words (n, bits): The rings' sectors. Rings of 8 sectors read as 16 are codes of a dictionary of 16, but of other
+    names: of 16 sectors drawn at random 1 in 128 rings consists of pairs, and here all do.
+    """
+    bits = words.shape[1]
+    for fewer in (fewer for fewer in range(FEWEST_BITS, bits) if bits % fewer == 0):
+        parts = bits // fewer
+        # Each ring is read from wherever its first edge lies.
+        turned = np.stack([np.roll(words, turn, axis=1).reshape(len(words), fewer, parts) for turn in range(parts)])
+        alike = (turned == turned[..., :1]).all(axis=(2, 3))
+        if alike.any(axis=0).all():
+            return turned[alike.argmax(axis=0), np.arange(len(words)), :, 0]
+    return words
 
 
 def ring_outline(dot: Ellipse, radii: RingRadii = VENDOR_RADII) -> Ellipse:

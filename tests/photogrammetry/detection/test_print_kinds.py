@@ -1,5 +1,6 @@
 """Ring codes as people print them: other radii, holes, crosses, halos, a display's pixels; and what looks like one."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,8 +15,8 @@ from data_synth.targets.presets import PrintChoice
 from data_synth.targets.scene import Conditions, ScreenPixels, Sharpening
 from heliogauge.images.photos import read_image
 from photogrammetry.detection.photo_targets import TargetSearch, measure_targets
-from photogrammetry.targets.coded_targets import aicon_dictionary
-from photogrammetry.targets.ring_codes import RingRadii
+from photogrammetry.targets.coded_targets import aicon_dictionary, user_dictionary
+from photogrammetry.targets.ring_codes import RingCode, RingRadii, ink_at
 
 CODES = aicon_dictionary(12)
 #: Each kind of print with what makes it hard; sizes from 9 px: 16 codes are drawn in half a second.
@@ -141,3 +142,32 @@ def test_a_dot_on_a_small_square_of_paper_is_no_code(side_radii: float) -> None:
     cv2.circle(image, (round(middle), round(middle)), round(radius), 40, -1)
     seen = cv2.GaussianBlur(cv2.resize(image, (64, 64), interpolation=cv2.INTER_AREA), (0, 0), 0.6)
     assert measure_targets(seen, "a", TargetSearch(CODES)).detections.names == ("u0",)
+
+
+def drawn_rings(codes: Sequence[RingCode]) -> np.ndarray:
+    """Six codes in two rows, dots of 80 px."""
+    image = np.full((560, 840), 200.0)
+    y, x = np.mgrid[:560, :840].astype(float)
+    for k, code in enumerate(codes):
+        dx, dy = x - (140 + 280 * (k % 3)), y - (140 + 280 * (k // 3))
+        image[ink_at(code, dx / 40.0, -dy / 40.0)] = 30.0
+    photo = cv2.GaussianBlur(image, (0, 0), 0.8) + np.random.default_rng(0).normal(0, 1, image.shape)
+    return np.round(photo).astype(np.uint8)
+
+
+@pytest.mark.parametrize("bits", [12, 16])
+def test_rings_of_eight_sectors_are_not_read_as_sixteen(bits: int) -> None:
+    """Each sector is two of sixteen: words of the dictionary, but of other codes."""
+    photo = drawn_rings(aicon_dictionary(8).codes[:6])
+    found = measure_targets(photo, "a", TargetSearch(aicon_dictionary(bits), with_uncoded=False))
+    assert found.fitting_bits == 8
+    assert len(found.detections) == 0
+
+
+def test_a_list_of_paired_sectors_is_read_as_it_is_stated() -> None:
+    eights = aicon_dictionary(8).codes[:6]
+    words = [int("".join(2 * ("1" if one else "0") for one in code.sectors), 2) for code in eights]
+    own = user_dictionary("own", 16, words)
+    found = measure_targets(drawn_rings(own.codes), "a", TargetSearch(own, with_uncoded=False))
+    assert found.fitting_bits is None
+    assert len(found.detections) == 6
