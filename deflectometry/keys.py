@@ -59,9 +59,14 @@ class CameraParameters(Section):
     p1: Number = Field(0.0, description="Tangential distortion, first coefficient.")
     p2: Number = Field(0.0, description="Tangential distortion, second coefficient.")
     distortion_direction: Literal["ideal_to_measured", "measured_to_ideal"] = Field(
-        "ideal_to_measured", description="As in OpenCV (ideal_to_measured) or as in photogrammetry."
+        "ideal_to_measured",
+        description="ideal_to_measured: OpenCV, Metashape, AICON; measured_to_ideal: PhotoModeler, DBAT, Australis.",
     )
-    sigma_focal_px: Sigma = Field(0.0, description="Standard deviation of the focal length; 0: exactly known [px].")
+    sigma_focal_px: Sigma = Field(
+        0.0,
+        description="Standard deviation of the focal length; 0.0: exact; without any sigma of the camera: "
+        "known no better than the images know it [px].",
+    )
     sigma_center_px: Sigma = Field(0.0, description="Standard deviation of each of its coordinates [px].")
     sigma_skew: Sigma = Field(0.0, description="Standard deviation of skew.")
     sigma_k1: Sigma = Field(0.0, description="Standard deviation of k1.")

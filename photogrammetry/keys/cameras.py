@@ -125,8 +125,9 @@ class NetworkCameraSection(Section):
         if self.millimetres is not None and self.distortion_direction is None:
             raise ValueError(
                 'distortion_direction is needed with [camera.millimetres]: "measured_to_ideal" where its formula '
-                'corrects measured points (AICON, DBAT, PhotoModeler), "ideal_to_measured" where it is applied to '
-                "ideal ones"
+                "corrects measured points (PhotoModeler, DBAT's backward models, Australis, iWitness), "
+                '"ideal_to_measured" where it is applied to ideal ones (AICON, Metashape); of the right one the '
+                "residuals are smaller"
             )
         if self.focal_px is not None and self.focal_length_35mm is not None:
             raise ValueError("focal_px and focal_length_35mm say the same; leave one out")

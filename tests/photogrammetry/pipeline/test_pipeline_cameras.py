@@ -204,7 +204,9 @@ def test_the_direction_of_a_lens_in_millimetres_is_asked_for(tmp_path, capsys):
     )
     assert command(tmp_path, tmp_path / "out") == 2
     message = capsys.readouterr().err
-    assert all(word in message for word in ("distortion_direction", '"measured_to_ideal"', '"ideal_to_measured"'))
+    corrected, applied = message.split('"measured_to_ideal"')[1].split('"ideal_to_measured"')
+    assert all(program in corrected for program in ("PhotoModeler", "DBAT", "Australis", "iWitness"))
+    assert all(program in applied for program in ("AICON", "Metashape"))
 
 
 def exif(focal, order="<"):
