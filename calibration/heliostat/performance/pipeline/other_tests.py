@@ -213,6 +213,13 @@ def _sun_table(
     keep[np.flatnonzero(known)[1:]] = np.diff(instants[known]) > np.timedelta64(0)
     if not keep.any():
         raise InputError(f"{path}: no row has both angles; fill in azimuth and elevation")
+    lost = int(np.count_nonzero(~keep))
+    if lost:
+        twice = lost - int(np.count_nonzero(~known))
+        text = f"{path.name}: {lost} of {keep.size} readings are left out ({lost - twice} without an angle, {twice} of "
+        doubts.append(
+            Doubt("rows_left_out", f"{text}the time of another)", {"left_out_count": lost, "rows_count": keep.size})
+        )
     times = np.asarray((instants[keep] - instants[keep][0]) / _SECOND, dtype=np.float64)
     sigma = np.full((times.size, 2), 1e-3 * section.sigma_mrad)
     return times, angles[keep], sigma, str(instants[0].astype("datetime64[D]"))
