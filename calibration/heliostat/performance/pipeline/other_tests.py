@@ -216,13 +216,19 @@ def _sun_table(
     lost = int(np.count_nonzero(~keep))
     if lost:
         twice = lost - int(np.count_nonzero(~known))
-        text = f"{path.name}: {lost} of {keep.size} readings are left out ({lost - twice} without an angle, {twice} of "
-        doubts.append(
-            Doubt("rows_left_out", f"{text}the time of another)", {"left_out_count": lost, "rows_count": keep.size})
-        )
+        why = f"{lost - twice} without an angle, {twice} of the time of another"
+        doubts.append(_left_out(lost, keep.size, "readings", why))
     times = np.asarray((instants[keep] - instants[keep][0]) / _SECOND, dtype=np.float64)
     sigma = np.full((times.size, 2), 1e-3 * section.sigma_mrad)
     return times, angles[keep], sigma, str(instants[0].astype("datetime64[D]"))
+
+
+def _left_out(lost: int, count: int, what: str, why: str) -> Doubt:
+    return Doubt(
+        "sun_photos_left_out",
+        f"sun_camera: {lost} of {count} {what} are left out ({why})",
+        {"left_out_count": lost, "readings_count": count},
+    )
 
 
 def _sun_photos(
@@ -255,13 +261,7 @@ def _sun_photos(
             times.append(time[0])
         discs.append(disc)
     if lost:
-        doubts.append(
-            Doubt(
-                "sun_photos_left_out",
-                f"sun_camera: {len(lost)} of {len(files)} photos are left out ({lost[0]})",
-                {"left_out_count": len(lost), "photos_count": len(files)},
-            )
-        )
+        doubts.append(_left_out(len(lost), len(files), "photos", lost[0]))
     if len(discs) < 3:
         raise EstimationError(f"sun_camera: the sun is seen in {len(discs)} of {len(files)} photos, 3 are needed")
     seconds = np.array(times)

@@ -116,7 +116,7 @@ def test_readings_of_a_sun_camera_that_are_left_out_are_counted(tmp_path):
     lines[5] = f"{lines[5].split(',')[0]},,0.1"
     lines[9] = f"{lines[8].split(',')[0]},0.1,0.1"
     (tmp_path / "angles.csv").write_text("\n".join(lines) + "\n")
-    doubt = next(one for one in run(load_tests(tmp_path)).doubts if one.code == "rows_left_out")
+    doubt = next(one for one in run(load_tests(tmp_path)).doubts if one.code == "sun_photos_left_out")
     assert "2 of 180 readings are left out (1 without an angle, 1 of the time of another)" in doubt.text
 
 
