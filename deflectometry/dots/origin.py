@@ -10,6 +10,7 @@ import numpy.typing as npt
 from deflectometry.dots.found_dots import FoundDots
 from deflectometry.dots.mark_evidence import MarkEvidence
 from deflectometry.dots.turns import TURNS
+from deflectometry.pose.facet_places import MOUNTING_RAD
 from deflectometry.pose.pose_observations import UncertainPose
 from deflectometry.setup.camera_and_screen import Setup
 from deflectometry.setup.dot_screen import DotScreen
@@ -23,8 +24,6 @@ from heliogauge.geometry.surfaces import Facet
 from heliogauge.short_repr import ShortRepr
 from heliogauge.validate import BoolArray, Float32Array, FloatArray, IntArray
 
-#: How far the normal of a good mirror may be off that of its outline [rad] (as in `deflectometry.pipeline`).
-_MOUNTING_RAD = 3e-3
 #: Slope at the rim by which a solar mirror may be off its design, 1 sigma [rad]: a beam 40 mrad wide is none.
 _GROSS_RAD = 10e-3
 #: Chance that a dot of the lattice is none of the pattern: a speck between its rows and columns.
@@ -92,7 +91,7 @@ class Sight(ShortRepr):
     on_facet: BoolArray | None = None
     name: str = ""
     marks: MarkEvidence | None = None
-    mounting_rad: float = _MOUNTING_RAD
+    mounting_rad: float = MOUNTING_RAD
 
 
 def place_dots(sights: Sequence[Sight], turns: Sequence[IntArray] = TURNS) -> tuple[PlacedDots, ...]:

@@ -27,18 +27,23 @@ class KnownDisplayPoint:
 
     image_px (2,): Where it is in the image, x and y [px].
     display (2,): Which fractions u and v of the displayed image are seen there.
-    sigma_display: Standard deviation of each fraction.
+    sigma_display (2,): Standard deviations of these fractions; one number stands for both.
+    is_stated: Whether somebody states it; otherwise it follows from the mirror's pose.
     InputError: A sigma that is not positive.
     """
 
     image_px: FloatArray
     display: FloatArray
-    sigma_display: float
+    sigma_display: FloatArray
+    is_stated: bool = True
 
     def __post_init__(self) -> None:
-        for name in ("image_px", "display"):
+        both = np.broadcast_to(np.asarray(self.sigma_display, dtype=np.float64), 2)
+        object.__setattr__(self, "sigma_display", both)
+        for name in ("image_px", "display", "sigma_display"):
             object.__setattr__(self, name, float_array(f"known point {name}", getattr(self, name), (2,)))
-        positive("known point sigma_display", self.sigma_display, "fractions of the displayed image")
+        for one in self.sigma_display.tolist():
+            positive("known point sigma_display", one, "fractions of the displayed image")
 
     def sigma_shift(self, pattern: FringePattern) -> FloatArray:
         """Return the standard deviations of u and v that all pixels share, shape (2,).
@@ -48,8 +53,8 @@ class KnownDisplayPoint:
         sigma = np.zeros(2)
         for number, axis in enumerate(Axis):
             periods = coarsest_set(pattern, axis)[0].periods
-            if periods >= 1.0 and _SURE_SIGMAS * self.sigma_display > 0.5 / periods:
-                sigma[number] = self.sigma_display
+            if periods >= 1.0 and _SURE_SIGMAS * self.sigma_display[number] > 0.5 / periods:
+                sigma[number] = self.sigma_display[number]
         return sigma
 
     def in_image(self, direction: IntArray, size_px: IntArray) -> "KnownDisplayPoint":
@@ -61,6 +66,10 @@ class KnownDisplayPoint:
         off = [1 - w if axis in axes else w for axis, w in zip(Axis, self.display, strict=True)]
         return replace(self, display=np.array(off))
 
+    def exchanged(self) -> "KnownDisplayPoint":
+        """Return the point on a display whose axes were exchanged."""
+        return replace(self, display=self.display[::-1], sigma_display=self.sigma_display[::-1])
+
     def doubt(self, pattern: FringePattern) -> Doubt:
         """Say what rests on the point."""
         sigma = self.sigma_shift(pattern)
@@ -68,23 +77,27 @@ class KnownDisplayPoint:
         counted = " and ".join(
             f"{axis} ({number:g} periods)" for axis, number in zip(Axis, periods, strict=True) if number >= 1
         )
-        numbers = {"sigma_display_share": self.sigma_display}
+        share = float(self.sigma_display.max())
+        numbers = {"sigma_display_share": share}
+        known = "[pattern.known_point], which is known" if self.is_stated else "the mirror's pose, which gives it"
         if not sigma.any():
             return Doubt(
                 "orders_from_known_point",
                 f"fringes of {counted} have no coarser ones: their orders are counted from pixel to pixel, from "
-                "[pattern.known_point], which is known to less than a sixth of a period. Parts of the mirror that hang "
-                "together by no pixels are left out, and a step of the surface by which the fringes jump half a period "
-                "would pass unseen",
+                f"{known} to less than a sixth of a period. Parts of the mirror that hang together by no pixels are "
+                "left out, and a step of the surface by which the fringes jump half a period would pass unseen",
                 numbers,
                 Severity.NOTE,
             )
+        remedy = "give the point more precisely"
+        if not self.is_stated:
+            remedy = "say which point of the display one pixel sees ([pattern.known_point])"
         return Doubt(
             "known_point_uncertain",
-            f"fringes of {counted} have no coarser ones, and [pattern.known_point] is known to "
-            f"{self.sigma_display:.2g} of the display only, more than a sixth of a period: slopes are relative. All of "
-            "them share an error, which is in their sigmas: it tilts the mirror as a whole and stretches its "
-            "curvature. Show a set below one period, or give the point more precisely",
+            f"fringes of {counted} have no coarser ones: their orders are counted from {known} to {share:.2g} of the "
+            "display only, more than a sixth of a period: slopes are relative. All of them share an error, which is in "
+            "their sigmas: it tilts the mirror as a whole and stretches its curvature. Show a set below one period, or "
+            f"{remedy}",
             numbers,
         )
 
@@ -92,6 +105,23 @@ class KnownDisplayPoint:
 def coarsest_set(pattern: FringePattern, axis: Axis) -> tuple[FringeSet, slice]:
     """Return the set of fewest periods of an axis, and its frames."""
     return min(pattern.sets_of(axis), key=lambda pair: pair[0].periods)
+
+
+def has_open_orders(pattern: FringePattern) -> bool:
+    """Return whether all sets of an axis look the same after a shift by whole periods that stays on the display.
+
+    >>> from deflectometry.setup.patterns import make_pattern
+    >>> [has_open_orders(make_pattern(one, (0.9,))) for one in ((16,), (8, 16), (0.9, 16), (15, 16), (1.0, 7))]
+    [True, True, False, False, False]
+    """
+    for axis in Axis:
+        periods = sorted(fringes.periods for fringes, _ in pattern.sets_of(axis))
+        shifts = np.arange(1, np.ceil(periods[0])) / periods[0]
+        turns = np.multiply.outer(shifts, periods)
+        # Harmless: periods are typed with a few digits.
+        if (np.abs(turns - np.rint(turns)) < 1e-6).all(axis=1).any():
+            return True
+    return False
 
 
 def counted_positions(

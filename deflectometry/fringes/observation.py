@@ -113,7 +113,7 @@ class Observation(ShortRepr):
         other = {Axis.X: Axis.Y, Axis.Y: Axis.X}
         exchanged = FringePattern(tuple(replace(one, axis=other[one.axis]) for one in self.pattern.sets))
         words = 'axis = "x" and axis = "y" of [[pattern.set]] are exchanged'
-        point = None if known is None else replace(known, display=known.display[::-1])
+        point = None if known is None else known.exchanged()
         yield words, replace(self, pattern=exchanged, known_point=point)
 
 

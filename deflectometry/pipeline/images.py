@@ -63,7 +63,9 @@ def read_known_point(measurement: DeflectometryMeasurement) -> KnownDisplayPoint
     section = measurement.model.pattern.known_point
     if section is None:
         return None
-    return KnownDisplayPoint(np.asarray(section.image_px), np.asarray(section.display), section.sigma_display)
+    return KnownDisplayPoint(
+        np.asarray(section.image_px), np.asarray(section.display), np.full(2, section.sigma_display)
+    )
 
 
 def read_response(measurement: DeflectometryMeasurement) -> ScreenResponse | None:

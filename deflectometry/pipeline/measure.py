@@ -4,6 +4,8 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from deflectometry.frames.image_file_checks import check_compression, check_size
+from deflectometry.fringes.known_point import has_open_orders
+from deflectometry.fringes.point_by_pose import point_by_pose
 from deflectometry.keys import DeflectometryMeasurement
 from deflectometry.pipeline.assess import SourceMeasurement, measure_source
 from deflectometry.pipeline.choices import Options, build_choices
@@ -16,6 +18,7 @@ from deflectometry.pipeline.inputs import (
 )
 from deflectometry.pipeline.plausibility import refuse_impossible
 from deflectometry.pipeline.result import Result
+from deflectometry.pose.find_pose import find_pose
 from deflectometry.setup.camera_and_screen import Setup
 from heliogauge.doubts import gather_doubts
 from heliogauge.errors import showing
@@ -66,12 +69,16 @@ def run(
         usable = mend_frames(observation, strict=options.strict)
     observation = usable.observation
     setup = replace(setup, sigma_periods=usable.sigma_periods)
-    known = observation.known_point
-    if known is not None:
-        setup = replace(setup, sigma_shift=known.sigma_shift(observation.pattern))
     mirror = describe_mirror(measurement, setup)
     if mirror.known_pose is not None:
         refuse_impossible(setup, mirror.known_pose.cam_from_mirror)
+    if observation.known_point is None and has_open_orders(observation.pattern):
+        with progress.stage("place fringes"), showing(lambda: pictures_of_frames(observation)):
+            point = point_by_pose(setup, find_pose(observation, setup, mirror))
+        observation = replace(observation, known_point=point)
+    known = observation.known_point
+    if known is not None:
+        setup = replace(setup, sigma_shift=known.sigma_shift(observation.pattern))
     ready = SourceMeasurement(
         measurement,
         observation,

@@ -14,6 +14,7 @@ from deflectometry.pipeline.design_check import off_design
 from deflectometry.pipeline.evaluate import Evaluation, Reflection
 from deflectometry.pipeline.headline import flag_words
 from deflectometry.pipeline.stated_inputs import StatedInput
+from deflectometry.pose.facet_places import MOUNTING_RAD
 from deflectometry.pose.find_pose import LocatedMirror
 from deflectometry.setup.camera_and_screen import Setup
 from deflectometry.shape.smooth_shape import Align
@@ -27,8 +28,7 @@ Numbers = Mapping[str, float | int | None]
 
 #: Pixels inside the outline that good measurements lose: dust, a few at the noise's limits.
 _REJECTED_SHARE = 0.05
-#: How far the normal of a good mirror may be off that of its outline [rad], and how many sigma beyond that are a doubt.
-_MOUNTING_RAD = 3e-3
+#: How many sigma the normal may be off that of the outline, beyond what mounts allow, before that is a doubt.
 _TURN_SIGMAS = 5.0
 
 
@@ -126,7 +126,7 @@ def turn_in_sigmas(evaluation: Evaluation | Reflection) -> float:
         return 0.0
     before, after = located.pose.cam_from_mirror, evaluation.solution.cam_from_mirror
     turn = RigidTransform(after.rotation @ before.rotation.T, np.zeros(3)).rotation_vector_rad
-    covariance = _covariance_of_turn(located) + (_MOUNTING_RAD**2 + evaluation.sigma_turn_rad**2) * np.eye(3)
+    covariance = _covariance_of_turn(located) + (MOUNTING_RAD**2 + evaluation.sigma_turn_rad**2) * np.eye(3)
     other = located.evidence.other_tilt_rad
     covariance = covariance + 0.25 * np.outer(other, other)
     return float(np.sqrt(turn @ np.linalg.solve(covariance, turn)))

@@ -13,9 +13,8 @@ from heliogauge.geometry.rigid import RigidTransform, skew
 from heliogauge.geometry.surfaces import Facet
 from heliogauge.validate import FloatArray
 
-#: How far a facet's normal may be turned against its design, 1 sigma [rad]: what mounts allow, as for whole mirrors in
-#: `deflectometry.dots.origin`. Only the scale of an outline seen at an angle depends on it.
-_MOUNTING_RAD = 3e-3
+#: How far the normal of a good mirror, or of a facet, may be off that of its outline, 1 sigma [rad]: what mounts allow.
+MOUNTING_RAD = 3e-3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -116,7 +115,7 @@ class _Alone:
         # Turns about the facet's own middle: those about the ensemble's origin would move it.
         about = np.hstack([rows[:, :3] + rows[:, 3:] @ skew(pivot), rows[:, 3:]])
         known = np.zeros((6, 6))
-        known[:3, :3] = np.linalg.inv(ensemble.covariance[:3, :3] + _MOUNTING_RAD**2 * np.eye(3))
+        known[:3, :3] = np.linalg.inv(ensemble.covariance[:3, :3] + MOUNTING_RAD**2 * np.eye(3))
         # A facet that is half its size away from its place would be taken for another one.
         known[3:, 3:] = np.eye(3) / (0.5 * float(np.ptp(facet.outline_m, axis=0).max())) ** 2
         follows = np.zeros((6, 3))

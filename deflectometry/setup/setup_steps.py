@@ -177,7 +177,11 @@ def _screen_sizes(setup: Setup) -> Iterator[tuple[str, Warp]]:
             by_periods = float(setup.sigma_periods[axis] * size_m[axis])
             yield "fringe periods", Warp(axis, order, by_periods / math.sqrt(12.0))
         if setup.sigma_shift[axis] > 0:
-            yield "known point", Warp(axis, (0, 0), float(setup.sigma_shift[axis] * size_m[axis]))
+            # A shift may be large, and what it does to the curvature is a parabola whose bottom may be near: a step to
+            # each side, with half of the variance each.
+            for way in (1.0, -1.0):
+                shift_m = way * float(setup.sigma_shift[axis] * size_m[axis]) / math.sqrt(2.0)
+                yield "known point", Warp(axis, (0, 0), shift_m)
     if setup.sigma_sag_m > 0:
         for order in ((2, 0), (0, 2)):
             yield "screen sag", Warp(2, order, setup.sigma_sag_m * 2.0 / (3.0 * math.sqrt(5.0)))

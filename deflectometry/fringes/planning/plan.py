@@ -6,13 +6,16 @@ from pathlib import Path
 
 import numpy as np
 
+from deflectometry.fringes.known_point import has_open_orders
 from deflectometry.fringes.planning.predicted_fringes import PredictedFringes, screen_points, sigma_of_points
+from deflectometry.fringes.point_by_pose import point_by_pose
 from deflectometry.keys import DeflectometryMeasurement, DeflectometryModel, FringeSetSection
 from deflectometry.pipeline.images import read_known_point
-from deflectometry.pipeline.inputs import build_pattern, pattern_words
+from deflectometry.pipeline.inputs import build_pattern, describe_mirror, pattern_words
 from deflectometry.planning.pipeline.bench import Bench, bench_changes, changed, input_files
 from deflectometry.planning.pipeline.plan import PlanResult, run_plan
 from deflectometry.planning.prospect import NOISE, Change, Prospect
+from deflectometry.pose.find_pose import find_pose
 from deflectometry.setup.patterns import FringePattern
 from deflectometry.sources.noise_model import NoiseModel
 from heliogauge.measurement.files import refuse_missing_files
@@ -46,14 +49,17 @@ class PlannedFringes:
         """
         bench, plan = self.bench, self.measurement.model.plan
         pattern, noise = build_pattern(self.measurement), NoiseModel(plan.noise_dn)
-        known, setup = read_known_point(self.measurement), bench.setup
-        if known is not None:
-            setup = replace(setup, sigma_shift=known.sigma_shift(pattern))
-        sigma = sigma_of_points(bench.sights, pattern, plan.contrast_dn, noise, plan.blur_px, counted=known is not None)
+        known, setup, is_open = read_known_point(self.measurement), bench.setup, has_open_orders(pattern)
+        is_counted = known is not None or is_open
+        sigma = sigma_of_points(bench.sights, pattern, plan.contrast_dn, noise, plan.blur_px, counted=is_counted)
         camera = setup.camera
         u, v = screen_points(bench.sights, (camera.height_px, camera.width_px))
         image = bench.image(*self._edge_light(pattern))
         source = PredictedFringes(image, u, v, sigma, plan.contrast_dn, noise)
+        if known is None and is_open:
+            known = point_by_pose(setup, find_pose(source, setup, describe_mirror(bench.measurement, setup)))
+        if known is not None:
+            setup = replace(setup, sigma_shift=known.sigma_shift(pattern))
         result = bench.result(source, setup, pattern_words(pattern))
         on_screen_mm = 1e3 * sigma * setup.size_m
         return bench.prospect(

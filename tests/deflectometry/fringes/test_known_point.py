@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from deflectometry.fringes.known_point import KnownDisplayPoint
+from deflectometry.fringes.known_point import KnownDisplayPoint, has_open_orders
 from deflectometry.fringes.observation import Observation
 from deflectometry.setup.patterns import Axis, FringePattern, make_pattern
 from heliogauge.doubts import Severity
@@ -58,6 +58,15 @@ def test_a_third_of_a_period_is_the_limit_of_sure_orders() -> None:
     np.testing.assert_array_equal(unsure.sigma_shift(ONE_PERIOD), [0.0148, 0.0])
     assert sure.doubt(ONE_PERIOD).severity is Severity.NOTE
     assert unsure.doubt(ONE_PERIOD).code == "known_point_uncertain"
+
+
+def test_orders_of_their_own_need_no_point() -> None:
+    assert not has_open_orders(make_pattern((0.9, 15.9), (15.0, 16.0)))
+    assert has_open_orders(make_pattern((0.9,), (15.9,)))
+    assert has_open_orders(make_pattern((8.0, 16.0), (0.9,)))
+    # The same after a third of 4.5 periods, which is a whole period of one set and 4 of the other.
+    assert has_open_orders(make_pattern((1.5, 6.0), (0.9,)))
+    assert not has_open_orders(make_pattern((1.5, 6.1), (0.9,)))
 
 
 def test_refused_with_what_to_do() -> None:
