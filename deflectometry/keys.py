@@ -9,6 +9,7 @@ import numpy as np
 from pydantic import Discriminator, Field, Tag, model_validator
 
 from deflectometry.planning.keys import BenchPlanSection
+from deflectometry.setup.patterns import GrayCode
 from heliogauge.errors import InputError
 from heliogauge.measurement.files import image_files, refuse_missing_files
 from heliogauge.measurement.load import MEASUREMENT_FILE, read_measurement
@@ -207,19 +208,44 @@ class KnownDisplaySection(Section):
     sigma_display: Positive = Field(description="Standard deviation of each fraction.")
 
 
-class PatternSection(Section):
-    """The fringe sets in the order in which their frames were taken: ``[[pattern.set]]``."""
+class GrayCodeSection(Section):
+    """Stripes of a Gray code: for each bit of the column, then of the row, a frame and its inverse, coarsest first."""
 
-    set: Annotated[tuple[FringeSetSection, ...], Field(min_length=1)] = Field(
-        description="The fringe sets in the order in which their frames were taken."
+    width_px: Annotated[int, Field(ge=2, le=65536)] = Field(description="Width of the displayed image [px].")
+    height_px: Annotated[int, Field(ge=2, le=65536)] = Field(description="Height of the displayed image [px].")
+
+    @property
+    def code(self) -> GrayCode:
+        """The code that was shown."""
+        return GrayCode(self.width_px, self.height_px)
+
+
+class PatternSection(Section):
+    """The fringe sets in the order in which their frames were taken, ``[[pattern.set]]``, or a Gray code."""
+
+    set: tuple[FringeSetSection, ...] = Field(
+        (), description="The fringe sets in the order in which their frames were taken."
     )
     known_point: KnownDisplaySection | None = Field(
         None, description="A point seen on the display, for fringes of one period, whose orders are counted from it."
     )
+    gray_code: GrayCodeSection | None = Field(
+        None, description="A Gray code instead of fringes, in the order of OpenCV's GrayCodePattern."
+    )
+
+    @model_validator(mode="after")
+    def _one_of_both(self) -> Self:
+        if bool(self.set) == (self.gray_code is not None):
+            raise ValueError("give either [[pattern.set]], the fringes shown, or [pattern.gray_code]")
+        if self.gray_code is not None and self.known_point is not None:
+            raise ValueError("known_point belongs to fringes; a Gray code says where on the display it is")
+        return self
 
     @property
     def n_frames(self) -> int:
         """Number of frames of the whole pattern."""
+        if self.gray_code is not None:
+            return self.gray_code.code.n_frames
         return sum(len(fringe_set.steps_deg) for fringe_set in self.set)
 
 
@@ -498,8 +524,11 @@ def load_deflectometry(folder: Path) -> DeflectometryMeasurement:
     fringe_files = image_files(folder, "images.fringes", model.images.fringes)
     needed = model.pattern.n_frames
     if len(fringe_files) != needed:
+        shown = f"the pattern has {needed} frames ({len(model.pattern.set)} sets)"
+        if model.pattern.gray_code is not None:
+            shown = f"the Gray code has {needed} frames (a frame and its inverse for each bit, without black and white)"
         raise InputError(
-            f"{file}: images.fringes = {model.images.fringes!r} gives {len(fringe_files)} files, but the pattern has "
-            f"{needed} frames ({len(model.pattern.set)} sets); name the files in the order of the pattern"
+            f"{file}: images.fringes = {model.images.fringes!r} gives {len(fringe_files)} files, but {shown}; name the "
+            "files in the order of the pattern"
         )
     return DeflectometryMeasurement(folder, model, fringe_files)

@@ -8,6 +8,7 @@ if TYPE_CHECKING:
     from data_synth.fringes.dataset import DatasetOptions as DatasetOptions
     from data_synth.fringes.dataset import read_truth as read_truth
     from data_synth.fringes.dataset import write_dataset as write_dataset
+    from data_synth.fringes.dataset import write_gray_code as write_gray_code
     from data_synth.fringes.knowledge import Knowledge as Knowledge
     from data_synth.fringes.knowledge import measurement_content as measurement_content
     from data_synth.fringes.knowledge import response_table as response_table

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from data_synth.fringes.gray_code import render_gray_code
 from data_synth.fringes.knowledge import (
     Knowledge,
     camera_section,
@@ -16,7 +17,7 @@ from data_synth.fringes.knowledge import (
     screen_table,
 )
 from data_synth.fringes.poses import MOST_POSES, posed_scene, with_sag
-from data_synth.fringes.scene import FringeScene, SyntheticFringes, render_fringes, scene_to_json
+from data_synth.fringes.scene import FringeScene, SyntheticFringes, render_fringes, scene_to_json, trace_truth
 from data_synth.fringes.truth import PIXEL_ARRAYS, FringeTruth, PixelTruth, facet_from_json
 from heliogauge.errors import InputError
 from heliogauge.files.arrays import read_arrays
@@ -79,6 +80,29 @@ def write_dataset(
             write_json(working / TRUTH_FILE, {**fringes.truth.parameters, "seed": chosen.seed})
             _write_pixels(working / TRUTH_ARRAYS_FILE, fringes.truth.pixels)
     return fringes
+
+
+def write_gray_code(
+    folder: Path, scene: FringeScene, width_px: int, height_px: int, options: DatasetOptions | None = None
+) -> None:
+    """Draw a scene with a Gray code on its screen, and write it as a measurement folder that is whole or not there.
+
+    options: Seed, what the measurement file states, whether an earlier synthetic measurement may be replaced.
+    InputError: The folder holds something, cannot be written to, or the mirror is not in view.
+    """
+    chosen = DatasetOptions() if options is None else options
+    image_rng, knowledge_rng = np.random.default_rng(chosen.seed).spawn(2)
+    frames, dark, bright = render_gray_code(scene, width_px, height_px, image_rng)
+    names = [f"gray_{index:02d}.png" for index in range(len(frames))]
+    truth = trace_truth(scene)
+    with WholeFolder(folder, SYNTHETIC, force=chosen.force) as working:
+        for name, image in {**dict(zip(names, frames, strict=True)), "dark.png": dark, "bright.png": bright}.items():
+            write_image(working / name, image)
+        content = measurement_content(scene, names, chosen.knowledge, knowledge_rng) | dict(chosen.stated)
+        content["pattern"] = {"gray_code": {"width_px": width_px, "height_px": height_px}}
+        write_measurement(working, content, comment=f"Synthetic measurement, seed {chosen.seed}; see truth.json.")
+        write_json(working / TRUTH_FILE, {**truth.parameters, "seed": chosen.seed})
+        _write_pixels(working / TRUTH_ARRAYS_FILE, truth.pixels)
 
 
 def read_truth(folder: Path) -> FringeTruth:

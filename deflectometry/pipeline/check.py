@@ -2,7 +2,7 @@
 
 from deflectometry.frames.image_file_checks import check_compression, check_size
 from deflectometry.keys import BenchMeasurement, DeflectometryMeasurement
-from deflectometry.pipeline.images import image_files, mend_frames, observe, read_response
+from deflectometry.pipeline.images import image_files, mend_frames, observe, observe_gray_code, read_response
 from deflectometry.pipeline.inputs import (
     build_pattern,
     build_setup,
@@ -24,15 +24,20 @@ def find_faults(measurement: DeflectometryMeasurement, findings: Findings) -> No
     files = image_files(measurement)
     size = findings.one_size(files)
     findings.refuse_copies()
-    pattern = findings.attempt(build_pattern, measurement)
+    gray_code = measurement.model.pattern.gray_code
+    pattern = None if gray_code is not None else findings.attempt(build_pattern, measurement)
     findings.attempt(read_response, measurement)
     findings.add(check_compression([file.name for file in measurement.fringe_files]))
     find_faults_of_bench(measurement, findings, size)
-    if findings.faults or pattern is None:
+    if findings.faults:
         return
     frames = findings.attempt(read_frames, files)
-    if frames is not None:
-        findings.add(frames.doubts)
+    if frames is None:
+        return
+    findings.add(frames.doubts)
+    if gray_code is not None:
+        findings.attempt(observe_gray_code, measurement, gray_code.code, frames)
+    elif pattern is not None:
         usable = findings.attempt(mend_frames, observe(measurement, pattern, frames))
         if usable is not None:
             findings.add(usable.doubts)

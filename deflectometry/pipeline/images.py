@@ -10,17 +10,18 @@ from calibration.screen import ScreenResponse
 from deflectometry.frames.image_file_checks import check_noise, saturation_level
 from deflectometry.frames.repair import repair_frames
 from deflectometry.frames.sequence_checks import shorten_faults
+from deflectometry.fringes.gray_code import GrayCodeObservation
 from deflectometry.fringes.known_point import KnownDisplayPoint
 from deflectometry.fringes.observation import Observation
 from deflectometry.fringes.screen_map import ScreenMapLimits
 from deflectometry.keys import DeflectometryMeasurement
-from deflectometry.setup.patterns import FringePattern
+from deflectometry.setup.patterns import FringePattern, GrayCode
 from deflectometry.sources.noise_model import NoiseModel
 from heliogauge.doubts import Doubt, gather_doubts
 from heliogauge.errors import EstimationError, FailurePicture, InputError
 from heliogauge.images.photos import Frames
 from heliogauge.results.tables import read_number_columns
-from heliogauge.validate import FloatArray
+from heliogauge.validate import Float32Array, FloatArray
 
 
 def image_files(measurement: DeflectometryMeasurement) -> tuple[Path, ...]:
@@ -37,15 +38,7 @@ def observe(measurement: DeflectometryMeasurement, pattern: FringePattern, frame
     InputError: The dark frame is the brighter one.
     """
     section = measurement.model.images
-    fringes, rest = frames.images_dn[: pattern.n_frames], frames.images_dn[pattern.n_frames :].astype(np.float32)
-    lit = None
-    if section.bright is not None:
-        lit = rest[-1] - rest[0] if section.dark is not None else rest[-1]
-        if section.dark is not None and lit.sum() < 0:
-            raise InputError(
-                f"images.dark ({section.dark}) is brighter than images.bright ({section.bright}): exchange the two; "
-                "the bright one shows the display white"
-            )
+    fringes, lit = frames.images_dn[: pattern.n_frames], _lit(measurement, frames)
     saturation = section.saturation_dn or saturation_level(fringes, frames.full_scale_dn)
     return Observation(
         frames=fringes,
@@ -56,6 +49,37 @@ def observe(measurement: DeflectometryMeasurement, pattern: FringePattern, frame
         limits=ScreenMapLimits(saturation_dn=saturation),
         known_point=read_known_point(measurement),
     )
+
+
+def observe_gray_code(measurement: DeflectometryMeasurement, code: GrayCode, frames: Frames) -> GrayCodeObservation:
+    """Put together what the images of a Gray code show.
+
+    InputError: The dark frame is the brighter one.
+    """
+    noise_dn = measurement.model.images.pixel_noise_dn
+    return GrayCodeObservation(
+        frames.images_dn[: code.n_frames],
+        code,
+        lit=_lit(measurement, frames),
+        noise=None if noise_dn is None else NoiseModel(noise_dn),
+    )
+
+
+def _lit(measurement: DeflectometryMeasurement, frames: Frames) -> Float32Array | None:
+    """Return the bright minus the dark frame, where there are some; they follow those of the pattern."""
+    section = measurement.model.images
+    if section.bright is None:
+        return None
+    rest = frames.images_dn[measurement.model.pattern.n_frames :].astype(np.float32)
+    if section.dark is None:
+        return np.asarray(rest[-1])
+    lit = np.asarray(rest[-1] - rest[0])
+    if lit.sum() < 0:
+        raise InputError(
+            f"images.dark ({section.dark}) is brighter than images.bright ({section.bright}): exchange the two; "
+            "the bright one shows the display white"
+        )
+    return lit
 
 
 def read_known_point(measurement: DeflectometryMeasurement) -> KnownDisplayPoint | None:
@@ -120,7 +144,7 @@ def mend_frames(observation: Observation, *, strict: bool = False) -> UsableFram
     return UsableFrames(used, doubts, repaired.sigma_periods)
 
 
-def pictures_of_frames(observation: Observation) -> Iterator[FailurePicture]:
+def pictures_of_frames(observation: Observation | GrayCodeObservation) -> Iterator[FailurePicture]:
     """Yield what shows why a measurement failed: contrast of the fringes, light on the mirror, frames."""
     frames = observation.frames
     # Without the response: frames that contradict the pattern may have no modulation in its unit.

@@ -10,6 +10,7 @@ if TYPE_CHECKING:
     from deflectometry.setup.patterns import Axis as Axis
     from deflectometry.setup.patterns import FringePattern as FringePattern
     from deflectometry.setup.patterns import FringeSet as FringeSet
+    from deflectometry.setup.patterns import GrayCode as GrayCode
     from deflectometry.setup.patterns import make_pattern as make_pattern
 
 __getattr__, __dir__, __all__ = lazy_face(__name__)

@@ -126,6 +126,40 @@ class FringePattern(ShortRepr):
         raise InputError(f"frame {index}: the pattern has frames 0 to {self.n_frames - 1}")
 
 
+@dataclass(frozen=True, slots=True)
+class GrayCode:
+    """Stripes of a display: for each bit of the column a frame and its inverse, coarsest first, then those of the row.
+
+    width_px, height_px: Size of the displayed image [px].
+    """
+
+    width_px: int
+    height_px: int
+
+    def bits(self, axis: Axis) -> int:
+        """Return the number of bits of columns (x) or rows (y)."""
+        return max((self.cells(axis) - 1).bit_length(), 1)
+
+    def cells(self, axis: Axis) -> int:
+        """Return the number of columns (x) or rows (y)."""
+        return self.width_px if axis is Axis.X else self.height_px
+
+    @property
+    def n_frames(self) -> int:
+        """Number of frames, inverse ones included."""
+        return 2 * (self.bits(Axis.X) + self.bits(Axis.Y))
+
+    def frames_of(self, axis: Axis) -> slice:
+        """Return where the frames of an axis stand."""
+        first = 0 if axis is Axis.X else 2 * self.bits(Axis.X)
+        return slice(first, first + 2 * self.bits(axis))
+
+    def describe(self) -> str:
+        """Say what was shown."""
+        size = f"{self.width_px} x {self.height_px} px"
+        return f"{self.n_frames} frames: Gray code of {size}, {self.bits(Axis.X)} and {self.bits(Axis.Y)} bits"
+
+
 def equal_steps(n: int) -> FloatArray:
     """Return n steps of 2 pi / n, from 0.
 

@@ -18,6 +18,7 @@ from deflectometry.planning.prospect import NOISE, Change, Prospect
 from deflectometry.pose.find_pose import find_pose
 from deflectometry.setup.patterns import FringePattern
 from deflectometry.sources.noise_model import NoiseModel
+from heliogauge.errors import InputError
 from heliogauge.measurement.files import refuse_missing_files
 from heliogauge.measurement.load import read_measurement
 from heliogauge.running.progress import Progress
@@ -120,7 +121,9 @@ def load_fringes_plan(folder: Path) -> DeflectometryMeasurement:
 
     InputError: As for `heliogauge.measurement.load.read_measurement`.
     """
-    _, model = read_measurement(folder, DeflectometryModel)
+    file, model = read_measurement(folder, DeflectometryModel)
+    if model.pattern.gray_code is not None:
+        raise InputError(f"{file}: pattern.gray_code: plans are of fringes; state the sets that would be shown")
     refuse_missing_files(folder, _named(model))
     return DeflectometryMeasurement(folder, model, ())
 

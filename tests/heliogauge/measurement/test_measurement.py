@@ -15,6 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from deflectometry import load_deflectometry
+from deflectometry.keys import PatternSection
 from heliogauge.errors import InputError
 from heliogauge.measurement.load import parse_measurement
 from heliogauge.measurement.templates import write_template
@@ -50,7 +51,10 @@ def test_template_loads_with_its_frames_in_natural_order(folder: Path) -> None:
 
 def test_every_optional_key_of_the_template_is_a_real_key(template: Content, tmp_path: Path) -> None:
     text = write_template("deflectometry", tmp_path).read_text(encoding="utf-8").replace("#: ", "")
-    # Two places offer an alternative instead of an addition: keep one side of each.
+    # Three places offer an alternative instead of an addition: keep one side of each.
+    before, code = text.split("[pattern.gray_code]\n")
+    text = before + code.split("\n\n", 1)[1]
+    assert PatternSection.model_validate({"gray_code": tomllib.loads(code.split("\n\n", 1)[0])}).n_frames == 44
     text = text.replace('file = "camera.json" ', "# ").replace('file = "screen_points.csv" ', "# ")
     text = text.replace("outline_m = [[-0.6, -0.6], [0.6, -0.6], [0.6, 0.6], [-0.6, 0.6]]\n", "", 1)
     facet_outline = "outline_m = [[-0.6, -0.6]"
