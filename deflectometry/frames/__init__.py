@@ -6,5 +6,6 @@ from heliogauge.faces import lazy_face
 
 if TYPE_CHECKING:
     from deflectometry.frames.sequence_checks import check_frames as check_frames
+    from deflectometry.frames.set_motion import sets_shifts as sets_shifts
 
 __getattr__, __dir__, __all__ = lazy_face(__name__)
