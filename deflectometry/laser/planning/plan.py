@@ -19,6 +19,7 @@ from deflectometry.planning.pipeline.plan import PlanResult, run_plan
 from deflectometry.planning.prospect import NOISE, Change, FacetProspect, Prospect
 from heliogauge.doubts import Doubt
 from heliogauge.errors import EstimationError, InputError
+from heliogauge.files.memory import refuse_large
 from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.geometry.surfaces import Quadric
 from heliogauge.measurement.designs import build_design
@@ -26,6 +27,8 @@ from heliogauge.measurement.load import MEASUREMENT_FILE, read_measurement
 from heliogauge.running.progress import Progress, SilentProgress
 from heliogauge.validate import FloatArray
 
+#: Memory that a beam takes at the least: 11,000 bytes were seen with 40,000 of them.
+_BEAM_BYTES = 1000
 #: Sigmas of what all beams share: key, and what it is of.
 _SHARED = {
     "mirror.sigma_distance_mm": "the mirror's distance",
@@ -68,14 +71,17 @@ class PlannedScan:
     def plan(self) -> LaserPlanSection:
         """What is planned.
 
-        InputError: Nothing is.
+        InputError: Nothing is, or more than the free memory holds.
         """
         if self.model.plan is None:
             raise InputError(
                 f"{self.folder / MEASUREMENT_FILE}: [plan] is missing; give width_m and height_m of the mirror, and "
                 "columns and rows of beams"
             )
-        return self.model.plan
+        plan = self.model.plan
+        where = f"{self.folder / MEASUREMENT_FILE}: [plan]"
+        refuse_large(where, _BEAM_BYTES * plan.columns * plan.rows, f"{plan.columns} x {plan.rows} beams")
+        return plan
 
     def prospect(self) -> Prospect:
         """Return what the measurement will be worth.

@@ -90,6 +90,8 @@ def test_bad_plans_are_refused_in_one_sentence(tmp_path: Path) -> None:
         without.prospect()
     with pytest.raises(EstimationError, match="beside the target"):
         planned(tmp_path / "s", {"plan": {"target_m": [0.01, 0.01]}, "mirror": {"distance_m": 2.0}}).prospect()
+    with pytest.raises(InputError, match=r"\[plan\]: .* x 99999999999 beams need .* GiB of memory"):
+        planned(tmp_path / "s", {"plan": {"rows": 99_999_999_999}}).prospect()
     with pytest.raises(InputError, match="within the mirror"):
         planned(tmp_path / "s", {"mirror": {"distance_m": 0.1}}).prospect()
     with pytest.raises(InputError, match="does not reach the whole mirror"):

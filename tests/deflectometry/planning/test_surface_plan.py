@@ -124,5 +124,7 @@ def test_the_command_and_what_is_missing(tmp_path: Path) -> None:
         PlannedSurfaceScan(folder, planned(folder).model.model_copy(update={"plan": None})).prospect()
     with pytest.raises(InputError, match="sigma_point_mm is missing"):
         planned(folder, {"points.sigma_point_mm": None}).prospect()
+    with pytest.raises(InputError, match=r"\[plan\]: 99999999999 x 15 points need .* GiB of memory"):
+        planned(folder, {"plan.columns": 99_999_999_999}).prospect()
     with pytest.raises(ValueError, match="given together"):
         planned(folder, {"plan.wave_mrad": None})
