@@ -434,15 +434,21 @@ class EvaluationSection(Section):
     )
 
 
+class BenchEvaluationSection(EvaluationSection):
+    """Choices of the evaluation of images; the command line can override all but the last."""
+
+    contradictions: Literal["refuse", "report"] = Field(
+        "refuse", description="Whether a result that contradicts itself is refused, or written with a serious doubt."
+    )
+
+
 class BenchModel(MeasurementModel):
     """What the measurement.toml of every source says: camera, screen, mirror, and how it is evaluated."""
 
     camera: CameraSection = Field(description="The camera: a file from a calibration, or its parameters.")
     screen: AnyScreenSection = Field(description="The screen: shape, size and pose.")
     mirror: MirrorSection = Field(description="The mirror: design, outline or facets, and what is known of its pose.")
-    evaluation: EvaluationSection = Field(
-        EvaluationSection(), description="Choices that the command line can override."
-    )
+    evaluation: BenchEvaluationSection = Field(BenchEvaluationSection(), description="Choices of the evaluation.")
 
 
 class DeflectometryModel(BenchModel):

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from deflectometry.keys import BenchMeasurement
 from deflectometry.pipeline.choices import Choices
-from deflectometry.pipeline.contradictions import OTHER_CURVATURE, name_exchange, refuse_contradictions
+from deflectometry.pipeline.contradictions import OTHER_CURVATURE, judge_contradictions, name_exchange
 from deflectometry.pipeline.curl_test import with_curl_contained
 from deflectometry.pipeline.evaluate import evaluate_source
 from deflectometry.pipeline.headline import (
@@ -146,8 +146,9 @@ def measure_source(ready: SourceMeasurement, progress: Progress) -> Result:
         doubts = gather_doubts(doubts, contradiction.doubt)
     doubts = gather_doubts(doubts, unconfirmed_note([one for one in inputs if one.key not in unstated]))
     with progress.stage("check result"):
+        refuse = measurement.model.evaluation.contradictions == "refuse"
+        doubts = judge_contradictions(ready.source, setup, mirror, evaluation, doubts, refuse=refuse)
         by_code = {doubt.code: doubt for doubt in doubts}
-        refuse_contradictions(ready.source, setup, mirror, evaluation, by_code)
         if OTHER_CURVATURE in by_code:
             curved = by_code[OTHER_CURVATURE]
             named = name_exchange(ready.source, setup, mirror, evaluation, curved)

@@ -1,4 +1,4 @@
-"""Results that contradict themselves are not written: the exchange that explains it is named where there is one."""
+"""Results that contradict themselves are refused or doubted; the exchange that explains it is named."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -42,47 +42,88 @@ _EXPLAINED_SHARE = 0.3
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Exchange:
-    """Something that may have been exchanged, and what is evaluated when it is put back."""
+    """Something that may have been exchanged, and what is evaluated when it is put back.
+
+    is_of_lens: Whether it is the direction of the lens, which changes little.
+    """
 
     words: str
     source: Source
     setup: Setup
+    is_of_lens: bool = False
 
 
-def refuse_contradictions(
-    source: Source, setup: Setup, mirror: MirrorInput, evaluation: Evaluation, doubts: Mapping[str, Doubt]
-) -> None:
-    """Refuse a result that contradicts itself.
+def judge_contradictions(
+    source: Source,
+    setup: Setup,
+    mirror: MirrorInput,
+    evaluation: Evaluation,
+    doubts: tuple[Doubt, ...],
+    *,
+    refuse: bool,
+) -> tuple[Doubt, ...]:
+    """Refuse a result that contradicts itself; where the cause is not proven, or refusals are not wanted, doubt it.
 
-    doubts: What makes the result doubtful, by code.
+    doubts: What makes the result doubtful.
+    refuse: ``[evaluation] contradictions = "refuse"``.
+    Returns: The doubts, the first contradiction a serious one with its explanation.
     EstimationError: With one exchange put back nothing contradicts any more, or the reflection is more than 20 sigma
         off the outline, or contradicts an outline that may be that of the display or of some facets only, or the
         slopes have 20 times the curl that noise makes.
 
     Images mirrored by a program and a mirrored or exchanged pattern leave frames and outline as good as ever. Each is
-    tried, with everything that follows from it.
+    tried, with everything that follows from it. The other direction of the lens moves the image by pixels only, as
+    facets that are off their stated places do: it is believed where the sides in the image are bent as by another lens.
     """
-    seen = [doubts[code] for code in _CONTRADICTIONS if code in doubts]
+    by_code = {doubt.code: doubt for doubt in doubts}
+    seen = [by_code[code] for code in _CONTRADICTIONS if code in by_code]
     if not seen:
-        return
-    explained = [one.words for one in _exchanges(source, setup) if _agrees(one, mirror, evaluation.choices)]
-    if explained:
-        raise EstimationError(
-            f"{seen[0].text.split(';')[0]}. Nothing contradicts once {' or '.join(explained)}: put that right and "
-            "measure again"
+        return doubts
+    explained = [one for one in _exchanges(source, setup) if _agrees(one, mirror, evaluation.choices)]
+    found = _proven(explained, seen[0], by_code, evaluation)
+    if found is not None and refuse:
+        raise EstimationError(f'{found}. ([evaluation] contradictions = "report" has the result all the same)')
+    if found is None:
+        if not explained:
+            return doubts
+        found = (
+            f"{seen[0].text.split(';')[0]}; nothing contradicts once {_either(explained)}, but places of facets, "
+            "outline or screen that are a little off may do the same: check the camera's calibration, then these"
+        )
+    return tuple(replace(one, text=found, severity=Severity.SERIOUS) if one is seen[0] else one for one in doubts)
+
+
+def _proven(
+    explained: Sequence[_Exchange], first: Doubt, doubts: Mapping[str, Doubt], evaluation: Evaluation
+) -> str | None:
+    """Say what is wrong for certain; None where that is open.
+
+    explained: Exchanges with which nothing contradicts.
+    first: The first contradiction.
+    """
+    believed = [one for one in explained if not one.is_of_lens or "lens_contradicts_outline" in doubts]
+    if believed:
+        return (
+            f"{first.text.split(';')[0]}. Nothing contradicts once {_either(believed)}: put that right and measure "
+            "again"
         )
     past = doubts.get("mirror_sees_past_display")
     if past is not None and "reflection_contradicts_outline" in doubts:
         # What was taken for the mirror's outline is that of the display, or of the facets that are lit.
         words = f"{_dark_facets(evaluation)}{past.text}"
-        raise EstimationError(f"{words}. ({doubts['reflection_contradicts_outline'].text.split(';')[0]})")
+        return f"{words}. ({doubts['reflection_contradicts_outline'].text.split(';')[0]})"
     turn = turn_in_sigmas(evaluation)
     curl = doubts.get("slopes_of_no_surface")
     ratio = 0.0 if curl is None else curl.numbers["curl_rms_per_m"] / curl.numbers["curl_expected_rms_per_m"]
     if turn > _IMPOSSIBLE_SIGMAS:
-        raise EstimationError(f"{turn:.0f} sigma: {doubts['reflection_contradicts_outline'].text}")
+        return f"{turn:.0f} sigma: {doubts['reflection_contradicts_outline'].text}"
     if curl is not None and ratio > _IMPOSSIBLE_SIGMAS:
-        raise EstimationError(curl.text)
+        return curl.text
+    return None
+
+
+def _either(exchanges: Sequence[_Exchange]) -> str:
+    return " or ".join(one.words for one in exchanges)
 
 
 def _dark_facets(evaluation: Evaluation) -> str:
@@ -211,4 +252,4 @@ def _exchanges(source: Source, setup: Setup) -> Iterator[_Exchange]:
         direction = next(one for one in DistortionDirection if one != lens.direction)
         camera = replace(setup.camera, distortion=replace(lens, direction=direction))
         words = f"distortion_direction of [camera] is {str(direction)!r}"
-        yield _Exchange(words, source, replace(setup, camera=camera))
+        yield _Exchange(words, source, replace(setup, camera=camera), is_of_lens=True)

@@ -35,7 +35,8 @@ class PosesModel(MeasurementModel):
         description="The poses, two or more; between them the mirror is turned, moved or tilted, and nothing else."
     )
     evaluation: EvaluationSection = Field(
-        EvaluationSection(), description="Choices of the evaluation, for all poses; those of the poses do not count."
+        EvaluationSection(),
+        description="Choices of the evaluation, for all poses; of those of the poses contradictions counts alone.",
     )
 
     @model_validator(mode="after")
