@@ -101,7 +101,8 @@ def _proven(
     explained: Exchanges with which nothing contradicts.
     first: The first contradiction.
     """
-    believed = [one for one in explained if not one.is_of_lens or "lens_contradicts_outline" in doubts]
+    sides = doubts.get("lens_contradicts_outline")
+    believed = [one for one in explained if not one.is_of_lens or _is_bent_so(sides, one.setup)]
     if believed:
         return (
             f"{first.text.split(';')[0]}. Nothing contradicts once {_either(believed)}: put that right and measure "
@@ -120,6 +121,20 @@ def _proven(
     if curl is not None and ratio > _IMPOSSIBLE_SIGMAS:
         return curl.text
     return None
+
+
+def _is_bent_so(sides: Doubt | None, setup: Setup) -> bool:
+    """Return whether the sides in the image are bent as the other direction of the lens would bend them, to 3 sigma.
+
+    sides: What they say against the lens.
+    """
+    if sides is None:
+        return False
+    numbers, camera = sides.numbers, setup.camera
+    farthest_px = numbers["farthest_px"]
+    # To first order the other direction is the other sign of k1.
+    reversed_px = -2 * camera.distortion.k1 * farthest_px * (farthest_px / camera.focal_x_px) ** 2
+    return abs(numbers["distortion_missing_px"] - reversed_px) < 3 * numbers["sigma_distortion_px"]
 
 
 def _either(exchanges: Sequence[_Exchange]) -> str:

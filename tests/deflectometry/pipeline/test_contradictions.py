@@ -12,7 +12,16 @@ from heliogauge.doubts import Doubt, Severity
 from heliogauge.errors import EstimationError
 
 TURNED = Doubt("reflection_contradicts_outline", "the reflection is 7 sigma off the outline; check all of it")
-BENT = Doubt("lens_contradicts_outline", "the sides are bent as by another lens; check k1")
+#: With k1 = -0.1, a focal length of 1000 px and 500 px to the farthest point the other direction moves that by 25 px.
+CAMERA = SimpleNamespace(distortion=SimpleNamespace(k1=-0.1), focal_x_px=1000.0)
+BENT, BENT_ANOTHER_WAY = (
+    Doubt(
+        "lens_contradicts_outline",
+        "the sides are bent as by another lens; check k1",
+        {"distortion_missing_px": missing, "sigma_distortion_px": 2.0, "farthest_px": 500.0},
+    )
+    for missing in (20.0, -20.0)
+)
 CURL = Doubt(
     "slopes_of_no_surface", "curl of 30 times the noise", {"curl_rms_per_m": 3e-3, "curl_expected_rms_per_m": 1e-4}
 )
@@ -33,7 +42,7 @@ def judged(
     monkeypatch.setattr(contradictions, "_exchanges", exchanges)
     monkeypatch.setattr(contradictions, "_agrees", lambda one, mirror, choices: one.words in explained)
     monkeypatch.setattr(contradictions, "turn_in_sigmas", lambda evaluation: turn)
-    nothing = cast("Any", SimpleNamespace(choices=None))
+    nothing = cast("Any", SimpleNamespace(choices=None, camera=CAMERA))
     return judge_contradictions(nothing, nothing, nothing, nothing, doubts, refuse=refuse)
 
 
@@ -50,6 +59,12 @@ def test_the_direction_of_the_lens_alone_is_doubted_and_not_the_cure(monkeypatch
 def test_it_is_believed_where_the_sides_are_bent(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(EstimationError, match=r"once distortion_direction .*put that right"):
         judged(monkeypatch, TURNED, BENT, explained=(LENS,))
+
+
+def test_sides_bent_another_way_prove_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    found, _ = judged(monkeypatch, TURNED, BENT_ANOTHER_WAY, explained=(LENS,))
+    assert found.severity is Severity.SERIOUS
+    assert "put that right" not in found.text
 
 
 def test_mirrored_images_are_refused_and_the_lens_is_not_named_beside_them(monkeypatch: pytest.MonkeyPatch) -> None:
