@@ -12,7 +12,7 @@ from deflectometry.sources.display_edge import DisplayEdge
 from deflectometry.sources.noise_model import NoiseModel
 from deflectometry.sources.sample_grid import LatticeGrid
 from deflectometry.sources.screen_map import ScreenMap
-from deflectometry.sources.source import Remedies
+from deflectometry.sources.source import Exchange, Remedies
 from heliogauge.errors import EstimationError
 from heliogauge.flags import SampleFlag
 from heliogauge.short_repr import ShortRepr
@@ -155,8 +155,8 @@ class DotSource(ShortRepr):
         names = tuple(name for name, line in lines.items() if np.count_nonzero(line) > share)
         return DisplayEdge(screen_map, names, 0)
 
-    def exchanges(self) -> Iterator[tuple[str, "DotSource"]]:
-        """Yield what programs and people exchange: the sides of the photo."""
+    def exchanges(self, seen: ScreenMap) -> Iterator[Exchange]:
+        """Yield what programs and people exchange: the sides of the photo. The dots are measured; no map is needed."""
         size = np.array(self.size_px) - 1.0
         for words, signs in (
             ("left and right of the photo are exchanged", (-1, 1)),
@@ -178,7 +178,7 @@ class DotSource(ShortRepr):
             near = self.near_dots
             if near is not None:
                 near = np.ascontiguousarray(near[:: signs[1], :: signs[0]])
-            yield words, replace(self, image=image, dots=dots, near_dots=near)
+            yield Exchange(words, replace(self, image=image, dots=dots, near_dots=near), moves_outline=True)
 
 
 def _bridged(places_px: FloatArray) -> FloatArray:

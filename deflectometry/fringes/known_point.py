@@ -1,6 +1,6 @@
 """Fringes of one period only: orders counted from pixel to pixel, from a point whose place on the display is known."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -10,7 +10,7 @@ from deflectometry.fringes.phase import TURN_RAD, LightResponse, linear_light, s
 from deflectometry.setup.patterns import Axis, FringePattern, FringeSet
 from heliogauge.doubts import Doubt, Severity
 from heliogauge.errors import EstimationError, InputError
-from heliogauge.validate import BoolArray, FloatArray, IntArray, float_array, positive
+from heliogauge.validate import BoolArray, FloatArray, float_array, positive
 
 #: Below this share of the usual modulation a pixel's phase is no step on the way to its neighbours.
 _LEAST_MODULATION = 0.3
@@ -56,19 +56,6 @@ class KnownDisplayPoint:
             if periods >= 1.0 and _SURE_SIGMAS * self.sigma_display[number] > 0.5 / periods:
                 sigma[number] = self.sigma_display[number]
         return sigma
-
-    def in_image(self, direction: IntArray, size_px: IntArray) -> "KnownDisplayPoint":
-        """Return the point in images whose columns or rows were reversed: direction (2,) is -1 for such an axis."""
-        return replace(self, image_px=np.where(direction < 0, size_px - 1 - self.image_px, self.image_px))
-
-    def mirrored(self, axes: tuple[Axis, ...]) -> "KnownDisplayPoint":
-        """Return the point on a display that showed the pattern mirrored along some axes."""
-        off = [1 - w if axis in axes else w for axis, w in zip(Axis, self.display, strict=True)]
-        return replace(self, display=np.array(off))
-
-    def exchanged(self) -> "KnownDisplayPoint":
-        """Return the point on a display whose axes were exchanged."""
-        return replace(self, display=self.display[::-1], sigma_display=self.sigma_display[::-1])
 
     def doubt(self, pattern: FringePattern) -> Doubt:
         """Say what rests on the point."""

@@ -8,19 +8,23 @@ import numpy as np
 import numpy.typing as npt
 
 from deflectometry.fringes.known_point import KnownDisplayPoint, counted_positions
-from deflectometry.fringes.phase import TURN_RAD, LightResponse
+from deflectometry.fringes.phase import LightResponse
 from deflectometry.fringes.screen_map import ScreenMapLimits, measure_screen_map, modulation_image
-from deflectometry.setup.patterns import Axis, FringePattern, FringeSet
+from deflectometry.setup.patterns import FringePattern
 from deflectometry.sources.display_edge import DisplayEdge, flag_display_edge
 from deflectometry.sources.noise_model import NoiseModel
 from deflectometry.sources.screen_map import ScreenMap
-from deflectometry.sources.source import Remedies
+from deflectometry.sources.source import Exchange, Remedies
+from heliogauge.flags import SampleFlag
 from heliogauge.short_repr import ShortRepr
 from heliogauge.validate import BoolArray, Float32Array
 
 FRINGE_REMEDIES = Remedies(
     "use more steps for each period, or a response measured with the same exposure", "the axes of [[pattern.set]]"
 )
+
+#: What a screen map has of each pixel.
+_IMAGES = ("u", "v", "sigma_u", "sigma_v", "modulation_dn", "flags")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -34,6 +38,7 @@ class Observation(ShortRepr):
     noise: Noise of a reading; estimated without it.
     limits: Error probabilities and saturation.
     known_point: From where fringe orders are counted, for fringes without coarser ones.
+    seen: The display point of each pixel of the mirror, where the frames were measured already.
     """
 
     frames: npt.NDArray[Any]
@@ -43,6 +48,7 @@ class Observation(ShortRepr):
     noise: NoiseModel | None = None
     limits: ScreenMapLimits = field(default_factory=ScreenMapLimits)
     known_point: KnownDisplayPoint | None = None
+    seen: ScreenMap | None = None
 
     @property
     def size_px(self) -> tuple[int, int]:
@@ -72,6 +78,9 @@ class Observation(ShortRepr):
 
     def screen_map(self, region: BoolArray) -> ScreenMap:
         """Measure the display point that each pixel of a region sees."""
+        if self.seen is not None:
+            flags = np.where(region, self.seen.flags, np.uint32(SampleFlag.OUTSIDE_MIRROR))
+            return replace(self.seen, flags=flags)
         counted = None
         if self.known_point is not None:
             counted = counted_positions(self.frames, self.pattern, region, self.known_point, self.response)
@@ -89,34 +98,28 @@ class Observation(ShortRepr):
         """Flag pixels that see the edge of the display."""
         return flag_display_edge(screen_map, region, margin_px)
 
-    def exchanges(self) -> Iterator[tuple[str, "Observation"]]:
-        """Yield what programs and people exchange: sides of the images, sides and axes of the pattern."""
-        both = (
-            ("left and right of the images are exchanged", (slice(None), slice(None, None, -1))),
-            ("top and bottom of the images are exchanged", (slice(None, None, -1), slice(None))),
-            ("the images are turned by 180 deg", (slice(None, None, -1), slice(None, None, -1))),
-        )
-        known, size_px = self.known_point, np.array(self.size_px)
-        for words, (rows, columns) in both:
-            frames = np.ascontiguousarray(self.frames[:, rows, columns])
-            lit = None if self.lit is None else np.ascontiguousarray(self.lit[rows, columns])
-            point = None if known is None else known.in_image(np.array([columns.step or 1, rows.step or 1]), size_px)
-            yield words, replace(self, frames=frames, lit=lit, known_point=point)
-        for words, axes in (
-            ("left and right of the displayed pattern are exchanged", (Axis.X,)),
-            ("top and bottom of the displayed pattern are exchanged", (Axis.Y,)),
-            ("the displayed pattern is turned by 180 deg", (Axis.X, Axis.Y)),
+    def exchanges(self, seen: ScreenMap) -> Iterator[Exchange]:
+        """Yield what programs and people exchange: sides of the images, sides and axes of the pattern.
+
+        The frames are not measured again: reversed images show the same points in reversed order, and a mirrored
+        pattern shows 1 - u for u.
+        """
+        for words, rows, columns in (
+            ("left and right of the images are exchanged", 1, -1),
+            ("top and bottom of the images are exchanged", -1, 1),
+            ("the images are turned by 180 deg", -1, -1),
         ):
-            sets = tuple(_mirrored(one) if one.axis in axes else one for one in self.pattern.sets)
-            point = None if known is None else known.mirrored(axes)
-            yield words, replace(self, pattern=FringePattern(sets), known_point=point)
-        other = {Axis.X: Axis.Y, Axis.Y: Axis.X}
-        exchanged = FringePattern(tuple(replace(one, axis=other[one.axis]) for one in self.pattern.sets))
-        words = 'axis = "x" and axis = "y" of [[pattern.set]] are exchanged'
-        point = None if known is None else known.exchanged()
-        yield words, replace(self, pattern=exchanged, known_point=point)
-
-
-def _mirrored(one: FringeSet) -> FringeSet:
-    """Return a set shown the wrong way round: cos(2 pi P (1 - w) - s) is cos(2 pi P w - (2 pi P - s))."""
-    return replace(one, steps_rad=TURN_RAD * one.periods - one.steps_rad)
+            at = slice(None, None, rows), slice(None, None, columns)
+            lit = None if self.lit is None else np.ascontiguousarray(self.lit[at])
+            images = {name: getattr(seen, name)[at] for name in _IMAGES}
+            turned = replace(self, frames=self.frames[:, *at], lit=lit, seen=replace(seen, **images))
+            yield Exchange(words, turned, moves_outline=True)
+        mirrored = {"u": np.float32(1) - seen.u, "v": np.float32(1) - seen.v}
+        swapped = {"u": seen.v, "v": seen.u, "sigma_u": seen.sigma_v, "sigma_v": seen.sigma_u}
+        for words, others in (
+            ("left and right of the displayed pattern are exchanged", {"u": mirrored["u"]}),
+            ("top and bottom of the displayed pattern are exchanged", {"v": mirrored["v"]}),
+            ("the displayed pattern is turned by 180 deg", mirrored),
+            ('axis = "x" and axis = "y" of [[pattern.set]] are exchanged', swapped),
+        ):
+            yield Exchange(words, replace(self, seen=replace(seen, **others)), moves_outline=False)

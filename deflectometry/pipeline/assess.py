@@ -147,7 +147,7 @@ def measure_source(ready: SourceMeasurement, progress: Progress) -> Result:
     doubts = gather_doubts(doubts, unconfirmed_note([one for one in inputs if one.key not in unstated]))
     with progress.stage("check result"):
         refuse = measurement.model.evaluation.contradictions == "refuse"
-        doubts = judge_contradictions(ready.source, setup, mirror, evaluation, doubts, refuse=refuse)
+        doubts = judge_contradictions(ready.source, setup, mirror, evaluation, doubts, curls, refuse=refuse)
         by_code = {doubt.code: doubt for doubt in doubts}
         if OTHER_CURVATURE in by_code:
             curved = by_code[OTHER_CURVATURE]

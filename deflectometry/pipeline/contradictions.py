@@ -1,15 +1,16 @@
 """Results that contradict themselves are refused or doubted; the exchange that explains it is named."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from deflectometry.pipeline.choices import Choices
-from deflectometry.pipeline.evaluate import Evaluation, Reflection, map_slopes, solve_reflection
-from deflectometry.pipeline.headline import curl_numbers, facet_numbers
+from deflectometry.pipeline.evaluate import Evaluation, Reflection, map_slopes, reflect
+from deflectometry.pipeline.few_slopes import contradicted_by_few
+from deflectometry.pipeline.headline import Numbers, curl_numbers, facet_numbers
 from deflectometry.pipeline.plausibility import contradicts_outline, implausible, refuse_impossible, turn_in_sigmas
-from deflectometry.pose.find_pose import MirrorInput
+from deflectometry.pose.find_pose import LocatedMirror, MirrorInput, find_pose
 from deflectometry.setup.camera_and_screen import RectangularScreen, Setup
 from deflectometry.shape.assemble import assemble_maps
 from deflectometry.shape.smooth_shape import ShapeSolution
@@ -45,12 +46,23 @@ class _Exchange:
     """Something that may have been exchanged, and what is evaluated when it is put back.
 
     is_of_lens: Whether it is the direction of the lens, which changes little.
+    located: Where the mirror then is, where that is known already.
     """
 
     words: str
     source: Source
     setup: Setup
     is_of_lens: bool = False
+    located: LocatedMirror | None = None
+
+    def locate(self, mirror: MirrorInput) -> LocatedMirror | None:
+        """Return where the mirror is; None where it is not found."""
+        if self.located is not None:
+            return self.located
+        try:
+            return find_pose(self.source, self.setup, mirror)
+        except (EstimationError, InputError):
+            return None
 
 
 def judge_contradictions(
@@ -59,12 +71,14 @@ def judge_contradictions(
     mirror: MirrorInput,
     evaluation: Evaluation,
     doubts: tuple[Doubt, ...],
+    curls: Mapping[str, Numbers],
     *,
     refuse: bool,
 ) -> tuple[Doubt, ...]:
     """Refuse a result that contradicts itself; where the cause is not proven, or refusals are not wanted, doubt it.
 
     doubts: What makes the result doubtful.
+    curls: Curl of each facet and its expectation by the sigmas as stated.
     refuse: ``[evaluation] contradictions = "refuse"``.
     Returns: The doubts, the first contradiction a serious one with its explanation.
     EstimationError: With one exchange put back nothing contradicts any more, or the reflection is more than 20 sigma
@@ -72,14 +86,15 @@ def judge_contradictions(
         slopes have 20 times the curl that noise makes.
 
     Images mirrored by a program and a mirrored or exchanged pattern leave frames and outline as good as ever. Each is
-    tried, with everything that follows from it. The other direction of the lens moves the image by pixels only, as
+    tried, with everything that follows from it: first what the outline says, then some pixels, then all. The other direction of the lens moves the image by pixels only, as
     facets that are off their stated places do: it is believed where the sides in the image are bent as by another lens.
     """
     by_code = {doubt.code: doubt for doubt in doubts}
     seen = [by_code[code] for code in _CONTRADICTIONS if code in by_code]
     if not seen:
         return doubts
-    explained = [one for one in _exchanges(source, setup) if _agrees(one, mirror, evaluation.choices)]
+    exchanges = _exchanges(source, setup, mirror, evaluation)
+    explained = [one for one in exchanges if _agrees(one, mirror, evaluation.choices, curls)]
     found = _proven(explained, seen[0], by_code, evaluation)
     if found is not None and refuse:
         raise EstimationError(f'{found}. ([evaluation] contradictions = "report" has the result all the same)')
@@ -167,12 +182,14 @@ def name_exchange(source: Source, setup: Setup, mirror: MirrorInput, evaluation:
     if not _may_be_exchanged(found, setup, evaluation.solution.cam_from_mirror):
         return doubt
     explained = []
-    for words, other in source.exchanges():
-        reflection = _reflection(_Exchange(words, other, setup), mirror, evaluation.choices)
+    for one in _of_source(source, setup, mirror, evaluation):
+        located = one.locate(mirror)
+        reflection = None if located is None else _reflection(one, mirror, located, evaluation.choices)
         if reflection is not None:
-            there = _linear_slopes([one.facet for one in reflection.usable.samples], reflection.solution)
+            measured = [sample.facet for sample in reflection.usable.samples]
+            there = _linear_slopes(measured, reflection.solution)
             if there.off_design < _EXPLAINED_SHARE * found.off_design:
-                explained.append(words)
+                explained.append(one.words)
     if not explained:
         return doubt
     text = (
@@ -228,43 +245,59 @@ def _may_be_exchanged(found: _LinearSlopes, setup: Setup, cam_from_mirror: Rigid
     return bool(np.linalg.norm(own - other) < _EXPLAINED_SHARE * found.off_design)
 
 
-def _agrees(one: _Exchange, mirror: MirrorInput, choices: Choices) -> bool:
+def _agrees(one: _Exchange, mirror: MirrorInput, choices: Choices, curls: Mapping[str, Numbers]) -> bool:
     """Return whether nothing contradicts with an exchange put back."""
-    # Before the maps, which take most of the time.
-    reflection = _reflection(one, mirror, choices)
-    if reflection is None:
+    located = one.locate(mirror)
+    if located is None or _contradict(located.doubts):
+        return False
+    reflection = _reflection(one, mirror, located, choices)
+    # Before all pixels and the maps, which take most of the time.
+    if reflection is None or _contradict(contradicted_by_few(reflection, one.setup, one.source.remedies, curls)):
         return False
     try:
         evaluation = map_slopes(reflection, one.setup, SilentProgress())
         assembled = assemble_maps(evaluation.located.facets, evaluation.maps, choices.align, Removal.NOTHING)
-        curls = {name: curl_numbers(one) for name, one in evaluation.fine_maps.items()}
-        found = implausible(facet_numbers(assembled, assembled), curls, evaluation, one.source.remedies)
-        return not {doubt.code for doubt in (*found, *evaluation.doubts)}.intersection(_CONTRADICTIONS)
+        own = {name: curl_numbers(one) for name, one in evaluation.fine_maps.items()}
+        found = implausible(facet_numbers(assembled, assembled), own, evaluation, one.source.remedies)
+        return not _contradict((*found, *evaluation.doubts))
     except (EstimationError, InputError):
         return False
 
 
-def _reflection(one: _Exchange, mirror: MirrorInput, choices: Choices) -> Reflection | None:
+def _contradict(doubts: Iterable[Doubt]) -> bool:
+    """Return whether doubts are those of a mirrored image, exchanged axes or a wrong set-up."""
+    return not {doubt.code for doubt in doubts}.isdisjoint(_CONTRADICTIONS)
+
+
+def _reflection(one: _Exchange, mirror: MirrorInput, located: LocatedMirror, choices: Choices) -> Reflection | None:
     """Return pose and smooth shape with an exchange put back; None where there are none or the outline contradicts."""
     try:
-        reflection = solve_reflection(one.source, one.setup, mirror, choices, SilentProgress())
+        reflection = reflect(one.source, one.setup, mirror, located, choices, SilentProgress())
         refuse_impossible(one.setup, reflection.solution.cam_from_mirror)
     except (EstimationError, InputError):
         return None
     return None if contradicts_outline(reflection) else reflection
 
 
-def _exchanges(source: Source, setup: Setup) -> Iterator[_Exchange]:
+def _exchanges(source: Source, setup: Setup, mirror: MirrorInput, evaluation: Evaluation) -> Iterator[_Exchange]:
     """Yield what programs and people exchange."""
-    for words, other in source.exchanges():
-        yield _Exchange(words, other, setup)
+    yield from _of_source(source, setup, mirror, evaluation)
     screen = setup.screen
     if isinstance(screen, RectangularScreen):
         turned = replace(setup, screen=RectangularScreen(screen.height_m, screen.width_m))
-        yield _Exchange("width_m and height_m of [screen] are exchanged", source, turned)
+        located = evaluation.located if mirror.facets else None
+        yield _Exchange("width_m and height_m of [screen] are exchanged", source, turned, located=located)
     lens = setup.camera.distortion
     if not lens.is_zero:
         direction = next(one for one in DistortionDirection if one != lens.direction)
         camera = replace(setup.camera, distortion=replace(lens, direction=direction))
         words = f"distortion_direction of [camera] is {str(direction)!r}"
         yield _Exchange(words, source, replace(setup, camera=camera), is_of_lens=True)
+
+
+def _of_source(source: Source, setup: Setup, mirror: MirrorInput, evaluation: Evaluation) -> Iterator[_Exchange]:
+    """Yield what may be exchanged in images and pattern."""
+    for one in source.exchanges(evaluation.screen_map):
+        # Without an outline the reflection itself says where the mirror is.
+        stays = bool(mirror.facets) and not one.moves_outline
+        yield _Exchange(one.words, one.source, setup, located=evaluation.located if stays else None)

@@ -118,6 +118,22 @@ def solve_reflection(
             located = find_pose(source, setup, mirror)
         except EstimationError as error:
             raise _at_display_edge(source, error) from error
+    return reflect(source, setup, mirror, located, choices, progress)
+
+
+def reflect(
+    source: Source,
+    setup: Setup,
+    mirror: MirrorInput,
+    located: LocatedMirror,
+    choices: Choices,
+    progress: Progress,
+) -> Reflection:
+    """Find the smooth shape of a mirror that is located, as `solve_reflection` does.
+
+    EstimationError: None of its facets shows the pattern.
+    """
+    with progress.stage("find mirror"):
         pixels = MirrorPixels.of(source, setup, located)
     found = solve_source(source, setup, located, pixels, progress, align=choices.align is Align.NORMAL)
     solution, count = found.solution, len(found.usable.samples)

@@ -1,7 +1,7 @@
 """What a measurement needs of its source of known points; each source is a room of its own."""
 
 from collections.abc import Iterator
-from typing import NamedTuple, Protocol, Self
+from typing import NamedTuple, Protocol
 
 from deflectometry.sources.display_edge import DisplayEdge
 from deflectometry.sources.screen_map import ScreenMap
@@ -17,6 +17,19 @@ class Remedies(NamedTuple):
 
     points: str
     pattern: str
+
+
+class Exchange(NamedTuple):
+    """Something that programs and people exchange in images or pattern.
+
+    words: What was exchanged.
+    source: The source with that put right.
+    moves_outline: Whether the mirror then stands elsewhere in the images.
+    """
+
+    words: str
+    source: "Source"
+    moves_outline: bool
 
 
 class Source(Protocol):
@@ -53,5 +66,8 @@ class Source(Protocol):
         margin_px: Half a pixel's diagonal and the blur of an edge [px].
         """
 
-    def exchanges(self) -> Iterator[tuple[str, Self]]:
-        """Yield what programs and people exchange in images or pattern, in words, and the source put right."""
+    def exchanges(self, seen: ScreenMap) -> Iterator[Exchange]:
+        """Yield what programs and people exchange in images or pattern.
+
+        seen: What the images show as they are: what they show with an exchange put right follows from it.
+        """

@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Self
 
 import numpy as np
 
@@ -14,7 +13,7 @@ from deflectometry.setup.patterns import Axis, FringePattern, design_matrix
 from deflectometry.sources.display_edge import DisplayEdge, flag_display_edge
 from deflectometry.sources.noise_model import NoiseModel
 from deflectometry.sources.screen_map import ScreenMap
-from deflectometry.sources.source import Remedies
+from deflectometry.sources.source import Exchange, Remedies
 from heliogauge.errors import EstimationError
 from heliogauge.flags import FLAG_TEXTS, SampleFlag, count_flags
 from heliogauge.validate import BoolArray, Float32Array, FloatArray
@@ -78,7 +77,7 @@ class PredictedFringes:
         """Flag pixels that see the edge of the display."""
         return flag_display_edge(screen_map, region, margin_px)
 
-    def exchanges(self) -> Iterator[tuple[str, Self]]:
+    def exchanges(self, seen: ScreenMap) -> Iterator[Exchange]:
         """Yield nothing: a prediction has exchanged nothing."""
         yield from ()
 

@@ -57,7 +57,10 @@ def test_ellipses_are_exchanged_with_the_sides_of_the_photo() -> None:
     dots = FoundDots(places, 0.01 * shapes, number, np.full(2, 50.0), 1.0, shapes_px2=shapes, blur_px=1.0)
     wall: Any = None
     source = DotSource(np.zeros((10, 12), dtype=np.float32), (dots,), wall)
-    for words, changed in source.exchanges():
+    seen: Any = None
+    for words, changed, moves_outline in source.exchanges(seen):
+        assert isinstance(changed, DotSource)
         assert changed.dots is not None
+        assert moves_outline
         # A centre's covariance and its ellipse were alike, and are.
         np.testing.assert_allclose(changed.dots[0].outlines_px2, 100 * changed.dots[0].covariance_px2, err_msg=words)

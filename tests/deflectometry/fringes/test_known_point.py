@@ -5,7 +5,7 @@ import pytest
 
 from deflectometry.fringes.known_point import KnownDisplayPoint, has_open_orders
 from deflectometry.fringes.observation import Observation
-from deflectometry.setup.patterns import Axis, FringePattern, make_pattern
+from deflectometry.setup.patterns import FringePattern, make_pattern
 from heliogauge.doubts import Severity
 from heliogauge.errors import EstimationError, InputError
 from heliogauge.flags import SampleFlag
@@ -80,10 +80,3 @@ def test_refused_with_what_to_do() -> None:
     frames = noisy.frames(make_pattern((80.0,), (7.7,)), np.random.default_rng(1))
     with pytest.raises(EstimationError, match="contradict each other"):
         Observation(frames, make_pattern((80.0,), (7.7,)), known_point=point_at(60, 80)).screen_map(region)
-
-
-def test_the_point_follows_exchanges() -> None:
-    point = KnownDisplayPoint(np.array([10.0, 20.0]), np.array([0.3, 0.6]), 0.01)
-    turned = point.in_image(np.array([-1, 1]), np.array([160, 120]))
-    np.testing.assert_array_equal(turned.image_px, [149.0, 20.0])
-    np.testing.assert_allclose(point.mirrored((Axis.Y,)).display, [0.3, 0.4])
