@@ -14,7 +14,7 @@ from deflectometry.setup.setup_steps import SetupStep, Warp, moved_setup
 from deflectometry.shape.common_modes import MovedInput, modes_of_inputs, moved_input
 from deflectometry.shape.facet_pixels import PixelSamples, spread_indices, thinned, usable_facets
 from deflectometry.shape.smooth_shape import Align
-from heliogauge.adjust.chi_square import chi_square_limit
+from heliogauge.adjust.chi_square import chi_square_limit, chi_square_noncentrality
 from heliogauge.camera.model import PARAMETER_NAMES
 from heliogauge.doubts import Doubt, Severity
 from heliogauge.geometry.rigid import RigidTransform
@@ -466,9 +466,7 @@ class _Tests:
 
 def _found_beyond(probability: float, freedom: int) -> float:
     """Return the noncentrality at which a chi-square exceeds its limit nine times of ten."""
-    from scipy.special import chndtrinc
-
-    return float(chndtrinc(chi_square_limit(probability, freedom), freedom, _MISSED))
+    return chi_square_noncentrality(chi_square_limit(probability, freedom), freedom, _MISSED)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -92,6 +92,45 @@ def chi_square_limit(probability: float, freedom: float) -> float:
     return chi_square_quantile(1 - probability, freedom)
 
 
+@lru_cache(maxsize=1024)
+def chi_square_noncentrality(value: float, freedom: float, probability: float) -> float:
+    """Return the noncentrality with which a chi-square variable stays below a value with a given probability.
+
+    value: Limit, above 0.
+    freedom: Degrees of freedom, above 0.
+    probability: Below that of a central variable, above 0.
+    Returns: The noncentrality by bisection to 1e-12; its distribution is the mean of central ones with freedom + 2 j,
+        j from Poisson's distribution of mean noncentrality / 2 (Abramowitz and Stegun 26.4.25).
+    InputError: A probability that no noncentrality has.
+
+    >>> round(chi_square_noncentrality(3.841458820694124, 1, 0.1), 4)
+    10.5074
+    """
+    if not 0 < probability < chi_square_cdf(value, freedom):
+        raise InputError(
+            f"chi-square: a probability between 0 and {chi_square_cdf(value, freedom):.6g} is needed, not {probability}"
+        )
+    central: list[float] = []
+    while not central or central[-1] > 1e-17:
+        central.append(chi_square_cdf(value, freedom + 2 * len(central)))
+
+    def below(noncentrality: float) -> float:
+        mean = 0.5 * noncentrality
+        return math.fsum(
+            one * math.exp(j * math.log(mean) - mean - math.lgamma(j + 1)) for j, one in enumerate(central)
+        )
+
+    low, high = 0.0, 1.0
+    while below(high) > probability:
+        low, high = high, 2 * high
+    while high - low > 1e-12 * high:
+        middle = 0.5 * (low + high)
+        if middle in (low, high):
+            break
+        low, high = (middle, high) if below(middle) > probability else (low, middle)
+    return 0.5 * (low + high)
+
+
 def two_sided_probability(value: float, freedom: float) -> float:
     """Return the probability that a chi-square variable is at least this far in its tail, on either side."""
     below = chi_square_cdf(value, freedom)
