@@ -11,6 +11,8 @@ from heliogauge.validate import BoolArray, FloatArray
 _SIGNIFICANT = 5.0
 #: The sky's own light is the median over so many pixels.
 _GROUND_PX = 25
+#: Stars nearer to the outline are cut by it: their centres would be drawn inwards [px].
+RIM_PX = 4
 #: Beyond so many times the size of its bright part a star has no light that matters.
 _WINDOW_PX = 5
 #: Centres of light are no better than this, whatever the noise: pixels are no points [px].
@@ -32,13 +34,19 @@ class Spots:
 def find_spots(image_dn: FloatArray, region: BoolArray, saturation_dn: float) -> Spots:
     """Find stars in a part of a photo.
 
-    region (h, w): Where to look.
+    region (h, w): Where to look: pixels that are at least `RIM_PX` inside a facet's outline.
     Returns: Centres of light, brightest first; saturated ones with half a pixel of sigma.
+
+    The ground is that of the facet alone: under a sky that glows a mirror and what is around it differ in light, and a
+    mean across the outline makes stars of its rim.
     """
     smooth = image_dn.astype(np.float32)
     quiet = cv2.medianBlur(np.clip(smooth, 0, 65535).astype(np.uint16), 5).astype(np.float32)
-    ground = cv2.blur(quiet, (_GROUND_PX, _GROUND_PX))
-    signal = smooth - ground
+    weight = region.astype(np.float32)
+    size = (_GROUND_PX, _GROUND_PX)
+    ground = cv2.blur(quiet * weight, size) / np.maximum(cv2.blur(weight, size), 1e-9)
+    facet = cv2.dilate(region.astype(np.uint8), np.ones((2 * RIM_PX + 1,) * 2, np.uint8)) > 0
+    signal = np.where(facet, smooth - ground, np.float32(0))
     inside = signal[region]
     noise = 1.4826 * float(np.median(np.abs(inside - np.median(inside)))) if inside.size else 0.0
     noise = max(noise, 0.3)

@@ -23,7 +23,7 @@ from deflectometry.stars.facet_stars import (
 )
 from deflectometry.stars.keys import StarsMeasurement
 from deflectometry.stars.sky import Catalogue, StarsAbove, stars_above
-from deflectometry.stars.spots import Spots
+from deflectometry.stars.spots import RIM_PX, Spots
 from heliogauge.geometry.rigid import RigidTransform, vector_from_rotation
 from heliogauge.geometry.sun import Site
 from heliogauge.geometry.surfaces import Facet
@@ -97,8 +97,7 @@ def region_of(camera: OrientedCamera, facet: Facet, shape: tuple[int, ...]) -> B
     corners = camera.camera.project((camera.cam_from_mirror @ facet.ensemble_from_facet).apply(facet.corners_m))
     mask = np.zeros(shape, dtype=np.uint8)
     cv2.fillPoly(mask, [np.rint(corners).astype(np.int32)], 1)
-    # A star at the rim is cut: its centre would be drawn inwards.
-    return np.asarray(cv2.erode(mask, np.ones((9, 9), np.uint8)) > 0)
+    return np.asarray(cv2.erode(mask, np.ones((2 * RIM_PX + 1,) * 2, np.uint8)) > 0)
 
 
 def light_of(camera: OrientedCamera, facet: Facet, found: Sequence[Spots]) -> FacetLight:
