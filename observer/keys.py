@@ -11,7 +11,17 @@ from heliogauge.doubts import Doubt
 from heliogauge.images.video_names import video_of
 from heliogauge.measurement.files import image_files
 from heliogauge.measurement.load import MEASUREMENT_FILE, read_measurement, refuse_missing
-from heliogauge.measurement.models import ImageFiles, MeasurementModel, Number, Positive, Section, Sigma, Text, repeated
+from heliogauge.measurement.models import (
+    ImageFiles,
+    MeasurementModel,
+    Names,
+    Number,
+    Positive,
+    Section,
+    Sigma,
+    Text,
+    repeated,
+)
 from photogrammetry.keys import (
     CameraSections,
     DistanceSection,
@@ -152,7 +162,7 @@ class TiltsSection(Section):
     file: Text = Field(
         "tilts.csv", description="Columns image, tilt_deg; or time, tilt_deg, times as in the photos' EXIF; sigma_mrad."
     )
-    column: tuple[Text, ...] = Field(
+    column: Names = Field(
         ("tilt_deg",), description="Columns of the readings [deg]; several: their mean, as of sensors at both ends."
     )
     time_column: str | None = Field(

@@ -14,6 +14,7 @@ from heliogauge.measurement.models import (
     ImageFiles,
     Index,
     MeasurementModel,
+    Names,
     Number,
     Positive,
     Section,
@@ -48,7 +49,7 @@ class BeamImagesSection(Section):
         None, description="Corners: upper left, upper right, lower right, lower left [px]."
     )
     corners_sigma_px: Positive = Field(0.3, description="1 sigma of those pixels; 0.3: careful work by hand [px].")
-    markers: Annotated[tuple[Text, ...], Field(min_length=4, max_length=4)] | None = Field(
+    markers: Annotated[Names, Field(min_length=4, max_length=4)] | None = Field(
         None, description="Pictures of the marks at the corners, in that order."
     )
     anchors_px: Annotated[tuple[Vector2, ...], Field(min_length=4, max_length=4)] | None = Field(

@@ -11,6 +11,7 @@ from calibration.beam.images import BeamImagesSection
 from heliogauge.measurement.load import MEASUREMENT_FILE, read_measurement, refuse_missing
 from heliogauge.measurement.models import (
     MeasurementModel,
+    Names,
     Number,
     Positive,
     Section,
@@ -151,7 +152,7 @@ class PaintSection(Section):
 
     folder: Text = Field(".", description="Folder as of the PAINT database.")
     tower: Text | None = Field(None, description="The tower's file; default: beside the heliostats.")
-    heliostats: tuple[Text, ...] = Field((), description="Heliostats to read; default: all.")
+    heliostats: Names = Field((), description="Heliostats to read; default: all.")
 
 
 class HeliostatEvaluationSection(Section):

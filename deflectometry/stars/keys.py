@@ -9,7 +9,7 @@ from pydantic import Field, field_validator, model_validator
 
 from deflectometry.field.keys import FieldCameraSection, HeliostatSection
 from heliogauge.measurement.load import MEASUREMENT_FILE, read_measurement, refuse_missing
-from heliogauge.measurement.models import MeasurementModel, Number, Positive, Section, Sigma, Text
+from heliogauge.measurement.models import MeasurementModel, Names, Number, Positive, Section, Sigma, Text
 
 
 class SiteSection(Section):
@@ -73,7 +73,7 @@ class StarsEvaluationSection(Section):
 class StarsPlanSection(Section):
     """What `heliogauge deflectometry plan` compares; measuring does not read it."""
 
-    times: tuple[Text, ...] = Field(
+    times: Names = Field(
         (),
         description="When a photo might be taken, ISO 8601 with zone; default: every half hour with the sun 12 degrees "
         "and more below the horizon, of the night of the first photo's time.",

@@ -27,6 +27,15 @@ def _three_times(value: Any) -> Any:
 
 
 Sigma3 = Annotated[tuple[Sigma, Sigma, Sigma], BeforeValidator(_three_times)]
+
+
+def _listed(value: Any) -> Any:
+    return (value,) if isinstance(value, str) else value
+
+
+#: Names of files, photos, targets: a single one may stand without brackets.
+Names = Annotated[tuple[Text, ...], BeforeValidator(_listed)]
+SomeNames = Annotated[Names, Field(min_length=1)]
 Outline = Annotated[tuple[Vector2, ...], Field(min_length=3)]
 
 

@@ -6,7 +6,18 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
-from heliogauge.measurement.models import Count, Intrinsic, Number, Positive, Section, Sigma, Text, Vector2, Vector3
+from heliogauge.measurement.models import (
+    Count,
+    Intrinsic,
+    Number,
+    Positive,
+    Section,
+    Sigma,
+    SomeNames,
+    Text,
+    Vector2,
+    Vector3,
+)
 
 #: Intrinsics of a camera of which nothing is known but its size.
 SELF_CALIBRATED: tuple[Intrinsic, ...] = (
@@ -72,9 +83,7 @@ class NetworkCameraSection(Section):
     """
 
     name: Text = Field("camera", description="Name of the camera in cameras.json.")
-    photos: Annotated[tuple[Text, ...], Field(min_length=1)] | None = Field(
-        None, description="Patterns of the photos it took; default: the rest."
-    )
+    photos: SomeNames | None = Field(None, description="Patterns of the photos it took; default: the rest.")
     file: Text | None = Field(None, description="File of a calibrated camera.")
     width_px: Count | None = Field(None, description="Width of the photos; needed with image points [px].")
     height_px: Count | None = Field(None, description="Height of the photos [px].")

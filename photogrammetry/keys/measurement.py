@@ -6,11 +6,13 @@ from pydantic import Discriminator, Field, model_validator
 
 from heliogauge.measurement.models import (
     MeasurementModel,
+    Names,
     Number,
     PhotosSection,
     Positive,
     Section,
     Sigma3,
+    SomeNames,
     Text,
     Vector3,
 )
@@ -95,7 +97,7 @@ class PlaneSection(Section):
     """Targets in one plane; without a normal the plane is unknown."""
 
     kind: Literal["plane"] = Field(description="Targets in one plane.")
-    targets: Annotated[tuple[Text, ...], Field(min_length=1)] = Field(description="Names of the targets.")
+    targets: SomeNames = Field(description="Names of the targets.")
     sigma_mm: Positive = Field(description="Standard deviation of their distances from the plane [mm].")
     normal: Vector3 | None = Field(None, description="Normal of a known plane; default: estimated.")
     offset_m: Number = Field(0.0, description="Distance of a known plane from the origin [m].")
@@ -141,9 +143,9 @@ class CollectorSection(Section):
 
     width_m: Positive = Field(description="Width of the aperture between the rims' targets [m].")
     focal_length_m: Positive = Field(description="Focal length of the parabola [m].")
-    left: Annotated[tuple[Text, ...], Field(min_length=2)] = Field(description="Targets on the rim at x = -width / 2.")
-    right: Annotated[tuple[Text, ...], Field(min_length=2)] = Field(description="Targets on the rim at x = +width / 2.")
-    end: Annotated[tuple[Text, ...], Field(min_length=1)] = Field(description="Targets of the end at y = 0.")
+    left: Annotated[Names, Field(min_length=2)] = Field(description="Targets on the rim at x = -width / 2.")
+    right: Annotated[Names, Field(min_length=2)] = Field(description="Targets on the rim at x = +width / 2.")
+    end: SomeNames = Field(description="Targets of the end at y = 0.")
     along: tuple[tuple[Text, Text], ...] = Field((), description="Pairs of targets that are length_m apart along y.")
     length_m: Positive | None = Field(None, description="Distance of those pairs along y [m].")
     sigma_mm: Positive = Field(description="Standard deviation of the known coordinates [mm].")
@@ -170,8 +172,8 @@ class DatumSection(Section):
     kind: Literal["inner", "minimal", "photos", "control"] = Field(
         "inner", description="What places the network: inner constraints, three targets, photos that stay; or nothing."
     )
-    targets: tuple[Text, ...] = Field((), description="Targets that take part; default: all.")
-    photos: tuple[Text, ...] = Field((), description="Photos that stay: one, and one more without a scale.")
+    targets: Names = Field((), description="Targets that take part; default: all.")
+    photos: Names = Field((), description="Photos that stay: one, and one more without a scale.")
 
     @model_validator(mode="after")
     def _fitting_names(self) -> Self:

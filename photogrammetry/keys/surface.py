@@ -1,6 +1,6 @@
 """What measurement.toml of ``kind = "photogrammetry"`` may say of the surface under the targets: ``[surface]``."""
 
-from typing import Annotated, Literal, Self
+from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -10,6 +10,7 @@ from heliogauge.measurement.models import (
     Outline,
     Positive,
     Section,
+    SomeNames,
     Text,
     Vector2,
     Vector3,
@@ -17,7 +18,7 @@ from heliogauge.measurement.models import (
 )
 
 #: Names, patterns with ``*`` and ``?``, and ranges ``17..32`` or ``A1..A9``.
-TargetNames = Annotated[tuple[Text, ...], Field(min_length=1)]
+TargetNames = SomeNames
 
 
 class ReferenceTargetSection(Section):
