@@ -430,7 +430,8 @@ class _Equations:
             # What the chosen ones explain to all but a millionth is no candidate any more.
             if (np.diag(information) < 1e-6 * np.diag(own)).any():
                 continue
-            value = np.linalg.solve(information, along)
+            # Flicker of all frames holds a drift that was chosen before: what is explained already counts for nothing.
+            value = np.linalg.lstsq(information, along, rcond=1e-12)[0]
             by_frame = np.abs((one.columns @ value).reshape(-1, _COLUMNS) * self.to_phase).sum(axis=1)
             # Frames that flicker each for itself add up like noise, but no mean over pixels takes that away.
             effect = np.linalg.norm(by_frame) if one.kind is OddityKind.FLICKER else by_frame.max()
