@@ -48,14 +48,7 @@ def find_aureole(background: Background, free: BoolArray, light_dn: FloatArray, 
     skirts_dn (h, w): The beam beyond it, as its bell continues it [DN].
     Returns: Where it is seen, the aureole that there is if all that bends is its; else one as high as its uncertainty.
     """
-    rows, columns = free.shape
-    total = float(light_dn.sum())
-    across, up = light_dn.sum(axis=0) / total, light_dn.sum(axis=1) / total
-    x, y = np.arange(columns, dtype=np.float64), np.arange(rows, dtype=np.float64)
-    x, y = x - float(across @ x), y - float(up @ y)
-    square = max(float(across @ x**2) + float(up @ y**2), 1.0)
-    shape = ((x[None, :] ** 2 + y[:, None] ** 2) / square + 1) ** (-0.5 * _POWER)
-
+    shape = aureole_shape(light_dn)
     height, sigma = _height(background, background.basis, free, shape, skirts_dn)
     is_seen = height > _SEEN * sigma
     if is_seen and background.bending.any():
@@ -64,6 +57,20 @@ def find_aureole(background: Background, free: BoolArray, light_dn: FloatArray, 
     open_dn = height if is_seen else float(np.hypot(max(height, 0.0), sigma))
     taken = taken_by_background(free, background)(open_dn * shape)
     return Aureole(open_dn * shape, taken, is_seen)
+
+
+def aureole_shape(light_dn: FloatArray) -> FloatArray:
+    """Return an aureole of height 1 around a beam, (h, w): flat within its size, with a power of the distance beyond.
+
+    light_dn (h, w): The beam [DN]. Its size is the root of its variances along both axes together.
+    """
+    rows, columns = light_dn.shape
+    total = float(light_dn.sum())
+    across, up = light_dn.sum(axis=0) / total, light_dn.sum(axis=1) / total
+    x, y = np.arange(columns, dtype=np.float64), np.arange(rows, dtype=np.float64)
+    x, y = x - float(across @ x), y - float(up @ y)
+    square = max(float(across @ x**2) + float(up @ y**2), 1.0)
+    return np.asarray(((x[None, :] ** 2 + y[:, None] ** 2) / square + 1) ** (-0.5 * _POWER))
 
 
 def _height(

@@ -138,6 +138,16 @@ def posed(free: tuple[str, ...], table: ImagePoints, drawn_m: FloatArray, sigma_
     return BundleProblem(table, model, constraints=known)
 
 
+def within_usual(length_squared: FloatArray) -> BoolArray:
+    """Return which image points (n,) are no farther off than good ones can be, by their squared lengths in sigmas.
+
+    A squared length is a chi-square with two degrees of freedom times the square of what is usual: its median is
+    2 log 2 of that.
+    """
+    usual = float(np.median(length_squared)) / (2 * np.log(2.0))
+    return np.asarray(length_squared <= _REJECTED_SIGMAS**2 * usual)
+
+
 def adjust_with_shape(network: BoardNetwork, rms_as_drawn_px: float, *, refine_board: bool) -> Adjusted:
     """See outliers with every point free, then adjust with random effects.
 
@@ -153,8 +163,7 @@ def adjust_with_shape(network: BoardNetwork, rms_as_drawn_px: float, *, refine_b
     if bundle.defects:
         bundle.require("calibration")
     tests = statistics.examine_image_points(bundle)
-    usual = float(np.median(tests.length_squared)) / (2 * np.log(2.0))
-    kept = np.asarray(tests.length_squared <= _REJECTED_SIGMAS**2 * usual)
+    kept = within_usual(tests.length_squared)
     rejected = tuple(
         f"{table.label(int(row))}: {np.hypot(*bundle.residuals_px[row]):.3f} px" for row in np.nonzero(~kept)[0]
     )

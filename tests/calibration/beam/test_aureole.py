@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from calibration.beam.keys import load_beams
+from calibration.beam.light.aureole import aureole_shape
 from calibration.beam.light.background import empty_target
 from calibration.beam.light.beam_flags import BeamFlag
 from calibration.beam.light.beam_image import Beam, measure_beam
@@ -33,6 +34,23 @@ def true_d90_m(light: np.ndarray) -> float:
 def measured(light: np.ndarray, seed: int, *, with_empty: bool) -> Beam:
     empty = empty_target([picture(sky_light(), noise_dn=1.0, seed=90 + seed).values_dn]) if with_empty else None
     return measure_beam(picture(light + sky_light(), noise_dn=1.0, seed=seed), empty=empty)
+
+
+def test_shape_about_an_elliptic_beam() -> None:
+    """One at the beam's centre; by its size away, in any direction, 2^-1.375; ten times as far, 101^-1.375."""
+    y, x = np.mgrid[:121, :161]
+    shape = aureole_shape(70.0 * np.exp(-0.5 * (((x - 60) / 6.0) ** 2 + ((y - 50) / 8.0) ** 2)))
+    assert shape[50, 60] == pytest.approx(1.0, abs=1e-6)
+    for row, column in ((60, 60), (40, 60), (50, 70), (50, 50), (56, 68)):
+        assert shape[row, column] == pytest.approx(2**-1.375, rel=1e-4)
+    assert shape[50, 160] == pytest.approx(101**-1.375, rel=1e-4)
+    assert np.unravel_index(shape.argmax(), shape.shape) == (50, 60)
+
+
+def test_shape_about_a_single_pixel_is_a_pixel_wide() -> None:
+    light = np.zeros((9, 11))
+    light[4, 5] = 3.0
+    assert aureole_shape(light)[4, 6] == pytest.approx(2**-1.375)
 
 
 @pytest.mark.parametrize("with_empty", [True, False])
