@@ -44,6 +44,7 @@ class OddityKind(StrEnum):
     OFFSET = "offset"
     GAIN = "gain"
     DRIFT = "drift"
+    AMBIENT = "drift of other light"
     FLICKER = "flicker"
     STEP = "step"
     STEPS_OF_SET = "steps of a set"
@@ -54,7 +55,7 @@ class OddityKind(StrEnum):
     CONTRAST = "contrast"
 
 
-_LIGHT = (OddityKind.OFFSET, OddityKind.GAIN, OddityKind.DRIFT, OddityKind.FLICKER)
+_LIGHT = (OddityKind.OFFSET, OddityKind.GAIN, OddityKind.DRIFT, OddityKind.AMBIENT, OddityKind.FLICKER)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -62,9 +63,9 @@ class Oddity:
     """One thing that the frames have beside their fringes.
 
     frames: Frames concerned, from 0.
-    value, sigma (c,): Offset [DN], gain, drift over the sequence, gains of all frames but the first, step [rad],
-        relative change of steps, shift in x and y [px], relative change of periods and place on the display [rad], or
-        contrast.
+    value, sigma (c,): Offset [DN], gain, drift over the sequence, drift of other light [DN], gains of all frames but
+        the first, step [rad], relative change of steps, shift in x and y [px], relative change of periods and place on
+        the display [rad], or contrast.
     chi_square: How much the misfit falls with it.
     """
 
@@ -200,6 +201,8 @@ def _candidates(pattern: FringePattern) -> list[_Candidate]:
             after = (np.arange(n) >= k).astype(np.float64)
             add(OddityKind.KNOCK, range(k, n), (3, after), (4, after))
     add(OddityKind.DRIFT, range(n), (1, np.linspace(0.0, 1.0, n)))
+    # Light of the room rises or falls for all pixels alike, whatever the display shows.
+    add(OddityKind.AMBIENT, range(n), (0, np.linspace(0.0, 1.0, n)))
     # A gain of all frames together is the pixels' own light.
     add(OddityKind.FLICKER, range(n), *((1, one) for one in np.eye(n)[1:] - 1.0 / n))
     planned = np.concatenate([one.steps_rad for one in pattern.sets])

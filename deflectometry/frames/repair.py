@@ -559,6 +559,11 @@ def _say(state: _State, one: Oddity) -> Doubt:
     if one.kind is OddityKind.DRIFT:
         text = f"{where}: the light drifts by {value[0]:+.2%} +- {sigma[0]:.2%}; divided out"
         return _light_doubt(f"{text}. For the next time: {_STEADY_LIGHT}", {"change_share": value[0]})
+    if one.kind is OddityKind.AMBIENT:
+        text = f"{where}: light beside the fringes drifts by {value[0]:+.2f} +- {sigma[0]:.2f} DN; taken off"
+        return _light_doubt(
+            f"{text}. Switch room light off, or measure when daylight is steady", {"offset_dn": value[0]}
+        )
     if one.kind is OddityKind.FLICKER:
         rms = float(np.std([0.0, *value]))
         text = f"{where}: the light differs by {rms:.2%} RMS from frame to frame; divided out"

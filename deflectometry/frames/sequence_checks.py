@@ -488,6 +488,13 @@ def _differs(found: StepEstimate, planned: FloatArray, *, flicker: float = 0.0) 
     return bool((np.abs(found.steps_rad - planned) > limit).any())
 
 
+def _even(found: StepEstimate) -> bool:
+    """Return whether steps are as far apart as displays show them: evenly, but for noise and what does not matter."""
+    order = np.arange(len(found.steps_rad))
+    uneven = np.abs(found.steps_rad - np.polyval(np.polyfit(order, found.steps_rad, 1), order)).max()
+    return bool(uneven < _STEP_TOLERANCE_RAD + SIGNIFICANT * found.sigma_rad.max())
+
+
 def _steps_within_sets(sample: FrameSample, pattern: FringePattern) -> tuple[list[FrameFault], FringePattern]:
     """Find steps that are wrong but even, in sets of five frames and more; return the faults and the true pattern."""
     faults, sets = [], list(pattern.sets)
@@ -545,7 +552,12 @@ def _step_fault(pattern: FringePattern, index: int, frames: tuple[int, ...], fou
         f"frames {frames[0]} to {frames[-1]} ({fringes.axis} fringes, {fringes.periods:g} periods): the steps are "
         f"{per_step:.3f} +- {max(error, 5e-4):.3f} deg (360 deg / {360 / per_step:.3f}), not {planned:.3f} deg; frame "
         f"{frames[worst]} is {math.degrees(float(steps[worst] - fringes.steps_rad[worst])):+.2f} deg off; "
-        f"write the true steps into [[pattern.set]]: steps_deg = [{listed}]",
+        + (
+            f"write the true steps into [[pattern.set]]: steps_deg = [{listed}]"
+            if _even(found)
+            else f"these steps ({listed} deg) are uneven, which displays hardly show: light that changes from frame to "
+            "frame makes such; switch room light and automatic exposure off, and take the sequence again"
+        ),
         # Five frames and more tell their steps alone; fewer lean on a finer set, which may be wrong itself.
         remedy=Remedy(steps_rad={index: found.steps_rad}) if len(steps) >= 5 else None,
     )

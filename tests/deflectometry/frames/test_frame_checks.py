@@ -1,6 +1,7 @@
 """Frame checks: each fault is named with its frames and numbers; good frames raise no alarm."""
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -187,3 +188,22 @@ def test_wrong_number_and_not_finite() -> None:
     few = frames.astype(np.float32)
     few[3, :9] = np.inf
     assert _only(check_frames(few, PATTERNS[4])).severity == "doubt"
+
+
+@pytest.mark.parametrize(
+    ("steps_deg", "said", "unsaid"),
+    [
+        ((0.0, 86.0, 172.0, 258.0), "write the true steps into [[pattern.set]]", "uneven"),
+        ((0.0, 72.0, 145.0, 261.0), "light that changes from frame to frame", "write the true steps"),
+    ],
+    ids=["even", "uneven"],
+)
+def test_steps_are_taken_for_what_was_displayed_where_they_are_even(steps_deg, said, unsaid) -> None:
+    """Displays step evenly; light that changes makes other steps."""
+    planned = make_pattern([0.9, 3.9, 15.9], [0.9, 3.9, 15.9])
+    first, second, *rest = planned.sets
+    shown = FringePattern((first, replace(second, steps_rad=np.deg2rad(steps_deg)), *rest))
+    faults = check_frames(_frames(shown), planned)
+    [fault] = [one for one in faults if one.kind is FaultKind.WRONG_STEP]
+    assert said in fault.message
+    assert unsaid not in fault.message

@@ -52,6 +52,31 @@ def test_drift(readings: np.ndarray) -> None:
     assert _close(found, -0.05)
 
 
+@pytest.mark.parametrize("rise_dn", [0.32, -0.32, 0.9])
+def test_light_of_the_room_that_rises_or_falls(readings: np.ndarray, rise_dn: float) -> None:
+    """Counted as a share of all light it left 0.7 % in the frames, and steps that no display shows."""
+    (found,) = _found(readings + rise_dn * np.arange(32)[:, None, None])
+    assert found.kind is OddityKind.AMBIENT
+    assert _close(found, 31 * rise_dn)
+    mended = repair_frames(
+        np.rint(readings + rise_dn * np.arange(32)[:, None, None]).astype(np.uint8), PATTERN, saturation_dn=255
+    )
+    assert not mended.errors
+    assert [one.code for one in mended.repairs] == ["frame_light_corrected"]
+    assert "light beside the fringes drifts" in mended.repairs[0].text
+    left = mended.frames - readings
+    assert np.abs(left.mean(axis=(1, 2)) - left.mean()).max() < 0.1
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_drift_and_flicker_together_are_solved(readings: np.ndarray, seed: int) -> None:
+    """Flicker of every frame holds the drift: equations of both were singular."""
+    share = np.random.default_rng(seed).uniform(-0.015, 0.015, 32)
+    found = _found(readings * (np.linspace(1, 0.93, 32) + share)[:, None, None])
+    assert {one.kind for one in found} <= {OddityKind.DRIFT, OddityKind.FLICKER, OddityKind.GAIN}
+    assert found
+
+
 def test_flicker_of_every_frame_is_found_in_all_together(readings: np.ndarray) -> None:
     """No single frame does half as much as noise; off axis, the focus was 7.6 sigma off."""
     share = np.random.default_rng(7).uniform(-0.015, 0.015, 32)
