@@ -1,6 +1,8 @@
 """CPU time and memory of the whole command on a facet, imports included, without the report.
 
-Run ``python benchmarks/facet_command.py`` for 203 x 154 px x 32 frames, ``... full`` for 1624 x 1232 px. The small one
+Run ``python benchmarks/facet_command.py`` for 203 x 154 px x 32 frames, ``... full`` for 1624 x 1232 px, ``... large``
+for the real frames with each pixel repeated 8 x 8 times: their outline contradicts the lens, so that what may be
+exchanged is searched for. The small one
 is the real facet where ../shared/data/opencsp is there, else a synthetic one of its size. User and system time of the
 child process, one thread. With the root of another checkout as argument, the same command of that version is run too,
 on what that version draws or imports (the same pixels; its measurement.toml has the keys that it knows).
@@ -70,9 +72,19 @@ import sys
 from pathlib import Path
 root, folder, size = sys.argv[1:]
 sys.path.insert(0, f"{root}/benchmarks")
-if size == "real":
+if size in ("real", "large"):
     from _measure import import_real_facet
     import_real_facet(Path(folder), with_pose=False)
+    if size == "large":
+        import re
+        import cv2
+        for file in Path(folder).glob("*.png"):
+            image = cv2.imread(str(file), cv2.IMREAD_UNCHANGED)
+            cv2.imwrite(str(file), image.repeat(8, axis=0).repeat(8, axis=1))
+        toml = Path(folder, "measurement.toml")
+        text = re.sub(r"(?m)^((?:width|height)_px) = (.*)$", lambda m: f"{m[1]} = {8 * int(m[2])}", toml.read_text())
+        text = re.sub(r"(?m)^(focal_._px) = (.*)$", lambda m: f"{m[1]} = {8 * float(m[2])!r}", text)
+        toml.write_text(re.sub(r"(?m)^(center_._px) = (.*)$", lambda m: f"{m[1]} = {8 * float(m[2]) + 3.5}", text))
 else:
     from data_synth.fringes import preset_scene, write_dataset
     write_dataset(Path(folder), preset_scene(size))
@@ -88,10 +100,13 @@ def measuring(root, scratch, size):
 
 
 def main():
-    is_full = "full" in sys.argv[1:]
-    others = [Path(one).resolve() for one in sys.argv[1:] if one != "full"]
+    is_large = "large" in sys.argv[1:] and OPENCSP.is_dir()
+    is_full = "full" in sys.argv[1:] or is_large
+    others = [Path(one).resolve() for one in sys.argv[1:] if one not in ("full", "large")]
     with tempfile.TemporaryDirectory() as scratch:
-        if is_full or not OPENCSP.is_dir():
+        if is_large:
+            size, name = "large", "real facet, 1624 x 1232 px x 32 frames"
+        elif is_full or not OPENCSP.is_dir():
             size = "full" if is_full else "small"
             name = f"synthetic facet, {'1624 x 1232' if is_full else '203 x 154'} px x 32 frames"
         else:

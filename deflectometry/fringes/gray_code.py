@@ -14,7 +14,7 @@ from deflectometry.setup.patterns import Axis, GrayCode
 from deflectometry.sources.display_edge import DisplayEdge, flag_display_edge
 from deflectometry.sources.noise_model import NoiseModel
 from deflectometry.sources.screen_map import ScreenMap
-from deflectometry.sources.source import Remedies
+from deflectometry.sources.source import Exchange, Remedies
 from heliogauge.adjust.chi_square import chi_square_limit
 from heliogauge.adjust.robust_scale import robust_scale
 from heliogauge.doubts import Doubt
@@ -192,8 +192,11 @@ class GrayCodeObservation(ShortRepr):
         """Flag pixels that see the edge of the display."""
         return flag_display_edge(screen_map, region, margin_px)
 
-    def exchanges(self) -> Iterator[tuple[str, "GrayCodeObservation"]]:
-        """Yield what programs and people exchange: sides of the images, sides and axes of the pattern."""
+    def exchanges(self, seen: ScreenMap) -> Iterator[Exchange]:
+        """Yield what programs and people exchange: sides of the images, sides and axes of the pattern.
+
+        seen: Not needed: reading the code again takes little.
+        """
         both = (
             ("left and right of the images are exchanged", (slice(None), slice(None, None, -1))),
             ("top and bottom of the images are exchanged", (slice(None, None, -1), slice(None))),
@@ -201,11 +204,13 @@ class GrayCodeObservation(ShortRepr):
         )
         for words, (rows, columns) in both:
             lit = None if self.lit is None else np.ascontiguousarray(self.lit[rows, columns])
-            yield words, replace(self, frames=np.ascontiguousarray(self.frames[:, rows, columns]), lit=lit)
+            turned = replace(self, frames=np.ascontiguousarray(self.frames[:, rows, columns]), lit=lit)
+            yield Exchange(words, turned, moves_outline=True)
         for words, axes in (
             ("left and right of the displayed pattern are exchanged", {Axis.X}),
             ("top and bottom of the displayed pattern are exchanged", {Axis.Y}),
             ("the displayed pattern is turned by 180 deg", {Axis.X, Axis.Y}),
         ):
-            yield words, replace(self, reversed_axes=frozenset(axes))
-        yield "frames of columns and of rows of the Gray code are exchanged", replace(self, axes=(Axis.Y, Axis.X))
+            yield Exchange(words, replace(self, reversed_axes=frozenset(axes)), moves_outline=False)
+        words = "frames of columns and of rows of the Gray code are exchanged"
+        yield Exchange(words, replace(self, axes=(Axis.Y, Axis.X)), moves_outline=False)
