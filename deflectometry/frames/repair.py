@@ -371,8 +371,6 @@ def _standing_still(state: _State, *, knocked: bool) -> _State | None:
     first = moved_sets(state.frames, state.pattern)
     if not first or (knocked and not _alike(first)):
         return None
-    from scipy import ndimage
-
     single = _single_frame_moved(state, first)
     if single is not None:
         return single
@@ -385,7 +383,7 @@ def _standing_still(state: _State, *, knocked: bool) -> _State | None:
         for number, where in enumerate(state.pattern.frame_slices):
             if total[number].any():
                 for k in range(where.start, where.stop):
-                    frames[k] = ndimage.shift(frames[k], -total[number][::-1], order=5, mode="nearest")
+                    frames[k] = _moved(frames[k], -total[number])
         found = moved_sets(frames, state.pattern)
         if not found:
             break
@@ -401,6 +399,15 @@ def _standing_still(state: _State, *, knocked: bool) -> _State | None:
     return state.with_frames(frames).with_doubt(doubt, stands_still=True)
 
 
+def _moved(frame_dn: npt.NDArray[np.float32], shift_px: FloatArray) -> npt.NDArray[np.float32]:
+    """Move a frame (h, w) by a shift (2,), x and y [px], with splines of the fifth order."""
+    # Few measurements have a frame that moved; loading ndimage takes a sixth of a small one's time.
+    from scipy import ndimage
+
+    moved: npt.NDArray[np.float32] = ndimage.shift(frame_dn, shift_px[::-1], order=5, mode="nearest")
+    return moved
+
+
 def _alike(moved: Mapping[int, FloatArray]) -> bool:
     """Return whether several sets have moved by the same, within a tenth of it."""
     shifts = np.array([one[0] for one in moved.values()])
@@ -414,8 +421,6 @@ def _single_frame_moved(state: _State, moved: Mapping[int, FloatArray]) -> _Stat
     The mean light of a set of n frames moves by an n-th of what one of its frames does, and that frame no longer fits
     the others: of all frames of the set, the one is moved back by n times as much that then fits best.
     """
-    from scipy import ndimage
-
     solvers = [solve_steps(one.steps_rad) for one in state.pattern.sets]
     places = state.pattern.frame_slices
     shares = [
@@ -431,7 +436,7 @@ def _single_frame_moved(state: _State, moved: Mapping[int, FloatArray]) -> _Stat
 
         def misfit(k: int, shift_px: FloatArray, images: npt.NDArray[np.float32], solver: StepSolver) -> float:
             back = images.copy()
-            back[k] = ndimage.shift(images[k], -shift_px[::-1], order=5, mode="nearest")
+            back[k] = _moved(images[k], -shift_px)
             return _misfit(state, back, solver)
 
         # The shift of mean light is found linearly, up to a quarter too long.
@@ -447,7 +452,7 @@ def _single_frame_moved(state: _State, moved: Mapping[int, FloatArray]) -> _Stat
             total = total + step * float(np.clip(0.5 * (low - high) / max(low + high - 2 * here, 1e-12), -3, 3))
         frames = state.frames.astype(np.float32)
         frame = where.start + best
-        frames[frame] = ndimage.shift(images[best], -total[::-1], order=5, mode="nearest")
+        frames[frame] = _moved(images[best], -total)
         text = (
             f"{state.describe(frame)}: moved by ({total[0]:+.3f}, {total[1]:+.3f}) px against the others; moved back. "
             "The camera or the mirror moved: fix both"
@@ -487,8 +492,6 @@ def _with_model(state: _State, model: FrameModel) -> _State | None:
         return _left_out(state, blurred, "another contrast or sharpness than the rest of the set")
     if kinds[OddityKind.SCALE_OF_SET]:
         return _with_places(state, model, kinds[OddityKind.SCALE_OF_SET])
-    from scipy import ndimage
-
     frames = state.frames
     odd_light = bool(model.offset_dn.any() or model.gain.any())
     if odd_light or model.shift_px.any():
@@ -497,7 +500,7 @@ def _with_model(state: _State, model: FrameModel) -> _State | None:
             if odd_light:
                 frames[k] = (frame - model.offset_dn[k]) / (1 + model.gain[k])
             if model.shift_px[k].any():
-                frames[k] = ndimage.shift(frames[k], model.shift_px[k][::-1], order=5, mode="nearest")
+                frames[k] = _moved(frames[k], model.shift_px[k])
     sets = [
         replace(one, steps_rad=one.steps_rad + model.step_rad[where])
         for one, where in zip(state.pattern.sets, state.pattern.frame_slices, strict=True)
