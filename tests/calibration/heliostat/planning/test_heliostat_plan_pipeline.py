@@ -82,7 +82,7 @@ def test_flags_are_options():
     options = {field.name: field.default for field in dataclasses.fields(NextOptions)}
     scaled = {"goal_mrad": ("goal_rad", 1e-3), "sigma_mm": ("sigma_m", 1e-3)}
     for name, default in flags.items():
-        if name not in ("result", "out", "quiet", "verbose"):
+        if name not in ("folder", "out", "as_json", "quiet", "verbose"):
             field, factor = scaled.get(name, (name, 1))
             assert options[field] == pytest.approx(default * factor if factor != 1 else default), name
             options.pop(field)
