@@ -35,15 +35,15 @@ def judged(
 ) -> tuple[Doubt, ...]:
     """Judge doubts where the exchanges of these words explain the contradiction."""
 
-    def exchanges(source: Any, setup: Any) -> Iterator[contradictions._Exchange]:
+    def exchanges(source: Any, setup: Any, mirror: Any, evaluation: Any) -> Iterator[contradictions._Exchange]:
         yield contradictions._Exchange(IMAGES, source, setup)
         yield contradictions._Exchange(LENS, source, setup, is_of_lens=True)
 
     monkeypatch.setattr(contradictions, "_exchanges", exchanges)
-    monkeypatch.setattr(contradictions, "_agrees", lambda one, mirror, choices: one.words in explained)
+    monkeypatch.setattr(contradictions, "_agrees", lambda one, mirror, choices, curls: one.words in explained)
     monkeypatch.setattr(contradictions, "turn_in_sigmas", lambda evaluation: turn)
     nothing = cast("Any", SimpleNamespace(choices=None, camera=CAMERA))
-    return judge_contradictions(nothing, nothing, nothing, nothing, doubts, refuse=refuse)
+    return judge_contradictions(nothing, nothing, nothing, nothing, doubts, {}, refuse=refuse)
 
 
 def test_the_direction_of_the_lens_alone_is_doubted_and_not_the_cure(monkeypatch: pytest.MonkeyPatch) -> None:
