@@ -56,10 +56,11 @@ def add_command(
     from heliogauge.running.terminal import terminal_progress
 
     added = add(results, out, AddOptions(date, subject, force), terminal_progress(quiet=quiet, verbose=False))
+    advice = "the later folder of this command is kept" if force else "--force puts this evaluation in its place"
     warnings = [f"left out: {reason}" for _, reason in added.left_out]
     warnings += [
         f"{folder}: the same measurement is in the store as {name[:_SHOWN_DIGITS]} with other numbers and counts "
-        "once; --force puts this evaluation in its place"
+        f"once; {advice}"
         for folder, name in added.again
     ]
     _say("warning", warnings, verbose=verbose)

@@ -131,7 +131,7 @@ class Put:
 
     added: Results with the names that they are known by now.
     known: Results that were in it already, with their names there.
-    again: Measurements that were in it with other numbers, with their names there; they stayed as they were.
+    again: Measurements that were in it, or came in the same call, with other numbers, which stay; with their names.
     replaced: Those of `added` that took the place of an earlier evaluation.
     """
 
@@ -144,29 +144,36 @@ class Put:
 def put(store: Path, manifest: Manifest, results: Sequence[StoredResult], *, force: bool = False) -> Put:
     """Put results into a store that is held (`writing`), all or none of them, each once.
 
-    force: An evaluation of a measurement that is there takes the place of the earlier one.
+    force: An evaluation of a measurement that is there takes the place of the earlier one; of several that come
+        together the last one stays.
     InputError: The store cannot be written; it is as it was.
     """
     with connect() as connection, explain_query(store):
         book = _Book(store, manifest, connection)
-        done, gone = Put(), set[str]()
-        for result in results:
+        done, gone, ours = Put(), set[str](), set[str]()
+        # Of two evaluations in one call the later one stays with force, the earlier one without.
+        for result in reversed(results) if force else results:
             entry = _entry(result)
             earlier, is_same = book.find(entry, result, gone)
             if is_same and earlier:
                 done.known.append((result, earlier[0]))
+                ours.add(earlier[0])
                 continue
             is_whole_now = not entry.taken_over and all(book.entries[one].taken_over for one in earlier)
-            if earlier and not force and not is_whole_now:
+            if earlier and not is_whole_now and (not force or not ours.isdisjoint(earlier)):
                 done.again.append((result, earlier[0]))
                 continue
             if earlier:
                 done.replaced.append((result, earlier[0]))
                 gone |= set(earlier)
             book.add(entry, result)
+            ours.add(entry.result)
             done.added.append((result, entry.result))
-        # Of two evaluations in one call the later one stays.
+        # A whole result takes the place of a part that came in the same call.
         done.added = [(result, name) for result, name in done.added if name not in gone]
+        if force:
+            for some in (done.added, done.known, done.again, done.replaced):
+                some.reverse()
         if done.added:
             _change_files(
                 connection, store, manifest, [(result, book.entries[name]) for result, name in done.added], gone

@@ -225,6 +225,31 @@ def test_two_evaluations_in_one_call_count_once(tmp_path):
     assert rows_of(tmp_path / "two") == [(1.1e-3,)]
 
 
+def test_the_same_folders_forced_again_change_nothing(tmp_path):
+    """Two evaluations of one measurement lie in the folders: the later one stays, however often it is put in."""
+    folders, store, options = tmp_path / "all", tmp_path / "store", AddOptions(force=True)
+    for number, value in enumerate((1e-3, 1.1e-3)):
+        write_result(folders / f"r{number}", value=value, inputs={"a.png": "1" * 64})
+    added = add([folders], store, options)
+    assert (added.results, len(added.replaced), [one.name for one, _ in added.again]) == (1, 0, ["r0"])
+    added = add([folders], store, options)
+    assert (added.results, added.replaced, added.known) == (0, (), (folders / "r1",))
+    write_result(folders / "r2", "H02", value=3e-3, inputs={"b.png": "2" * 64})
+    added = add([folders], store, options)
+    assert ([one.name for one, _ in added.added], added.replaced, added.known) == (["r2"], (), (folders / "r1",))
+    assert rows_of(store, "subject, value") == [("H01", 1.1e-3), ("H02", 3e-3)]
+    # A later evaluation takes the place of what is in the store; the earlier ones do not come back.
+    write_result(folders / "r3", value=1.2e-3, inputs={"a.png": "1" * 64})
+    added = add([folders], store, options)
+    assert [one.name for one, _ in added.replaced] == ["r3"]
+    assert rows_of(store, "subject, value") == [("H01", 1.2e-3), ("H02", 3e-3)]
+    done = CliRunner().invoke(app, ["add", str(folders), "-o", str(store), "--force"])
+    assert done.stdout.startswith("0 results, 0 rows added")
+    assert done.stderr.count("the later folder of this command is kept") == 2
+    assert "--force" not in done.stderr
+    assert check(store).faults == ()
+
+
 def test_nothing_stays_of_a_result_that_is_refused(tmp_path):
     """The table behind the summary's numbers holds a word: no row of the result, and the others are whole."""
     good = write_result(tmp_path / "all" / "a")
