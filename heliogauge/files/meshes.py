@@ -10,7 +10,7 @@ import numpy as np
 
 from heliogauge.errors import InputError
 from heliogauge.files.memory import MIB, refuse_large
-from heliogauge.files.ply import check_ply
+from heliogauge.files.ply import checked_ply
 from heliogauge.files.regular import read_regular
 from heliogauge.validate import FloatArray, IntArray
 
@@ -39,7 +39,7 @@ def read_triangles(path: Path, load_open3d: Callable[[], Any]) -> tuple[FloatArr
         # Materials and pictures are other files, anywhere; a shape needs none of them.
         content = b"\n".join(line for line in content.splitlines() if line.split()[:1] in _OBJ_SHAPE)
     elif kind == ".ply":
-        check_ply(path, content)
+        content = checked_ply(path, content)
     else:
         _check_stl(path, content)
     open3d = load_open3d()
@@ -50,9 +50,12 @@ def read_triangles(path: Path, load_open3d: Callable[[], Any]) -> tuple[FloatArr
         # A copy: open3d opens by name, and what stands under the name may have changed since it was checked.
         copy = Path(folder) / f"mesh{kind}"
         copy.write_bytes(content)
-        mesh = open3d.io.read_triangle_mesh(str(copy))
-    mesh.remove_duplicated_vertices()
-    vertices, triangles = np.asarray(mesh.vertices), np.asarray(mesh.triangles)
+        try:
+            mesh = open3d.io.read_triangle_mesh(str(copy))
+            mesh.remove_duplicated_vertices()
+            vertices, triangles = np.asarray(mesh.vertices), np.asarray(mesh.triangles)
+        except MemoryError as error:
+            raise InputError(f"{path}: there is not enough memory to read it") from error
     if len(triangles) == 0:
         raise InputError(f"{path}: no triangles could be read; export the part as a mesh, not as points or curves")
     if not np.isfinite(vertices).all():

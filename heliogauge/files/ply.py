@@ -55,25 +55,36 @@ class _Element:
         """Return the bytes of one at the least; of text, a digit and what separates it from the next."""
         if is_text:
             return 2 * max(len(self.properties), 1)
-        # A list has its length at the least.
-        return sum(int(_TYPES.get(kind, "u1")[1]) for _, kind in self.properties)
+        # A list has its length at the least; nothing at all could be there without end.
+        return max(sum(int(_TYPES[kind.removeprefix("list ").split()[0]][1]) for _, kind in self.properties), 1)
 
 
 @dataclass(frozen=True, slots=True)
 class _Header:
-    """What a header says: order of bytes, empty for text, and elements."""
+    """What a header says: form (a key of `_ORDERS`) and elements."""
 
-    order: str
+    form: str
     elements: tuple[_Element, ...]
 
+    def write(self) -> bytes:
+        """Return the header as text, with nothing else in it."""
+        lines = ["ply", f"format {self.form} 1.0"]
+        for element in self.elements:
+            lines.append(f"element {element.name} {element.count}")
+            lines += [f"property {kind} {name}" for name, kind in element.properties]
+        return "\n".join([*lines, "end_header", ""]).encode("latin-1")
 
-def check_ply(path: Path, content: bytes) -> None:
+
+def checked_ply(path: Path, content: bytes) -> bytes:
     """Check a PLY file that a library will read, which makes room for what the header claims.
 
     path: For messages.
+    Returns: The file with its header written anew, without comments: readers end words, lines and comments in
+        different places, and the library must see the elements that were checked.
     InputError: No PLY, or it claims more than it holds.
     """
-    _read_header(path, io.BytesIO(content))
+    file = io.BytesIO(content)
+    return _read_header(path, file).write() + file.read()
 
 
 def read_ply_columns(path: Path) -> dict[str, FloatArray]:
@@ -93,7 +104,8 @@ def read_ply_columns(path: Path) -> dict[str, FloatArray]:
             raise InputError(f"{path}: the vertices cannot be read (properties {vertex.properties}): one number each")
         refuse_large(str(path), _VALUE_BYTES * vertex.count * len(names), f"{vertex.count} vertices")
         try:
-            return _text_columns(file, vertex) if not header.order else _binary_columns(file, vertex, header.order)
+            order = _ORDERS[header.form]
+            return _binary_columns(file, vertex, order) if order else _text_columns(file, vertex)
         except (ValueError, OSError) as error:
             raise InputError(f"{path}: the vertices cannot be read ({error})") from None
         except MemoryError as error:
@@ -111,18 +123,25 @@ def _read_header(path: Path, file: BinaryIO) -> _Header:
         raise InputError(f"{path}: not a PLY file; its header is not whole")
     elements: list[_Element] = []
     for number, line in enumerate(words, start=1):
-        if line[:1] == ["element"]:
-            # Nineteen digits: beyond, no file holds as many.
-            if len(line) != 3 or not re.fullmatch(r"0*[0-9]{1,19}", line[2], re.ASCII) or len(line[2]) > 40:
-                shown = lines[number - 1][:60]
+        shown = lines[number - 1][:60]
+        match line:
+            case ["element", name, count]:
+                # Nineteen digits: beyond, no file holds as many.
+                if not re.fullmatch(r"0*[0-9]{1,19}", count, re.ASCII) or len(count) > 40 or not name.isprintable():
+                    raise InputError(f"{path}, line {number}: a name and a whole number are needed, not {shown!r}")
+                elements.append(_Element(name, int(count), ()))
+            case ["element", *_]:
                 raise InputError(f"{path}, line {number}: a name and a whole number are needed, not {shown!r}")
-            elements.append(_Element(line[1], int(line[2]), ()))
-        elif line[:1] == ["property"]:
-            if len(line) < 3 or not elements:
-                shown = lines[number - 1][:60]
-                raise InputError(f"{path}, line {number}: a type and a name are needed, not {shown!r}")
-            last = elements[-1]
-            elements[-1] = _Element(last.name, last.count, (*last.properties, (line[-1], line[1])))
+            case ["property", *kinds]:
+                name = kinds.pop() if kinds else ""
+                if not elements or not _is_property(kinds) or not name.isprintable():
+                    raise InputError(f"{path}, line {number}: a type and a name are needed, not {shown!r}")
+                last = elements[-1]
+                elements[-1] = _Element(last.name, last.count, (*last.properties, (name, " ".join(kinds))))
+            case ["ply" | "format" | "comment" | "obj_info", *_] | []:
+                pass
+            case _:
+                raise InputError(f"{path}, line {number}: {shown!r} is nothing that a PLY file says")
     held = file.seek(0, io.SEEK_END) - end.end()
     file.seek(end.end())
     for element in elements:
@@ -131,7 +150,14 @@ def _read_header(path: Path, file: BinaryIO) -> _Header:
             raise InputError(
                 f"{path}: claims {element.count} of {element.name}, which {held} bytes cannot hold; copy it again"
             )
-    return _Header(_ORDERS[form], tuple(elements))
+    return _Header(form, tuple(elements))
+
+
+def _is_property(kinds: list[str]) -> bool:
+    """Return whether these are the types of a number, or of the length of a list and its numbers."""
+    if kinds[:1] == ["list"]:
+        return len(kinds) == 3 and all(kind in _TYPES for kind in kinds[1:])
+    return len(kinds) == 1 and kinds[0] in _TYPES
 
 
 def _binary_columns(file: BinaryIO, vertex: _Element, order: str) -> dict[str, FloatArray]:

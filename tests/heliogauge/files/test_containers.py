@@ -5,8 +5,10 @@ import subprocess
 import sys
 import threading
 from collections.abc import Callable, Iterator
+from contextlib import nullcontext
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -17,7 +19,7 @@ from heliogauge.files import memory
 from heliogauge.files.e57 import read_e57_columns
 from heliogauge.files.meshes import read_triangles
 from heliogauge.files.parquet import parquet_rows
-from heliogauge.files.ply import check_ply, read_ply_columns
+from heliogauge.files.ply import checked_ply, read_ply_columns
 from heliogauge.files.videos import open_video
 from tests.heliogauge.files.e57_files import change_xml, write_e57
 
@@ -239,7 +241,7 @@ class TestPly:
         (tmp_path / "a.ply").write_bytes(text.replace("\n", "\r\n").encode())
         assert read_ply_columns(tmp_path / "a.ply")["y"].tolist() == [2.0, 5.0]
 
-    @pytest.mark.parametrize("reader", [read_ply_columns, lambda path: check_ply(path, path.read_bytes())])
+    @pytest.mark.parametrize("reader", [read_ply_columns, lambda path: checked_ply(path, path.read_bytes())])
     @pytest.mark.parametrize(
         ("count", "words"),
         [
@@ -296,6 +298,58 @@ class TestPly:
         said, used = found.stdout.strip().splitlines()
         assert "cannot be read (a line of more than" in said or "vertices need" in said
         assert int(used) < 400_000
+
+
+class Library:
+    """Stands for open3d: keeps the file that it is given, and has no room for what is in it."""
+
+    def __init__(self) -> None:
+        self.handed: list[bytes] = []
+        self.io = self.utility = self
+
+    VerbosityLevel = SimpleNamespace(Error=0)
+
+    def VerbosityContextManager(self, _: int) -> nullcontext[None]:  # as open3d calls it
+        return nullcontext()
+
+    def read_triangle_mesh(self, name: str) -> None:
+        self.handed.append(Path(name).read_bytes())
+        raise MemoryError("std::bad_alloc")
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "property float a element vertex 50000000",
+        "property list uchar int a element vertex 50000000",
+        "property list uchar a",
+        "property many a",
+        "dummy element vertex 50000000",
+        "element vertex 50000000\x0bcomment",
+        "element vertex 50000000",
+    ],
+)
+@pytest.mark.parametrize("form", ["ascii", "binary_little_endian"])
+def test_ply_with_elements_that_are_hidden_from_the_check(tmp_path: Path, form: str, line: str) -> None:
+    """A library that reads word by word finds elements within a line, and makes room for them."""
+    library = Library()
+    head = f"ply\nformat {form} 1.0\nelement dummy 0\n{line}\nend_header\n"
+    (tmp_path / "a.ply").write_bytes(head.encode() + b"0 0 0\n")
+    with pytest.raises(InputError, match=r"needed|nothing that a PLY file says|cannot hold"):
+        read_triangles(tmp_path / "a.ply", lambda: library)
+    assert library.handed == []
+
+
+def test_the_library_is_given_the_header_that_was_checked(tmp_path: Path) -> None:
+    """It would end a comment of one word a line later, and put the properties to another element."""
+    library = Library()
+    says = ["element vertex 1", "property float x", "element face 0", "property list uchar int vertex_indices"]
+    head = ["ply", "comment", "format binary_little_endian 1.0", *says[:2], "comment", *says[2:], "end_header", ""]
+    (tmp_path / "a.ply").write_bytes("\r\n".join(head).encode() + b"\0\n\r\n")
+    with pytest.raises(InputError, match=r"a\.ply: there is not enough memory"):
+        read_triangles(tmp_path / "a.ply", lambda: library)
+    expected = "\n".join(["ply", "format binary_little_endian 1.0", *says, "end_header", ""])
+    assert library.handed == [expected.encode() + b"\0\n\r\n"]
 
 
 @pytest.mark.parametrize("count", [2, 2**32 - 1])
