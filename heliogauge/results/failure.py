@@ -51,7 +51,8 @@ def failure_folder(out: Path) -> Path:
     >>> failure_folder(Path("results/facet")).as_posix()
     'results/facet-failed'
     """
-    return out.with_name(f"{out.name}-failed")
+    whole = out if out.name else out.absolute()
+    return whole.with_name(f"{whole.name}-failed")
 
 
 def write_failure(folder: Path, error: MetrologyError) -> Path | None:

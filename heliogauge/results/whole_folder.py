@@ -96,6 +96,9 @@ class WholeFolder:
         target, kind = self._target, self._kind
         if not target.exists():
             return
+        if target.samefile(Path.cwd()):
+            # It is moved away or replaced as a whole: whoever stands in it would stand nowhere.
+            raise InputError(f"{target}: the folder you are in cannot be replaced; name another, or go one up")
         if not target.is_dir():
             raise InputError(f"{target}: a file stands where the folder of {kind.content} should; {kind.remedy}")
         try:

@@ -108,3 +108,8 @@ def test_a_folder_that_is_not_whole_is_left_with_its_pictures(tmp_path: Path) ->
         with showing(lambda: [picture()]):
             raise EstimationError("no")
     assert [one.name for one in tmp_path.iterdir()] == ["out-failed"]
+
+
+def test_the_folder_one_is_in_has_its_pictures_beside_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert failure_folder(Path(".")) == tmp_path.with_name(f"{tmp_path.name}-failed")

@@ -45,6 +45,17 @@ def test_without_a_mark_nothing_is_ever_replaced(tmp_path: Path) -> None:
     assert (tmp_path / "a" / "plan.toml").read_text() == "old"
 
 
+@pytest.mark.parametrize("kind", [PLANS, ONCE])
+def test_the_folder_one_is_in_is_not_replaced(
+    tmp_path: Path, kind: FolderKind, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The shell would stand in a folder that is gone."""
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(InputError, match="the folder you are in cannot be replaced"):
+        make(Path("."), kind, "new", force=True)
+    assert list(tmp_path.iterdir()) == []
+
+
 @pytest.mark.parametrize("number", [errno.ENOSPC, errno.EDQUOT, errno.EROFS])
 def test_a_full_disk_is_one_clear_message(tmp_path: Path, number: int) -> None:
     with pytest.raises(InputError, match=r"cannot be written .*check permissions and space"):
