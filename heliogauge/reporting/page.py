@@ -2,18 +2,19 @@
 
 import html
 from collections.abc import Iterable, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
-from heliogauge.doubts import Severity, heaviest_first
+from heliogauge.doubts import Doubt, Severity, heaviest_first
 from heliogauge.errors import EstimationError
 from heliogauge.flags import FLAG_TEXTS, REJECTED, SampleFlag, count_flags
 from heliogauge.reporting.html import FirstScreen, Html, Shown, join, table, wrap
 from heliogauge.reporting.notation import number_text
 from heliogauge.reporting.results import Results, open_results
 from heliogauge.reporting.verdict import State, Verdict, doubt_mark
-from heliogauge.results.folder import Summary, unit_of
+from heliogauge.results.folder import SUMMARY_FILE, Summary, read_summary, unit_of
 from heliogauge.slopes.map import SlopeMap
 from heliogauge.slopes.removal import Removal
 from heliogauge.slopes.statistics import statistics
@@ -26,6 +27,7 @@ __all__ = [
     "Html",
     "Results",
     "doubts_box",
+    "doubts_of",
     "duration_table",
     "first_screen",
     "flag_table",
@@ -173,7 +175,18 @@ def headline_numbers(rows: Iterable[tuple[str, ...]]) -> Html:
 
 def doubts_box(results: HasSummary) -> Html:
     """Return all doubts with all their words, or the statement that there are none."""
-    doubts = results.summary.doubts
+    return _doubt_list(results.summary.doubts)
+
+
+def doubts_of(folder: Path) -> Html:
+    """Return the doubts of a folder of results as `doubts_box` does.
+
+    InputError: No summary is in the folder, or it is damaged.
+    """
+    return _doubt_list(read_summary(folder / SUMMARY_FILE).doubts)
+
+
+def _doubt_list(doubts: Sequence[Doubt]) -> Html:
     if not doubts:
         return Html("<p>No check found anything doubtful.</p>")
     items = "".join(

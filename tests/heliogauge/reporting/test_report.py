@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from heliogauge.camera.model import Camera
-from heliogauge.doubts import Doubt
+from heliogauge.doubts import Doubt, Severity
 from heliogauge.errors import InputError
 from heliogauge.flags import SampleFlag
 from heliogauge.geometry.rigid import RigidTransform
@@ -18,6 +18,7 @@ from heliogauge.instruments import instruments, read_resource
 from heliogauge.reporting import page
 from heliogauge.reporting.build import build_report
 from heliogauge.reporting.uncertainty import uncertainty_shares
+from heliogauge.reporting.verdict import verdict_of
 from heliogauge.results.folder import (
     PhotoPose,
     Summary,
@@ -224,6 +225,24 @@ def test_the_notebook_in_the_package_is_clean_and_short(file: str) -> None:
         if cell.cell_type == "code":
             assert cell.outputs == []
             assert cell.execution_count is None
+
+
+@pytest.mark.parametrize("file", [file for one in instruments() for file in one.reports.values()])
+def test_every_report_has_the_doubts_that_its_verdict_leads_to(file: str) -> None:
+    cells = nbformat.reads(read_resource(file), as_version=4).cells
+    (title,) = [number for number, cell in enumerate(cells) if cell.source.startswith("## Doubts")]
+    assert re.fullmatch(r"(page|report)\.doubts(_box|_of)?\((\w+)\)", cells[title + 1].source)
+
+
+def test_every_link_of_a_verdict_leads_to_a_place_among_the_doubts(tmp_path: Path) -> None:
+    note = Doubt("small", "the result is as good as its camera", severity=Severity.NOTE)
+    summary = replace(make_summary(make_map()), doubts=(WARNING, note))
+    write_summary(tmp_path / "summary.json", summary)
+    links = set(re.findall(r'href="#([^"]+)"', page.verdict_box(verdict_of(summary)).text))
+    shown = page.doubts_of(tmp_path).text
+    assert links == {"doubt-1", "all-doubts"}
+    assert links < set(re.findall(r'id="([^"]+)"', shown))
+    assert "as good as its camera" in shown
 
 
 @pytest.mark.parametrize(
