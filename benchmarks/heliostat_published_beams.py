@@ -200,7 +200,8 @@ def twin():
     plainly, wormed = (float(one[0]) for one in means.values())
     # Over the worm's phase, which is not published; 1.94 were measured.
     within("V-11 8 parameters: 6 Sep corrected, beam [mrad]", 1.57, 1.87, plainly)
-    below("V-11 with the worm's 2: less than without", plainly, wormed)
+    # Published as down to the noise floor, which is 0.28 in V-15: 0.6 is about twice that.
+    below("V-11 with the worm's 2: 6 Sep corrected, beam [mrad]", 0.6, wormed)
     study = monte_carlo(case.truth, worm, beams, 40, 5)
     ratio = study.scatter_over_sigma[[study.names.index(name) for name in ANGLES]].mean()
     line("V-10 angles of table 6.1: scatter over stated sigma", "1", f"{ratio:.2f}", bool(abs(ratio - 1) < 0.3))
