@@ -79,7 +79,7 @@ def gather_doubts(*doubts: Doubt | Iterable[Doubt] | None) -> tuple[Doubt, ...]:
 
 
 def doubts_of_parts(parts: Mapping[str, Iterable[Doubt]], what: str) -> tuple[Doubt, ...]:
-    """Return what the parts of a result have to say, one doubt for each code; notes are passed over.
+    """Return what the parts of a result have to say, for each code the heaviest doubt; notes are passed over.
 
     parts: The doubts of every part by its name, none too.
     what: What the parts are, such as "heliostats".
@@ -90,13 +90,12 @@ def doubts_of_parts(parts: Mapping[str, Iterable[Doubt]], what: str) -> tuple[Do
     """
     groups: dict[str, dict[str, Doubt]] = {}
     for name, doubts in parts.items():
-        for one in doubts:
+        for _, one in heaviest_first(doubts):
             if one.severity is not Severity.NOTE:
                 groups.setdefault(one.code, {}).setdefault(name, one)
     found = []
     for members in groups.values():
-        order = list(Severity)
-        worst = max(members.values(), key=lambda one: order.index(one.severity))
+        worst = heaviest_first(members.values())[0][1]
         shown = ", ".join(list(members)[:_MOST_NAMES]) + (", ..." if len(members) > _MOST_NAMES else "")
         text = f"{len(members)} of {len(parts)} {what}, {worst.code.replace('_', ' ')} ({shown}): {worst.text}"
         found.append(replace(worst, text=text, numbers={"parts_count": len(members)}))

@@ -72,6 +72,14 @@ def test_a_diagnosis_that_others_change_changes_the_doubts_of_the_row(folder):
     assert changed["warnings_count"] == 2
 
 
+@pytest.mark.parametrize("turn", [1, -1])
+def test_a_part_with_several_doubts_of_a_code_says_the_gravest(turn):
+    both = [Doubt("photos_few", "3 photos only"), Doubt("photos_few", "1 photo only", severity=Severity.SERIOUS)]
+    (found,) = doubts_of_parts({"A": both[::turn], "B": both[:1]}, "heliostats")
+    assert found.severity is Severity.SERIOUS
+    assert found.text == "2 of 2 heliostats, photos few (A, B): 1 photo only"
+
+
 def test_parts_with_one_doubt_make_one_doubt_of_the_gravest_kind():
     grave = Doubt("photos_few", "1 photo only", severity=Severity.SERIOUS)
     parts = {
