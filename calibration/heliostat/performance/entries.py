@@ -12,6 +12,8 @@ from heliogauge.errors import InputError
 
 #: ISO 14253-1:2017: the probability at which conformity counts as proven unless agreed otherwise.
 CONFIDENCE = 0.95
+#: Probability with which a bound on what was not seen holds (`Entry.below`).
+BOUND_PROBABILITY = 0.95
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +60,8 @@ class Conformity(StrEnum):
 
     PASS, FAIL: Proven with the probability asked.
     CONDITIONAL_PASS, CONDITIONAL_FAIL: The value lies inside or outside, but its uncertainty reaches across the limit.
-    UNDECIDED: No uncertainty is known, so nothing is proven.
+    UNDECIDED: No uncertainty is known, or none was seen and its bound reaches the limit or holds with less than the
+        probability asked: nothing is proven.
     NOT_MEASURED: There is no value.
     NO_LIMIT: Nothing was asked.
     """
@@ -119,7 +122,7 @@ def decide(entry: Entry, limit: Limit | None, confidence: float = CONFIDENCE) ->
     if limit is None:
         return Decision(Conformity.NO_LIMIT)
     if entry.value is None:
-        return _of_none_seen(entry.below, limit)
+        return _of_none_seen(entry.below, limit, confidence)
     if entry.sigma is None or not isfinite(entry.sigma) or entry.sigma <= 0:
         return Decision(Conformity.UNDECIDED)
     from scipy.special import ndtr, ndtri, stdtr, stdtrit
@@ -144,9 +147,13 @@ def decide(entry: Entry, limit: Limit | None, confidence: float = CONFIDENCE) ->
     return Decision(state, probability, quantile * entry.sigma)
 
 
-def _of_none_seen(below: float | None, limit: Limit) -> Decision:
-    """Return what a limit makes of a size that was not seen: only an upper end above all that it can be is kept."""
+def _of_none_seen(below: float | None, limit: Limit, confidence: float) -> Decision:
+    """Return what a limit makes of a size that was not seen: only an upper end above all that it can be is kept.
+
+    The bound holds with the probability of `BOUND_PROBABILITY`; of a larger one it proves nothing.
+    """
     if below is None:
         return Decision(Conformity.NOT_MEASURED)
-    kept = limit.least is None and limit.most is not None and below <= limit.most
+    proven = confidence <= BOUND_PROBABILITY
+    kept = proven and limit.least is None and limit.most is not None and below <= limit.most
     return Decision(Conformity.PASS if kept else Conformity.UNDECIDED)

@@ -11,12 +11,13 @@ from statistics import NormalDist
 import numpy as np
 
 from calibration.heliostat.performance.beam_series import Estimate
+from calibration.heliostat.performance.entries import BOUND_PROBABILITY
 from heliogauge.validate import FloatArray
 
 #: Chance by noise from which on the largest of many tries counts as not seen.
 CHANCE = 0.01
 #: Standard deviations of an upper bound that holds with 95 %.
-BOUND = NormalDist().inv_cdf(0.95)
+BOUND = NormalDist().inv_cdf(BOUND_PROBABILITY)
 _DRAWS = 200
 
 

@@ -11,8 +11,8 @@ from calibration.heliostat.performance.beam_series import (
     near_noon,
     repeated,
 )
-from calibration.heliostat.performance.entries import Entry
-from calibration.heliostat.performance.extremes import BOUND, CHANCE
+from calibration.heliostat.performance.entries import BOUND_PROBABILITY, Entry
+from calibration.heliostat.performance.extremes import CHANCE
 from calibration.heliostat.performance.keys import BeamSection, HeliostatTests, files_of
 from calibration.heliostat.performance.mirror_angles import LineOfSight
 from calibration.heliostat.performance.pipeline.outcome import Maker, Outcome
@@ -307,6 +307,8 @@ def repeat_test(tests: HeliostatTests, section: BeamSection) -> Outcome:
         raise InputError(
             "[repeat] file: the column approach is missing or has empty cells: from where each aim was reached"
         )
+    from scipy.special import stdtrit
+
     found = repeated(beams.series, np.array(beams.approach))
     entries = [
         make.entry("right_beam_rad", "Repeatability of the beam to the right, standard deviation", found.scatter[0]),
@@ -328,7 +330,8 @@ def repeat_test(tests: HeliostatTests, section: BeamSection) -> Outcome:
         if f_tail((size / max(sigma, 1e-300)) ** 2 / others, others, spare) < CHANCE:
             entries.append(make.entry(f"sides_{key}_beam_rad", label, Estimate(size, sigma, spare), note))
         else:
-            entries.append(make.none_seen(f"sides_{key}_beam_rad", label, size + BOUND * sigma, note))
+            reach = float(stdtrit(spare, BOUND_PROBABILITY))
+            entries.append(make.none_seen(f"sides_{key}_beam_rad", label, size + reach * sigma, note))
     if len(found.sides) > 1 and found.p_same < CHANCE:
         doubts.append(
             Doubt(

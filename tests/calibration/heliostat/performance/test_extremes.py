@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.stats import t
 
 from calibration.heliostat.performance.entries import Conformity, Entry, Limit, decide
 from calibration.heliostat.performance.extremes import largest_of
@@ -110,6 +111,27 @@ def test_bound_of_a_sawtooth_holds(tmp_path):
     assert found[0.4] <= 5
 
 
+def test_bound_of_the_difference_between_sides_holds_for_few_approaches(tmp_path):
+    """Two from each side leave two degrees of freedom, whose 95 % are 2.92 sigmas (Student's t), not 1.64."""
+    measured(tmp_path, np.zeros((TIMES_S.size, 2)), np.random.default_rng(0))
+    lines = (tmp_path / "beams.csv").read_text().splitlines()
+    east, west = [0.010, 0.030], [0.012, 0.026]
+    rows = [line.split(",") for line in lines[1:5]]
+    for row, x, side in zip(rows, [*east, *west], ["east", "east", "west", "west"], strict=True):
+        row[1], row[2], row[5] = str(x), "0.0", side
+    (tmp_path / "few.csv").write_text("\n".join([lines[0], *map(",".join, rows)]) + "\n")
+    head, _, _ = MEASUREMENT.partition("[day]")
+    (tmp_path / "measurement.toml").write_text(f'{head}[repeat]\nfile = "few.csv"\n')
+    entries = {one.name: one for one in run(load_tests(tmp_path)).entries}
+    sigma_m = np.sqrt((np.var(east, ddof=1) + np.var(west, ddof=1)) / 2)
+    expected_m = abs(np.mean(east) - np.mean(west)) + t.ppf(0.95, 2) * sigma_m
+    # Angles to the right are those of places seen on the slant.
+    below = entries["repeat_sides_right_beam_rad"].below
+    scatter = entries["repeat_right_beam_rad"]
+    assert below > 0
+    assert below == pytest.approx(expected_m / RANGE_M, rel=0.02), scatter
+
+
 def test_readings_of_a_sun_camera_that_are_left_out_are_counted(tmp_path):
     measured(tmp_path, np.zeros((TIMES_S.size, 2)), np.random.default_rng(0))
     lines = (tmp_path / "angles.csv").read_text().splitlines()
@@ -171,3 +193,10 @@ class TestNoneSeen:
     )
     def test_a_limit_above_the_bound_is_kept(self, limit, conformity):
         assert decide(self.entry, limit).conformity is conformity
+
+    @pytest.mark.parametrize(
+        ("confidence", "conformity"),
+        [(0.9, Conformity.PASS), (0.95, Conformity.PASS), (0.951, Conformity.UNDECIDED), (0.99, Conformity.UNDECIDED)],
+    )
+    def test_a_bound_of_95_percent_shows_no_more(self, confidence, conformity):
+        assert decide(self.entry, Limit(most=1e-3), confidence).conformity is conformity
