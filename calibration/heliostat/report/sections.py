@@ -293,9 +293,11 @@ def note_section(report: HeliostatReport) -> Html:
 def field_screen(report: FieldReport) -> FirstScreen:
     """Return the first screen of a field: verdict, the numbers of its heliostats, the field from above."""
     numbers, summary = report.summary.numbers, report.summary
-    count, calibrated, failed, sound = (
-        int(numbers.get(f"{kind}_count") or 0) for kind in ("heliostats", "calibrated", "failed", "without_doubt")
+    count, calibrated, failed, faulty, doubtful = (
+        int(numbers.get(f"{kind}_count") or 0) for kind in ("heliostats", "calibrated", "failed", "faulty", "doubtful")
     )
+    # Results of earlier versions do not count those without doubt.
+    sound = int(numbers.get("without_doubt_count", calibrated - faulty - doubtful) or 0)
     missing = [f"{failed} of {count} heliostats have no model"] if failed else []
     passed = [f"{sound} of {count} heliostats without fault or doubt"] if sound > 0 else []
     verdict = verdict_of(summary, missing, passed)
