@@ -11,7 +11,7 @@ from calibration.heliostat.fitting.robust_fit import fit as refit
 from calibration.heliostat.observations.residuals import evaluate
 from heliogauge.adjust.chi_square import chi_square_cdf
 from heliogauge.errors import EstimationError, InputError
-from heliogauge.validate import BoolArray
+from heliogauge.validate import BoolArray, FloatArray
 
 _WORDS = {
     "beam": "beams",
@@ -86,8 +86,30 @@ def _apart(fit: HeliostatFit, kind: str, own: BoolArray, others: BoolArray) -> _
     # What the kind's own rows scatter, refuted or not; of too few that is not known.
     scatter = alone.sigma0.get(kind, np.nan)
     factor = max(scatter, 1.0) if np.isfinite(scatter) else 1.0
-    expected = moved @ rest.solution.covariance @ moved.T + factor**2 * np.eye(missed.size)
-    square = float(missed @ np.linalg.solve(expected, missed))
+    if not np.isfinite(rest.solution.covariance).all():
+        return None
+    square = squared_distance(missed, moved, rest.solution.covariance, factor)
     refuted = max(rest.sigma_factors.values(), default=1.0) > REFUTED_FROM
     ratio = float(np.sqrt(square / max(missed.size, 1)))
     return _Apart(kind, own, ratio, 1.0 - chi_square_cdf(square, missed.size), refuted)
+
+
+def squared_distance(missed: FloatArray, moved: FloatArray, covariance: FloatArray, noise: float) -> float:
+    """Return how far residuals are from nothing, in units of what noise and parameters make of them.
+
+    missed (n,): Residuals.
+    moved (n, p): What each parameter changes of them.
+    covariance (p, p): Of the parameters.
+    noise: Standard deviation of each residual.
+
+    ``r^T (J S J^T + f^2 I)^-1 r`` is the least of ``|r - U z|^2 / f^2 + |z|^2`` over z, where ``S = L L^T`` and ``U = J
+    L``: no matrix of n by n is needed, and nothing large is subtracted from something large.
+    """
+    sigma = np.sqrt(np.diag(covariance))
+    scale = np.where(sigma > 0, sigma, 1.0)
+    shares, axes = np.linalg.eigh(covariance / np.outer(scale, scale))
+    root = scale[:, None] * axes * np.sqrt(np.maximum(shares, 0.0))
+    system = np.vstack([moved @ root / noise, np.eye(sigma.size)])
+    wanted = np.concatenate([missed / noise, np.zeros(sigma.size)])
+    left = wanted - system @ np.linalg.lstsq(system, wanted, rcond=None)[0]
+    return float(left @ left)

@@ -1,10 +1,13 @@
 """Kinds of observation that contradict each other: said first, and nothing else is a fault while they do."""
 
+import tracemalloc
+
 import numpy as np
 import pytest
 
 from calibration.heliostat.diagnosis.full_diagnosis import diagnose
-from calibration.heliostat.diagnosis.kinds import contradiction_finding
+from calibration.heliostat.diagnosis.kinds import contradiction_finding, squared_distance
+from calibration.heliostat.fitting.fit_result import FitOptions
 from calibration.heliostat.fitting.robust_fit import fit
 from calibration.heliostat.kinematic_model.kinematics import mirror_poses
 from calibration.heliostat.observations.observations import (
@@ -14,6 +17,7 @@ from calibration.heliostat.observations.observations import (
     Place,
     Pointings,
 )
+from calibration.heliostat.observations.residuals import evaluate
 from tests.calibration.heliostat.diagnosis.test_heliostat_diagnosis import SITE, TARGETS, drawn, nominal, seen
 
 NORMAL_SIGMA_RAD, PLACE_SIGMA_M = 0.2e-3, 0.01
@@ -106,6 +110,43 @@ def test_a_jump_is_a_fault_where_kinds_agree_and_open_where_they_do_not():
     assert found.named == ("unexplained?", "change_point?")
     text = next(one.text for one in found.findings if one.kind == "change_point")
     assert "It is open, because kinds of observation contradict each other" in text
+
+
+@pytest.mark.parametrize("kind", ["normal", "drone"])
+def test_ratio_is_that_of_the_whole_covariance_of_the_rows(kind):
+    """Against the dense system of all rows; its memory and time grow by their square and cube."""
+    seen_ones = beside(kind, 2e-3, 1)
+    fitted = fit(nominal(), seen_ones)
+    found = contradiction_finding(fitted, 0.01)
+    kinds, ratios = np.array(seen_ones.kind), []
+    for own in dict.fromkeys(seen_ones.kind):
+        mine, others = fitted.used & (kinds == own), fitted.used & (kinds != own)
+        rest = fit(fitted.nominal, seen_ones.select(others), FitOptions(restarts=0))
+        alone = fit(fitted.nominal, seen_ones.select(mine), FitOptions(restarts=0))
+        free = np.flatnonzero(rest.design.parameters.free)
+        rows = evaluate(rest.design, rest.values, seen_ones.select(mine), columns=free)
+        known = rows.computable[rows.owner]
+        missed, moved = rows.whitened[known], rows.jacobian[known]
+        noise = max(alone.sigma0[own], 1.0) ** 2 * np.eye(missed.size)
+        square = missed @ np.linalg.solve(moved @ rest.solution.covariance @ moved.T + noise, missed)
+        ratios.append(np.sqrt(square / missed.size))
+    assert found.evidence["largest_ratio"] == pytest.approx(max(ratios), rel=1e-9)
+
+
+def test_thousands_of_beams_are_compared_without_a_matrix_of_all_of_them():
+    rng = np.random.default_rng(0)
+    moved, missed = rng.standard_normal((6000, 8)), rng.standard_normal(6000)
+    covariance = np.diag(np.logspace(-12, 0, 8))
+    tracemalloc.start()
+    square = squared_distance(missed, moved, covariance, 1.5)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 10 * moved.nbytes
+    few = slice(300)
+    dense = moved[few] @ covariance @ moved[few].T + 1.5**2 * np.eye(300)
+    expected = missed[few] @ np.linalg.solve(dense, missed[few])
+    assert squared_distance(missed[few], moved[few], covariance, 1.5) == pytest.approx(expected, rel=1e-12)
+    assert 5000 < square * 1.5**2 < 7000
 
 
 def test_beams_alone_contradict_no_kind():
