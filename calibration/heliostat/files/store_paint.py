@@ -313,7 +313,8 @@ def parse_calibrations(
     times: Time of each (ISO 8601 with zone), empty where not known.
     label: Method of the beam's centre: "UTIS" or "HeliOS".
     origin: Latitude [deg], longitude [deg], altitude [m] of the field's frame.
-    is_ideal: Whether its actuators are ideal: motor positions are angles then, unless they are larger than those are.
+    is_ideal: Whether its actuators are ideal: motor positions are angles then, unless the median of an axis is larger
+        than those are.
     """
     names = ("axis_1_counts", "axis_2_counts", "sun_azimuth_deg", "sun_elevation_deg", "lat", "lon", "alt")
     values, targets, verdicts = np.full((len(records), len(names)), np.nan), [""] * len(records), []
@@ -326,8 +327,10 @@ def parse_calibrations(
             verdicts.append(("label", str(error)))
         except InputError as error:
             verdicts.append(("unreadable", str(error)))
-    readings = values[:, :2][np.isfinite(values[:, :2])]
-    unit = "rad" if is_ideal and readings.size and np.abs(readings).max() <= TURN_RAD else "counts"
+    readings = np.abs(values[np.isfinite(values[:, :2]).all(axis=1), :2])
+    # The middle of each axis: one reading that is wrong does not change what the others are.
+    is_angle = is_ideal and len(readings) > 0 and bool((np.median(readings, axis=0) <= TURN_RAD).all())
+    unit = "rad" if is_angle else "counts"
     columns: dict[str, Any] = {f"axis_{axis}_{unit}": values[:, axis - 1] for axis in (1, 2)}
     columns |= dict(zip(names[2:4], values[:, 2:4].T, strict=True))
     if len(records):

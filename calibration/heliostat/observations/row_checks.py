@@ -59,11 +59,10 @@ def _wrong_kind(design: HeliostatDesign, unit: str) -> str:
 
 def _check_angles(values: FloatArray, names: list[str], unit: str, verdicts: Verdicts) -> None:
     known = values[verdicts.usable & np.isfinite(values).all(axis=1)]
-    if len(known) < _ENOUGH:
-        return
+    enough = len(known) >= _ENOUGH
     if unit == "rad":
         beyond: BoolArray = np.asarray(np.isfinite(values) & (np.abs(values) > 1.05 * _TURN))
-        if (np.abs(known) > 1.05 * _TURN).any(axis=1).mean() > _MOST:
+        if enough and (np.abs(known) > 1.05 * _TURN).any(axis=1).mean() > _MOST:
             worst = names[int(np.argmax(np.abs(known).max(axis=0)))]
             raise ColumnError(
                 "units",
@@ -73,6 +72,8 @@ def _check_angles(values: FloatArray, names: list[str], unit: str, verdicts: Ver
         verdicts.refuse(
             beyond.any(axis=1), "units", lambda row: f"{names[int(np.argmax(beyond[row]))]}: degrees among radians?"
         )
+        return
+    if not enough:
         return
     if (np.abs(known) < 1.05 * _TURN).all() and np.ptp(known, axis=0).max() < _TURN:
         raise ColumnError(

@@ -351,6 +351,26 @@ class TestIdealActuators:
         rows = parse_calibrations([("1", json.dumps(record))], [""], label="UTIS", origin=origin, is_ideal=is_ideal)
         assert rows.numbers[f"axis_1_{unit}"].tolist() == [largest]
 
+    @pytest.mark.parametrize("count", [4, 12])
+    def test_one_reading_beyond_a_turn_is_left_out_alone(self, tmp_path: Path, count: int) -> None:
+        write_paint(tmp_path, observations=count, ideal=True)
+        call_ideal(tmp_path)
+        file = sorted((tmp_path / "AA11").glob("[cC]alibration/*calibration*.json"))[3]
+        record = json.loads(file.read_text(encoding="utf-8"))
+        record["motor_position"]["axis_2_motor_position"] = 20_000.0
+        file.write_text(json.dumps(record), encoding="utf-8")
+        measurement = load_heliostat(tmp_path)
+        source = open_source(measurement)
+        (task,) = source.tasks(source.names)
+        origin = source.plant.origin
+        rows = parse_calibrations(task.records, task.times, label="UTIS", origin=origin, is_ideal=True)
+        assert "axis_2_rad" in rows.numbers
+        kinematics = measurement.model.kinematics
+        design = nominal_design(task, source.plant, kinematics, readings_are_angles=True)
+        flags = observed(rows, design, source.plant, (), 1e-3).rows.flags
+        assert [flag for flag in flags if flag] == ["units"]
+        assert flags[3] == "units"
+
     @pytest.mark.parametrize("with_numbers", [True, False])
     def test_angles_are_taken_as_they_are(self, tmp_path: Path, with_numbers: bool) -> None:
         truth = write_paint(tmp_path, observations=30, ideal=True)["AA11"]
