@@ -32,7 +32,7 @@ from calibration.survey.files.result_rows import OWN_COLUMNS, StoredResult, numb
 from heliogauge.doubts import Doubt
 from heliogauge.errors import InputError
 from heliogauge.files.extras import of_extra
-from heliogauge.files.locks import held
+from heliogauge.files.locks import held, kept_from_writers
 from heliogauge.files.on_disk import put_on_disk
 from heliogauge.files.parquet import parquet_rows
 from heliogauge.files.regular import open_regular
@@ -342,12 +342,23 @@ def fault_of(store: Path, change: Change) -> str:
 
 
 @contextmanager
-def query(store: Path) -> Iterator[Any]:
-    """Give a connection with the views ``rows`` and ``events``.
+def reading(store: Path, say: Any = lambda text: None) -> Iterator[None]:
+    """Keep a store as it is while it is read: processes that write wait, others read at the same time.
 
-    InputError: No store, nothing in it, a file that is not as it was written, or the library is missing.
+    say: Takes a line for the person who waits for another process.
+    InputError: No store, or another process keeps it.
     """
     open_store(store)
+    with kept_from_writers(store / LOCK_FILE, WAIT_S, say):
+        yield
+
+
+@contextmanager
+def query(store: Path) -> Iterator[Any]:
+    """Give a connection with the views ``rows`` and ``events`` of a store that is kept as it is (`reading`).
+
+    InputError: Nothing in it, a file that is not as it was written, or the library is missing.
+    """
     manifest = read_manifest(store)
     if not manifest.files:
         raise InputError(f"{store}: the store is empty; `heliogauge survey add RESULT -o {store}` fills it")

@@ -1,22 +1,18 @@
 """Whether a store is as it was written: manifest, files, rows of each result, events, and what else lies there."""
 
-from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 
 from calibration.survey.files.events import EVENTS_FOLDER, event_files, read_event
 from calibration.survey.files.manifest import MANIFEST_FILE, Entry, Manifest, place_of, read_manifest
 from calibration.survey.files.parquet_store import (
-    LOCK_FILE,
-    WAIT_S,
     connect,
     explain_query,
     fault_of,
-    open_store,
+    reading,
     strangers,
 )
 from heliogauge.errors import InputError
-from heliogauge.files.locks import held
 from heliogauge.files.parquet import parquet_rows
 
 #: Names of results that one fault lists.
@@ -47,17 +43,11 @@ class StoreCheck:
 
 
 def check_store(store: Path) -> StoreCheck:
-    """Compare a store with its manifest; nothing in it is changed but the lock.
+    """Compare a store with its manifest; nothing in it is changed.
 
-    InputError: No store, or a manifest that cannot be read.
+    InputError: No store, another process keeps it, or a manifest that cannot be read.
     """
-    open_store(store)
-    with ExitStack() as stack:
-        try:
-            stack.enter_context(held(store / LOCK_FILE, WAIT_S))
-        except InputError:
-            # A store that cannot be written, such as a copy on a disk: then nobody else writes it either.
-            stack.close()
+    with reading(store):
         manifest = read_manifest(store)
         faults = _faults_of_files(store, manifest)
         notes = [f"{name}: not in the manifest, does not count; move it away" for name in strangers(store)]

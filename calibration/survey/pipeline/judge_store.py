@@ -1,14 +1,14 @@
 """From a store to trends, what events did, and the worst subjects of each quantity."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
 
 from calibration.survey.files.moments import BEYOND, FIRST, read_day
-from calibration.survey.files.parquet_store import doubts_of_results, explain_disk, query, strangers
+from calibration.survey.files.parquet_store import doubts_of_results, explain_disk, query, reading, strangers
 from calibration.survey.judgement import chance, changes, trends
 from heliogauge.doubts import Doubt, doubts_of_parts, gather_doubts
 from heliogauge.errors import InputError
@@ -166,12 +166,17 @@ def run(store: Path, options: SurveyOptions | None = None, progress: Progress | 
     are enlarged by Birge's ratio. Results without a sigma have no weight.
     """
     options, progress = options or SurveyOptions(), progress or SilentProgress()
-    with explain_disk(store):
+    with explain_disk(store), reading(store, progress.say):
         for name in strangers(store):
             progress.say(
                 f"{store}: {name} is not in the manifest and does not count; `heliogauge survey check {store}`"
             )
-    with explain_disk(store), query(store) as connection, progress.stage("query"):
+        result = _judge(store, options, progress)
+    return replace(result, durations_s=dict(progress.durations_s))
+
+
+def _judge(store: Path, options: SurveyOptions, progress: Progress) -> SurveyResult:
+    with query(store) as connection, progress.stage("query"):
         where = _between(options)
         # Rows without a sigma have no weight: they are counted in the overview alone.
         connection.execute(f"CREATE VIEW chosen AS SELECT * FROM rows WHERE {where}")
@@ -227,7 +232,6 @@ def run(store: Path, options: SurveyOptions | None = None, progress: Progress | 
         counts={name: int(count) for name, count in counts.items()},
         name=store.resolve().name,
         doubts=gather_doubts(_doubts(overview, quantities, table, events), of_results),
-        durations_s=dict(progress.durations_s),
     )
 
 

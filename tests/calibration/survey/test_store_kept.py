@@ -1,5 +1,6 @@
 """What a store keeps: each result once and whole, whatever was killed, refused, emptied or put there by others."""
 
+import contextlib
 import hashlib
 import json
 import os
@@ -20,6 +21,7 @@ from heliogauge.doubts import Doubt, Severity
 from heliogauge.errors import InputError
 from heliogauge.files.locks import held
 from heliogauge.results.folder import Summary, write_json, write_summary, write_table_csv
+from heliogauge.running.progress import SilentProgress
 
 pytest.importorskip("duckdb")
 
@@ -28,8 +30,10 @@ import duckdb
 from benchmarks.survey_kills import kills, pairs
 from calibration.survey import AddOptions, add, check, remove
 from calibration.survey.cli import app
+from calibration.survey.files import parquet_store
+from calibration.survey.files.manifest import read_manifest
 from calibration.survey.files.moments import read_moment
-from calibration.survey.files.parquet_store import LOCK_FILE, query
+from calibration.survey.files.parquet_store import LOCK_FILE, query, reading
 from calibration.survey.pipeline.judge_store import SurveyOptions, run
 from calibration.survey.pipeline.keep_store import add_event
 from tests.conftest import REPOSITORY
@@ -495,6 +499,64 @@ def test_a_store_that_cannot_be_written_says_so():
     finally:
         subprocess.run(["chmod", "-R", "u+rwx", str(place)], check=True)
         shutil.rmtree(place)
+
+
+# --- reading beside a process that writes
+
+
+def read_while_it_changes(store, change, monkeypatch):
+    """Return what a report counts when another process changes the store as soon as its manifest was read."""
+    begun = []
+
+    def slow(folder):
+        manifest = read_manifest(folder)
+        if not begun:
+            begun.append(subprocess.Popen([sys.executable, "-m", "heliogauge", "survey", *map(str, change)]))
+            # Long enough for the other process to be done, were it not kept waiting.
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                begun[0].wait(3)
+        return manifest
+
+    monkeypatch.setattr(parquet_store, "read_manifest", slow)
+    said = []
+    progress = SilentProgress()
+    monkeypatch.setattr(SilentProgress, "say", lambda self, text: said.append(text))
+    counts = run(store, None, progress).counts
+    assert begun[0].wait(60) == 0
+    return counts, said
+
+
+def test_a_report_beside_a_writer_reads_the_store_as_it_was(tmp_path, monkeypatch):
+    store, _ = stored(tmp_path)
+    inputs = {"a.png": "1" * 64}
+    add([write_result(tmp_path / "first", "H03", 4e-3, inputs=inputs)], store)
+    other = write_result(tmp_path / "again", "H03", 5e-3, inputs=inputs)
+    names = {entry.subject: entry for _, entry in check(store).entries}
+    counts, said = read_while_it_changes(store, ["remove", store, names["H01"].result, "-q"], monkeypatch)
+    assert (counts["results"], said) == (4, [])
+    counts, said = read_while_it_changes(store, ["add", other, "-o", store, "--force", "-q"], monkeypatch)
+    assert (counts["results"], said) == (3, [])
+    assert rows_of(store) == [(1e-3,), (3e-3,), (5e-3,)]
+    assert check(store).faults == ()
+
+
+def test_readers_do_not_wait_for_each_other_but_for_a_writer(tmp_path, monkeypatch):
+    store, _ = stored(tmp_path)
+    monkeypatch.setattr(parquet_store, "WAIT_S", 0.2)
+    before = (store / LOCK_FILE).read_bytes()
+    with reading(store), reading(store):
+        assert check(store).faults == ()
+        with pytest.raises(InputError, match="another process keeps it"):
+            remove(store, ["123456"])
+    assert (store / LOCK_FILE).read_bytes() == before
+    with held(store / LOCK_FILE, 0.0):
+        for work in (run, check):
+            with pytest.raises(InputError, match=f"another process keeps it.*process {os.getpid()} on"):
+                work(store)
+    # A copy without the file of the lock can be read.
+    (store / LOCK_FILE).unlink()
+    assert run(store).counts["results"] == 3
+    assert check(store).faults == ()
 
 
 # --- commands
