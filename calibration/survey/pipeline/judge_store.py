@@ -10,6 +10,7 @@ import numpy as np
 from calibration.survey.files.moments import BEYOND, FIRST, read_day
 from calibration.survey.files.parquet_store import doubts_of_results, explain_disk, query, reading, strangers
 from calibration.survey.judgement import chance, changes, trends
+from calibration.survey.worse import extreme, headlines, rank, worse
 from heliogauge.doubts import Doubt, doubts_of_parts, gather_doubts
 from heliogauge.errors import InputError
 from heliogauge.instruments import near_match
@@ -20,12 +21,8 @@ from heliogauge.running.progress import Progress, SilentProgress
 from heliogauge.short_repr import ShortRepr
 from heliogauge.validate import FloatArray
 
-#: Quantities shown unless some are chosen: those that people look at first, of the most subjects, no more than this.
-MOST_QUANTITIES = 12
-#: A larger value of these is better; of all others worse.
-_GOOD_WORDS = ("reflect", "intercept", "answered", "solar_weighted", "reading", "measured_share", "collected")
-_FIRST_WORDS = ("rms", "sd_rad", "sd_best", "canting", "solar_weighted", "intercept", "d90", "beams_width")
-_WORST = 20
+#: Subjects of each quantity in worst.csv, and quantities in the headline.
+_WORST, _HEADLINES = 20, 6
 #: Chance below which a change counts, shared by all subjects that are looked at (Bonferroni).
 CHANCE = 0.05
 _YEAR_S = 31_557_600.0
@@ -38,7 +35,7 @@ class SurveyOptions(ShortRepr):
     Parameters
     ----------
     quantities : tuple of str or None
-        Which; None: those that people look at first, of the most subjects.
+        Which; None: all that have a sigma.
     since : str or None
         Day from which on results count; None: all.
     until : str or None
@@ -56,7 +53,7 @@ class SurveyResult(InstrumentResult):
 
     overview: Subjects, results and dates of each quantity.
     trends: Mean and change in a year of each subject and quantity.
-    worst: The worst subjects of each quantity.
+    worst: The worst subjects of each quantity; the largest values where worse has no meaning.
     events: Before and after each event.
     history: Results of the worst subject of each quantity over time.
     """
@@ -92,7 +89,7 @@ class SurveyResult(InstrumentResult):
             write_table_csv(folder / f"{name}.csv", getattr(self, name))
 
     def headline(self) -> str:
-        """Return how much there is, and the worst of each quantity."""
+        """Return how much there is, and the worst of the quantities that people look at first."""
         lines = [
             f"{self.counts.get('subjects', 0)} subjects, {self.counts.get('results', 0)} results, "
             f"{self.counts.get('rows', 0)} rows"
@@ -100,9 +97,13 @@ class SurveyResult(InstrumentResult):
         first: dict[str, int] = {}
         for row, quantity in enumerate(self.worst["quantity"]):
             first.setdefault(quantity, row)
-        for quantity, row in first.items():
+        for quantity in headlines(list(first), _HEADLINES):
+            row = first[quantity]
             value = quantity_text(quantity, self.worst["mean"][row], self.worst["sigma_mean"][row])
-            lines.append(f"  {quantity}: worst {self.worst['subject'][row]}, {value}")
+            part = f" {self.worst['part'][row]}".rstrip()
+            lines.append(f"  {quantity}: {extreme(quantity)} {self.worst['subject'][row]}{part}, {value}")
+        if len(first) > _HEADLINES:
+            lines.append(f"  worst.csv has all {len(first)} quantities")
         return "\n".join(lines)
 
 
@@ -218,7 +219,7 @@ def _judge(store: Path, options: SurveyOptions, progress: Progress) -> SurveyRes
             "part, quantity ORDER BY quantity, subject, part"
         ).fetchnumpy()
         table = _trend_table(lines)
-        worst = _worst(table)
+        worst = _worst(table, quantities)
         history = _history(connection, worst)
         events = _events(connection)
         results = [name for (name,) in connection.execute("SELECT DISTINCT result FROM chosen").fetchall()]
@@ -253,8 +254,7 @@ def _quantities(options: SurveyOptions, overview: Mapping[str, Any]) -> list[str
         return list(dict.fromkeys(options.quantities))
     weighted = [name for name, count in zip(known, overview["with_sigma"], strict=True) if count > 0]
     # What people look at first; the sort keeps the order of the most subjects within.
-    weighted.sort(key=lambda name: not any(word in name for word in _FIRST_WORDS))
-    return weighted[:MOST_QUANTITIES]
+    return sorted(weighted, key=rank)
 
 
 def _trend_table(lines: Mapping[str, Any]) -> dict[str, Sequence[Any]]:
@@ -277,21 +277,17 @@ def _trend_table(lines: Mapping[str, Any]) -> dict[str, Sequence[Any]]:
     }
 
 
-def larger_is_better(quantity: str) -> bool:
-    """Return whether more of a quantity is better."""
-    return any(word in quantity for word in _GOOD_WORDS) and "lost" not in quantity
-
-
-def _worst(table: Mapping[str, Sequence[Any]]) -> dict[str, Sequence[Any]]:
+def _worst(table: Mapping[str, Sequence[Any]], order: Sequence[str]) -> dict[str, Sequence[Any]]:
     kept: list[int] = []
     quantities = np.array(table["quantity"], dtype=object)
     mean = np.array(table["mean"], dtype=np.float64)
-    for quantity in dict.fromkeys(table["quantity"]):
+    for quantity in order:
         rows = np.flatnonzero(quantities == quantity)
-        size = mean[rows] if larger_is_better(quantity) else -np.abs(mean[rows])
+        size = mean[rows] if worse(quantity) == "smaller" else -np.abs(mean[rows])
         kept += rows[np.argsort(size, kind="stable")[:_WORST]].tolist()
     names = ("quantity", "subject", "part", "mean", "sigma_mean", "results_count", "last")
-    return {name: [table[name][row] for row in kept] for name in names}
+    columns: dict[str, Sequence[Any]] = {name: [table[name][row] for row in kept] for name in names}
+    return columns | {"worse": [worse(quantity) for quantity in columns["quantity"]]}
 
 
 def _history(connection: Any, worst: Mapping[str, Sequence[Any]]) -> dict[str, Sequence[Any]]:
@@ -398,8 +394,9 @@ def _doubts(
         if known < rows and (name in quantities or not quantities)
     ]
     if without:
+        more = f" and {len(without) - 5} more" if len(without) > 5 else ""
         text = (
-            f"results without an uncertainty have no weight in means and trends: some of {', '.join(without[:5])}"
+            f"results without an uncertainty have no weight in means and trends: some of {', '.join(without[:5])}{more}"
             if quantities
             else f"none of {len(without)} quantities has an uncertainty, so that none has a weight: overview.csv lists "
             "them, and there are neither means nor trends"

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from calibration.survey.worse import extreme
 from heliogauge.reporting.look import LINE_X
 from heliogauge.reporting.notation import quantity_text
 from heliogauge.results.folder import unit_of
@@ -11,6 +12,15 @@ from heliogauge.view.charts import ChartSeries, ChartView, Mark
 def plain(quantity: str) -> str:
     """Return the name of a quantity in words."""
     return unit_of(quantity)[0].replace("_", " ")
+
+
+def named(quantity: str) -> str:
+    """Return the head of the first subjects of a quantity.
+
+    >>> named("sd_best_focus_rad"), named("curvature_x_per_m")
+    ('Worst sd best focus', 'Largest curvature x')
+    """
+    return f"{extreme(quantity).capitalize()} {plain(quantity)}"
 
 
 def said(quantity: str, value: str, sigma: str) -> str:
@@ -35,7 +45,5 @@ def history_charts(table: dict[str, list[str]]) -> list[ChartView]:
         sigma = np.array([scale * float(table["sigma"][row]) for row in rows], dtype=np.float64)
         series = (ChartSeries(table["subject"][rows[0]], times, values, LINE_X, Mark.POINTS, sigma=sigma, size_px=4),)
         label = f"{plain(quantity)} [{shown}]" if shown else plain(quantity)
-        charts.append(
-            ChartView(f"Worst {plain(quantity)}: {table['subject'][rows[0]]}", "UTC", label, series, x_time=True)
-        )
+        charts.append(ChartView(f"{named(quantity)}: {table['subject'][rows[0]]}", "UTC", label, series, x_time=True))
     return charts

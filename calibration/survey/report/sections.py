@@ -5,7 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
-from calibration.survey.report.charts import history_charts, plain, said
+from calibration.survey.report.charts import history_charts, named, said
+from calibration.survey.worse import headlines
 from heliogauge.reporting import page
 from heliogauge.reporting.html import Html, Shown, join
 from heliogauge.reporting.verdict import verdict_of
@@ -13,6 +14,8 @@ from heliogauge.results.folder import Summary, read_summary, read_table_csv
 from heliogauge.view.tables import TableColumn, TableView
 
 _MOST_ROWS = 500
+#: Subjects of each quantity, and quantities on the first screen.
+_WORST, _HEADLINES = 10, 6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,29 +44,22 @@ def first_screen(report: SurveyReport) -> Html:
         ("Results", f"{numbers['results_count']}", f"{numbers['rows_count']} rows"),
         ("Trends that are no chance", f"{numbers['trends_significant_count']} of {numbers['trends_count']}"),
     ]
-    seen: set[str] = set()
-    for row, quantity in enumerate(worst["quantity"]):
-        if quantity not in seen and len(seen) < 6:
-            seen.add(quantity)
-            rows.append(
-                (
-                    f"Worst {plain(quantity)}",
-                    said(quantity, worst["mean"][row], worst["sigma_mean"][row]),
-                    worst["subject"][row],
-                )
-            )
+    for quantity in headlines(list(dict.fromkeys(worst["quantity"])), _HEADLINES):
+        row = worst["quantity"].index(quantity)
+        subject = f"{worst['subject'][row]} {worst['part'][row]}".strip()
+        rows.append((named(quantity), said(quantity, worst["mean"][row], worst["sigma_mean"][row]), subject))
     charts = history_charts(report.tables["history"])
     line = f"many results of one plant; heliogauge {report.summary.version}"
     return page.first_screen(report.summary.name, line, verdict_of(report.summary), rows, charts[0] if charts else None)
 
 
 def worst_tables(report: SurveyReport) -> Shown:
-    """Return the worst subjects of each quantity."""
+    """Return the worst subjects of each quantity; the largest values where worse has no meaning."""
     table = report.tables["worst"]
     pieces: list[Shown] = []
     for quantity in dict.fromkeys(table["quantity"]):
-        rows = [row for row, one in enumerate(table["quantity"]) if one == quantity][:10]
-        pieces.append(Html(f"<h3>{plain(quantity)}</h3>"))
+        rows = [row for row, one in enumerate(table["quantity"]) if one == quantity][:_WORST]
+        pieces.append(Html(f"<h3>{named(quantity)}</h3>"))
         cells = [
             (
                 f"{table['subject'][row]} {table['part'][row]}".strip(),

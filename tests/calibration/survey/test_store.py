@@ -14,6 +14,7 @@ from calibration.survey.files.parquet_store import query
 from calibration.survey.pipeline.add import AddOptions, add
 from calibration.survey.pipeline.judge_store import SurveyOptions, run
 from calibration.survey.pipeline.keep_store import add_event
+from calibration.survey.report.sections import first_screen, open_survey, worst_tables
 
 
 def write_result(folder, name, date, numbers, facets=None):
@@ -73,6 +74,49 @@ def test_trends_worst_and_cleaning(store, tmp_path):
     parts = {(q, p) for q, p in zip(events["quantity"], events["part"], strict=True)}
     assert ("canting_x_rad", "upper") in parts
     assert result.counts == {"subjects": 20, "results": 240, "rows": 240 * 4}
+
+
+def test_all_quantities_are_reported_and_errors_first(tmp_path):
+    """Many neutral numbers whose names come early: none is cut off, and none is called the worst."""
+    neutral = [f"{letter}_place_m" for letter in "abcdefghijklmnopqrst"] + ["curvature_x_per_m", "focal_length_x_m"]
+    errors = {"sd_rad": 1e-3, "sdy_rad": 8e-4, "tracking_rms_rad": 6e-4}
+    for number, subject in enumerate("AB"):
+        values = dict.fromkeys(neutral, 2.0 + number) | {name: (1 + number) * one for name, one in errors.items()}
+        values["reflectance_share"] = 0.9 + 0.01 * number
+        sigmas = {f"sigma_{name}": 1e-5 for name in values}
+        write_result(tmp_path / "all" / subject, subject, "2026-05-01", values | sigmas)
+    add([tmp_path / "all"], tmp_path / "store")
+    result = run(tmp_path / "store")
+    (tmp_path / "out").mkdir()
+    result.write(tmp_path / "out")
+    for name in ("trends", "worst", "history"):
+        assert set(read_table_csv(tmp_path / "out" / f"{name}.csv")["quantity"]) == {*values}, name
+    worst = read_table_csv(tmp_path / "out" / "worst.csv")
+    first = {quantity: row for row, quantity in reversed([*enumerate(worst["quantity"])])}
+    assert list(dict.fromkeys(worst["quantity"]))[:4] == ["sd_rad", "reflectance_share", "tracking_rms_rad", "sdy_rad"]
+    assert [worst["worse"][first[one]] for one in ("sd_rad", "reflectance_share", "a_place_m")] == [
+        *("larger", "smaller", "")
+    ]
+    assert [worst["subject"][first[one]] for one in ("sd_rad", "reflectance_share")] == ["B", "A"]
+    shown = first_screen(open_survey(tmp_path / "out"))._repr_html_()
+    assert "Worst sd<" in shown
+    assert "Worst reflectance share<" in shown
+    for word in ("curvature", "place", "focal", "Largest"):
+        assert word not in shown.split("<svg")[0], word
+    assert "Largest curvature x" in worst_tables(open_survey(tmp_path / "out"))._repr_html_()
+    assert "sd_rad: worst B, 2.000" in result.headline()
+    assert "place" not in result.headline()
+    assert "worst.csv has all 26 quantities" in result.headline()
+
+
+def test_a_quantity_without_worse_is_the_largest(tmp_path):
+    write_result(tmp_path / "A", "A", "2026-05-01", {"curvature_x_per_m": 0.05, "sigma_curvature_x_per_m": 1e-4})
+    add([tmp_path / "A"], tmp_path / "store")
+    result = run(tmp_path / "store")
+    (tmp_path / "out").mkdir()
+    result.write(tmp_path / "out")
+    assert "Largest curvature x<" in first_screen(open_survey(tmp_path / "out"))._repr_html_()
+    assert "curvature_x_per_m: largest A" in result.headline()
 
 
 def test_days_and_quantities_are_chosen(store):
