@@ -11,7 +11,6 @@ from deflectometry.pose.find_pose import LocatedMirror
 from deflectometry.setup.camera_and_screen import Setup
 from heliogauge.errors import EstimationError
 from heliogauge.geometry.rigid import RigidTransform
-from heliogauge.geometry.surfaces import Facet
 from heliogauge.validate import FloatArray
 
 #: Share of the display up to which sigmas of relative slopes are tried: off by 0.12, curvatures are off by 2 of them
@@ -23,14 +22,24 @@ _STEPS = _STEP * np.eye(6)
 
 
 def point_by_pose(setup: Setup, located: LocatedMirror) -> KnownDisplayPoint:
-    """Return which point of the display the middle of a mirror of design shape shows.
+    """Return which point of the display the middle of a single facet of design shape shows.
 
     located: Where the mirror is, by its outline or as given.
     Returns: The point, with the sigmas of the pose, of the screen's pose, and of 3 mrad by which a good mirror's normal
         may be off that of its outline.
-    EstimationError: The pose does not determine it to a tenth of the display.
+    EstimationError: The pose does not determine it to a tenth of the display, or there are several facets: orders are
+        counted from pixel to pixel, and none lead from one facet to the next.
     """
-    facet, image_px = _in_the_middle(setup, located)
+    if len(located.facets) > 1:
+        raise EstimationError(
+            f"fringes of one period on {len(located.facets)} facets: their orders are counted from pixel to pixel, and "
+            "from one facet to the next they cannot be. Show a set below one period; or measure one facet alone, as "
+            "the only one in [mirror], or as that on which a point of the display is known ([pattern.known_point])"
+        )
+    facet = located.facets[0]
+    middle = np.append(facet.reference_point_m, facet.design.height(*facet.reference_point_m))
+    mirror_point = (located.outline_pose @ facet.ensemble_from_facet).apply(middle)
+    image_px = np.rint(setup.camera.project(mirror_point))
     pose, screen = located.pose, setup.cam_from_screen
     of_pose, of_screen = pose.covariance.copy(), setup.covariance_cam_from_screen
     of_pose[:3, :3] += MOUNTING_RAD**2 * np.eye(3)
@@ -61,15 +70,3 @@ def point_by_pose(setup: Setup, located: LocatedMirror) -> KnownDisplayPoint:
             "below one period, or say which point of the display one pixel sees ([pattern.known_point])"
         )
     return KnownDisplayPoint(image_px, display, sigma, is_stated=False)
-
-
-def _in_the_middle(setup: Setup, located: LocatedMirror) -> tuple[Facet, FloatArray]:
-    """Return the facet nearest to the middle of the image, and the pixel (2,) of its reference point."""
-    camera = setup.camera
-    middle_px = 0.5 * np.array([camera.width_px - 1, camera.height_px - 1])
-    places = []
-    for one in located.facets:
-        point = np.append(one.reference_point_m, one.design.height(*one.reference_point_m))
-        places.append(np.rint(camera.project((located.outline_pose @ one.ensemble_from_facet).apply(point))))
-    nearest = int(np.argmin([np.linalg.norm(one - middle_px) for one in places]))
-    return located.facets[nearest], places[nearest]

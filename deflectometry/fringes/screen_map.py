@@ -388,12 +388,14 @@ def _measure_block(
                 cycles.insert(0, (_COUNTED_PERIODS * np.nan_to_num(known)).astype(np.float32))
                 information.insert(0, weight.astype(np.float32))
             position, total, odds = combine_orders(axis.search, cycles, information)
-            if known is not None:
-                odds = np.where(np.isfinite(known), odds, -np.inf)
             sigma = 1.0 / np.sqrt(total)
+            beyond = np.abs(position - 0.5) - 0.5 > plan.off_screen_sigmas * sigma
+            if known is not None:
+                # To a pixel that was not counted no order belongs: where it looks, on the display or past it, is open.
+                odds = np.where(np.isfinite(known), odds, -np.inf)
+                beyond &= np.isfinite(known)
             flags |= np.where(seen, np.uint32(0), np.uint32(SampleFlag.LOW_MODULATION))
             flags |= np.where(seen & ~(odds >= plan.least_log_odds), np.uint32(SampleFlag.FRINGE_ORDER_UNCERTAIN), 0)
-            beyond = np.abs(position - 0.5) - 0.5 > plan.off_screen_sigmas * sigma
             flags |= np.where(seen & beyond, np.uint32(SampleFlag.OFF_SCREEN), np.uint32(0))
             positions.append(position)
             sigmas.append(sigma)

@@ -95,7 +95,7 @@ def _why_not(facet: Facet, region: BoolArray, screen_map: ScreenMap) -> str:
     elif max(counts, key=lambda flag: counts[flag]) is SampleFlag.FRINGE_ORDER_UNCERTAIN:
         remedy = (
             "add fringes of fewer periods: one set below 1, each next at most about six times finer; or, for images "
-            "taken already, say which point of the display one pixel sees ([pattern.known_point])"
+            "taken already, say which point of the display one pixel of this facet sees ([pattern.known_point])"
         )
     return f"facet {facet.name} was not measured: of its {total} px {reasons}; {remedy}"
 

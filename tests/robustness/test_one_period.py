@@ -8,7 +8,7 @@ import pytest
 
 from data_synth.fringes.dataset import DatasetOptions, write_dataset
 from data_synth.fringes.knowledge import Knowledge
-from data_synth.fringes.presets import preset_scene
+from data_synth.fringes.presets import FULL_CAMERA, ensemble_scene, preset_scene
 from deflectometry import load_deflectometry, run
 from deflectometry.fringes.point_by_pose import point_by_pose
 from deflectometry.setup import make_pattern
@@ -109,3 +109,18 @@ def test_a_pose_that_determines_less_than_a_tenth_of_the_display_is_refused(fold
     assert point_by_pose(setup, with_sigma(accepted)).sigma_display.max() == pytest.approx(0.09, rel=0.02)
     with pytest.raises(EstimationError, match="known_point"):
         point_by_pose(setup, with_sigma(refused))
+
+
+def test_several_facets_need_more_than_a_pose(tmp_path):
+    """No pixels lead from one facet to the next: refused, and with a point on one facet only that is measured."""
+    scene = ensemble_scene(columns=2, rows=1, camera=FULL_CAMERA.scaled(0.25))
+    write_dataset(tmp_path, replace(scene, pattern=make_pattern((15.9,), (15.9,))), DatasetOptions(0, Knowledge()))
+    with pytest.raises(EstimationError, match=r"2 facets.*known_point"):
+        run(load_deflectometry(tmp_path))
+    file = tmp_path / "measurement.toml"
+    section = "[pattern.known_point]\nimage_px = [170, 154]\ndisplay = [0.5, 0.5]\nsigma_display = 0.1\n\n[images]"
+    file.write_text(file.read_text().replace("[images]", section, 1))
+    dark = [doubt.text for doubt in run(load_deflectometry(tmp_path)).doubts if doubt.code == "facet_not_measured"]
+    assert len(dark) == 1
+    assert "known_point" in dark[0]
+    assert "misses the screen" not in dark[0]
