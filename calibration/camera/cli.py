@@ -109,7 +109,7 @@ def plan_command(
     options = PlanOptions(photos, wanted_rad, tuple(parameter or ()), nearest, farthest)
 
     def planned(progress: Progress) -> NextPhotosResult:
-        with results_of(folder, progress) as results:
+        with results_of(folder, "camera", progress) as results:
             return run(results, options, progress)
 
     return Job(out, planned, measured=folder)

@@ -285,7 +285,7 @@ def plan_command(
 
     first, goal_rad, sigma_m = _day("first_day", first_day), 1e-3 * goal_mrad, 1e-3 * sigma_mm
     options = NextOptions(first, days, goal_rad, sigma_m, most, per_day, slot_minutes, target, force)
-    with results_of(folder, terminal_progress(quiet=quiet, verbose=verbose)) as results:
+    with results_of(folder, "heliostat", terminal_progress(quiet=quiet, verbose=verbose)) as results:
         sentences = run(results, out, options)
     # Of thousands the worst are enough to read; heliostats.csv has all.
     if as_json:

@@ -68,15 +68,24 @@ def first_picture(folder: Path) -> Shown | None:
     return None
 
 
-def _open(folder: Path) -> tuple[Summary, Notebook]:
+def refuse_without_report(folder: Path) -> Summary:
+    """Refuse a folder of which there can be no report.
+
+    Returns: Its summary.
+    InputError: No results in the folder, or results of a kind without a report.
+    """
     if not (folder / SUMMARY_FILE).is_file():
         raise InputError(f"{folder}: {what_instead(folder)}")
     summary = read_summary(folder / SUMMARY_FILE)
-    reports = every_report()
-    if summary.kind not in reports:
-        kinds = ", ".join(reports)
-        raise InputError(f"{folder / SUMMARY_FILE}: no report for the kind {summary.kind!r} (there are: {kinds})")
-    return summary, read_notebook(read_resource(reports[summary.kind]))
+    if summary.kind not in every_report():
+        files = ", ".join(sorted(one.name for one in folder.iterdir() if not one.name.startswith(".")))
+        raise InputError(f"{folder}: results of the kind {summary.kind!r} have no report; all of them is in {files}")
+    return summary
+
+
+def _open(folder: Path) -> tuple[Summary, Notebook]:
+    summary = refuse_without_report(folder)
+    return summary, read_notebook(read_resource(every_report()[summary.kind]))
 
 
 def _replace(path: Path, text: str) -> None:

@@ -282,13 +282,17 @@ def _finite(key: str, value: float | int | None) -> float | int | None:
     return value if isinstance(value, int) else float(value)
 
 
-def what_instead(folder: Path) -> str:
-    """Say why a folder is not one of results."""
+def what_instead(folder: Path, below: str = "") -> str:
+    """Say why a folder is not one of results.
+
+    below: What follows where nothing is known of the folder: that none are in those below it either.
+    """
     if not folder.is_dir():
         return "there is no such folder"
     if (folder / "measurement.toml").is_file():
-        return "a measurement, not results; evaluate it with `hg.measure` or on the command line first"
-    return f"no results, for there is no {SUMMARY_FILE} in it"
+        command = f"`heliogauge measure {folder} -o OUT`"
+        return f"a measurement, not results; evaluate it first with {command}, in Python with `hg.measure`"
+    return f"no results, for there is no {SUMMARY_FILE} in it{below}"
 
 
 def hash_files(paths: Iterable[Path], relative_to: Path | None = None, most_bytes: int | None = None) -> dict[str, str]:

@@ -109,15 +109,15 @@ class WholeFolder:
             return
         if not kind.mark:
             raise InputError(f"{target}: holds files already; {kind.remedy}")
-        if not self._force:
-            raise InputError(
-                f"{target}: holds files already; choose another folder or give force=True to replace {kind.content}"
-            )
         # It must never cost photographs or a home folder.
-        if kind.mark not in names or names & kind.strangers:
+        is_own = kind.mark in names and not names & kind.strangers
+        if self._force and not is_own:
             raise InputError(
                 f"{target}: force=True replaces earlier {kind.content} only, and this folder holds something else"
             )
+        if not self._force:
+            more = f" or give force=True to replace {kind.content}" if is_own else ""
+            raise InputError(f"{target}: holds files already; {kind.remedy}{more}")
 
     def _move_into_place(self) -> None:
         self._check_target()

@@ -270,9 +270,10 @@ def report(
     verbose: Verbose = False,
 ) -> None:
     """(Re)build OUT/report.html from the results in OUT."""
-    from heliogauge.reporting.build import build_report
+    from heliogauge.reporting.build import build_report, refuse_without_report
     from heliogauge.running.terminal import terminal_progress
 
+    refuse_without_report(out)
     with terminal_progress(quiet=quiet, verbose=verbose).stage("report"):
         path = build_report(out)
     if not quiet:

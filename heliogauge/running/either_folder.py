@@ -6,7 +6,8 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from heliogauge.batch.folders import is_measurement
-from heliogauge.measurement.load import MEASUREMENT_FILE
+from heliogauge.errors import InputError
+from heliogauge.measurement.load import MEASUREMENT_FILE, kind_of
 from heliogauge.results.folder import SUMMARY_FILE, read_summary
 from heliogauge.results.measured_folder import measured_folder
 from heliogauge.running.progress import Progress
@@ -38,15 +39,19 @@ def measurement_of(folder: Path) -> Path:
 
 
 @contextmanager
-def results_of(folder: Path, progress: Progress) -> Iterator[Path]:
+def results_of(folder: Path, kind: str, progress: Progress) -> Iterator[Path]:
     """Give a folder of results: the one given, or for as long as it is needed what measuring the one given says.
 
-    InputError, EstimationError: The measurement cannot be evaluated.
+    kind: The kind that a measurement must be of; one of another kind is not evaluated.
+    InputError, EstimationError: The measurement is of another kind, or cannot be evaluated.
     """
     folder = planned_from(folder)
     if is_result(folder) or not is_measurement(folder):
         yield folder
         return
+    own = kind_of(folder).name
+    if own != kind:
+        raise InputError(f'{folder}: a measurement of the kind "{own}"; one of "{kind}", or its results, is needed')
     with TemporaryDirectory(prefix="heliogauge-") as place:
         results = Path(place) / folder.resolve().name
         measure_into(folder, results, progress, jobs=None, force=False, report=False)

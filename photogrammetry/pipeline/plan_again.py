@@ -45,7 +45,7 @@ def planned_measurement(
             plan = replace(plan, model=plan.model.model_copy(update={"goal": goal}))
         yield plan
         return
-    with results_of(folder, progress) as results:
+    with results_of(folder, kind, progress) as results:
         yield _again(results, sigma_mm)
 
 

@@ -86,7 +86,7 @@ class Site:
         """
         for one in self._opened.values():
             if not one.only and not is_result(one.root) and next(folders_of_results(one.root), None) is None:
-                raise InputError(f"{one.root}: {what_instead(one.root)}, nor in the folders below")
+                raise InputError(f"{one.root}: {what_instead(one.root, ', nor in the folders below')}")
         if len(self._opened) == 2:
             check_sides(self._side("1/"), self._side("2/"))
 

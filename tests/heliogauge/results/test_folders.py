@@ -36,6 +36,14 @@ def test_an_earlier_folder_is_told_by_its_mark(tmp_path: Path) -> None:
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a"]
 
 
+def test_what_force_would_refuse_is_not_advised(tmp_path: Path) -> None:
+    target = tmp_path / "photos"
+    target.mkdir()
+    (target / "photo.jpg").touch()
+    with pytest.raises(InputError, match=r"holds files already; take another$"):
+        make(target, PLANS, "new")
+
+
 def test_without_a_mark_nothing_is_ever_replaced(tmp_path: Path) -> None:
     make(tmp_path / "a", ONCE, "old")
     with pytest.raises(InputError, match="holds files already; take another"):

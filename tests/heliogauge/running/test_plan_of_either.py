@@ -93,3 +93,37 @@ def test_no_message_advises_to_write_into_results(
     said = capsys.readouterr().err
     assert "results, not a measurement; give the folder that was measured" in said
     assert "init" not in said
+
+
+@pytest.mark.parametrize("name", ["camera", "heliostat"])
+def test_a_measurement_of_another_kind_is_not_evaluated_first(
+    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "beams"
+    folder.mkdir()
+    (folder / "measurement.toml").write_text('kind = "beam"\n')
+    assert command(name, "plan", folder, "-o", tmp_path / "plan") == 2
+    said = capsys.readouterr().err
+    assert f'{folder}: a measurement of the kind "beam"; one of "{name}", or its results, is needed' in said
+    assert not (tmp_path / "plan").exists()
+
+
+@pytest.mark.parametrize("words", [("report",), ("view", "--no-browser")])
+def test_a_measurement_in_place_of_results_is_sent_to_its_evaluation(
+    words: tuple[str, ...], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "measurement.toml").write_text('kind = "beam"\n')
+    assert command(*words, tmp_path) == 2
+    assert capsys.readouterr().err == (
+        f"heliogauge: {tmp_path}: a measurement, not results; evaluate it first with "
+        f"`heliogauge measure {tmp_path} -o OUT`, in Python with `hg.measure`\n"
+    )
+
+
+def test_results_without_a_report_say_where_they_are(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = summary(tmp_path / "plan", "beam-plan", None)
+    (out / "plan.csv").touch()
+    assert command("report", out) == 2
+    assert capsys.readouterr().err == (
+        f"heliogauge: {out}: results of the kind 'beam-plan' have no report; all of them is in plan.csv, summary.json\n"
+    )
