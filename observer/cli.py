@@ -128,7 +128,7 @@ def plan_command(
     from observer.pipeline.plan_again import planned_measurement
     from observer.planning.plan import run
 
-    return Job(out, lambda progress: run(planned_measurement(folder), progress), measured=folder)
+    return Job(out, lambda progress: run(planned_measurement(folder, progress), progress), measured=folder)
 
 
 @app.command("compare")

@@ -133,6 +133,9 @@ def writes_results(*, report: bool = True) -> Callable[[Callable[..., Job]], Cal
 
             progress = terminal_progress(quiet=quiet, verbose=verbose)
             job = prepare(**own)
+            if job.measured not in (None, *own.values()):
+                # Results were given, and have led to it.
+                progress.say(f"measured from {job.measured}")
             result = into_folder(
                 job.out,
                 lambda: job.run(progress),

@@ -1,6 +1,6 @@
 """A measurement or its results: commands that need the one of the two and are given the other."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -19,23 +19,32 @@ def is_result(folder: Path) -> bool:
     return (folder / SUMMARY_FILE).is_file() and not (folder / MEASUREMENT_FILE).exists()
 
 
-def planned_from(folder: Path) -> Path:
+def planned_from(folder: Path, say: Callable[[str], None] = lambda text: None) -> Path:
     """Return what a plan was made from, and any other folder as it is.
 
-    InputError: A plan that does not say what it was made from, or of a folder that is not there any more.
+    say: Takes the folder that is used instead of the one given, for the person who waits.
+    InputError: A plan that does not say what it was made from, or of a folder that is not there any more or has
+        changed.
     """
     while is_result(folder) and read_summary(folder).kind.endswith("-plan"):
         folder = measured_folder(folder)
+        say(f"planned from {folder}")
     return folder
 
 
-def measurement_of(folder: Path) -> Path:
+def measurement_of(folder: Path, say: Callable[[str], None] = lambda text: None) -> Path:
     """Return a measurement folder: the one given, or that which the results given were measured or planned from.
 
-    InputError: Results that do not say what they were measured from, or of a folder that is not there any more.
+    say: Takes the folder that is used instead of the one given, for the person who waits.
+    InputError: Results that do not say what they were measured from, or of a folder that is not there any more or has
+        changed.
     """
-    folder = planned_from(folder)
-    return measured_folder(folder) if is_result(folder) else folder
+    folder = planned_from(folder, say)
+    if not is_result(folder):
+        return folder
+    folder = measured_folder(folder)
+    say(f"measured from {folder}")
+    return folder
 
 
 @contextmanager
@@ -45,7 +54,7 @@ def results_of(folder: Path, kind: str, progress: Progress) -> Iterator[Path]:
     kind: The kind that a measurement must be of; one of another kind is not evaluated.
     InputError, EstimationError: The measurement is of another kind, or cannot be evaluated.
     """
-    folder = planned_from(folder)
+    folder = planned_from(folder, progress.say)
     if is_result(folder) or not is_measurement(folder):
         yield folder
         return

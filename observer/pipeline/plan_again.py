@@ -6,6 +6,7 @@ from heliogauge.errors import InputError
 from heliogauge.measurement.load import MEASUREMENT_FILE, kind_of
 from heliogauge.results.folder import read_summary
 from heliogauge.running.either_folder import is_result, measurement_of, planned_from
+from heliogauge.running.progress import Progress
 from observer.keys import ObserverModel, load_observer
 from observer.planning.keys import (
     ObserverPlanMeasurement,
@@ -16,15 +17,15 @@ from observer.planning.keys import (
 )
 
 
-def planned_measurement(folder: Path) -> ObserverPlanMeasurement:
+def planned_measurement(folder: Path, progress: Progress) -> ObserverPlanMeasurement:
     """Return what is to be planned.
 
     folder: A plan; a measurement, of which collector, camera, targets and lengths are taken, with the pass that a plan
         has by default; or results of either. Those of a measurement give the mirror and the camera besides.
     InputError: None of them, or a measurement without marked targets or a known camera.
     """
-    folder = planned_from(folder)
-    place = measurement_of(folder)
+    folder = planned_from(folder, progress.say)
+    place = measurement_of(folder, progress.say)
     if kind_of(place).name != "observer":
         return load_observer_plan(place)
     results = folder if is_result(folder) and read_summary(folder).kind == "observer" else None

@@ -36,7 +36,7 @@ def planned_measurement(
     InputError: Neither of them.
     EstimationError: The measurement cannot be evaluated.
     """
-    folder = planned_from(folder)
+    folder = planned_from(folder, progress.say)
     kind = read_summary(folder).kind if is_result(folder) else kind_of(folder).name
     if kind != "photogrammetry":
         plan = load_photogrammetry_plan(folder)
