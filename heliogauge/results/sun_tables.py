@@ -23,11 +23,14 @@ def read_sun(path: Path) -> TabulatedSun:
     path: A table with the columns `SUN_COLUMNS`, or a ``.sun`` of SolTrace: the same without names.
     InputError: A table that cannot be read, lacks a column, or is no radiance over an angle.
     """
-    texts = _of_soltrace(path) if path.suffix.lower() == _SOLTRACE else _named(path)
+    is_relative, texts = (False, _of_soltrace(path)) if path.suffix.lower() == _SOLTRACE else _named(path)
     try:
         angle, radiance = (np.array(column, dtype=np.float64) for column in texts)
     except ValueError as error:
         raise InputError(f"{path}: {error}; is the decimal sign a point?") from None
+    if is_relative:
+        # Backward gazing has written the noise of the dark sky as it was, below zero too.
+        radiance = np.maximum(radiance, 0.0)
     try:
         return TabulatedSun(1e-3 * angle, radiance, path.name)
     except InputError as error:
@@ -43,13 +46,14 @@ def write_sun(path: Path, angle_rad: FloatArray, radiance: FloatArray) -> None:
     write_table_csv(path, dict(zip(SUN_COLUMNS, (1e3 * angle_rad, np.maximum(radiance, 0.0)), strict=True)))
 
 
-def _named(path: Path) -> tuple[list[str], list[str]]:
+def _named(path: Path) -> tuple[bool, tuple[list[str], list[str]]]:
+    """Return whether the radiance is relative to that of the sun's middle; angles and radiance."""
     angle, radiance = SUN_COLUMNS
     table = read_table_csv(path, (angle,))
     name = _RELATIVE if _RELATIVE in table and radiance not in table else radiance
     if name not in table:
         raise InputError(f"{path}: the column {radiance} is missing; it has {', '.join(table)}")
-    return table[angle], table[name]
+    return name == _RELATIVE, (table[angle], table[name])
 
 
 def _of_soltrace(path: Path) -> tuple[list[str], list[str]]:

@@ -56,6 +56,18 @@ def test_any_sun_serves_a_plan_of_backward_gazing(name: str, tmp_path: Path) -> 
     assert run_folder(tmp_path).best.measured_share > 0.5
 
 
+def test_noise_beyond_the_limb_in_a_table_of_backward_gazing_is_darkness(tmp_path: Path) -> None:
+    (tmp_path / "sun.csv").write_text("angle_mrad,relative_radiance\n0,1\n4,0.5\n5,-0.002\n6,0.001\n7,-0.001\n")
+    sun = read_sun(tmp_path / "sun.csv")
+    np.testing.assert_array_equal(sun.radiance(1e-3 * np.array([0.0, 4, 5, 6, 7])), [1, 0.5, 0, 0.001, 0])
+
+
+def test_radiance_of_any_unit_below_zero_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "sun.csv").write_text("angle_mrad,radiance\n0,1\n4,0.5\n5,-0.002\n")
+    with pytest.raises(InputError, match="no sun shape"):
+        read_sun(tmp_path / "sun.csv")
+
+
 def test_what_is_no_sun_is_named(tmp_path: Path) -> None:
     (tmp_path / "sun.csv").write_text("angle_mrad,flux\n0,10\n4,9\n")
     with pytest.raises(InputError, match=r"sun\.csv: the column radiance is missing; it has angle_mrad, flux"):
