@@ -51,5 +51,5 @@ def open_video(path: Path) -> Any:
 def _is_container(content: bytes) -> bool:
     """Return whether a file begins as those do that hold frames themselves."""
     is_avi = content.startswith(b"RIFF") and content[8:12] == b"AVI "
-    is_stream = set(content[::_TRANSPORT_BYTES]) == set(b"G")
+    is_stream = content[::_TRANSPORT_BYTES] == _PACKETS * b"G"
     return is_avi or is_stream or content[4:8] in _BOXES or content.startswith((_MATROSKA, *_MPEG))

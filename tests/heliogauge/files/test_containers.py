@@ -380,6 +380,15 @@ class TestVideo:
             open_video(tmp_path / "a.ts")
         assert handed == []
 
+    @pytest.mark.parametrize("size", [1, 188, 189, 752])
+    def test_a_short_text_that_begins_like_a_packet_is_not_either(
+        self, tmp_path: Path, handed: list[str], size: int
+    ) -> None:
+        (tmp_path / "a.ts").write_bytes(b"G" * size)
+        with pytest.raises(InputError, match="cannot be opened as a video"):
+            open_video(tmp_path / "a.ts")
+        assert handed == []
+
     def test_a_stream_of_packets_is(self, tmp_path: Path, handed: list[str]) -> None:
         (tmp_path / "a.ts").write_bytes((b"G" + bytes(187)) * 9)
         with pytest.raises(InputError, match="cannot be opened as a video"):
