@@ -121,7 +121,8 @@ class Summary:
         pattern.
     doubts: What makes the result doubtful.
     durations_s: Wall time of each stage [s].
-    input_sha256: Hash of each file that was read.
+    input_sha256: Hash of each file that was read; ``observations``: of what was observed, where files also hold what
+        may be corrected later.
     not_determined: Why a number is None.
     facets: For several facets: numbers of each by the name of the facet.
     geometry_m: Points for the sketch of the setup, in the frame of the map [m]: ``camera`` (3,), ``camera_axis``

@@ -101,6 +101,7 @@ class HeliostatResult:
     properties: The properties file of PAINT it came from; empty with tables.
     duration_s: Time it took [s].
     as_stated: The fit to numbers and records as they were stated, where ``fit`` is that with a remedy applied.
+    observations_sha256: Hash of its observations, without what is known of it besides.
     """
 
     name: str
@@ -120,6 +121,7 @@ class HeliostatResult:
     properties: str = ""
     duration_s: float = 0.0
     as_stated: HeliostatFit | None = None
+    observations_sha256: str = ""
 
     @property
     def main(self) -> HeldOut | None:

@@ -7,7 +7,7 @@ machine; tasks are made one at a time, so that a field of any size fits into mem
 import hashlib
 import math
 from array import array
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -67,6 +67,22 @@ class HeliostatTask:
     def digest(self, shared: str) -> str:
         """Return a hash of the task and of what it shares with others."""
         return hashlib.sha256(f"{shared}\n{self!r}".encode()).hexdigest()
+
+    def observations_digest(self) -> str:
+        """Return a hash of the observations alone, in whatever order and lines they stand.
+
+        What is known of the heliostat besides may be corrected: the measurement stays the same.
+        """
+        said = (self.name, self.header, sorted(text for _, text in self.records))
+        return hashlib.sha256(repr(said).encode()).hexdigest()
+
+
+def digest_of_all(observations: Mapping[str, str]) -> str:
+    """Return a hash of the observations of a field.
+
+    observations: Hash of each heliostat's, by its name.
+    """
+    return hashlib.sha256(repr(sorted(observations.items())).encode()).hexdigest()
 
 
 class Source(Protocol):

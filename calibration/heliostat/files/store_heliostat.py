@@ -319,7 +319,7 @@ def heliostat_summary(
     """Return the summary of one heliostat.
 
     durations_s: Time of each stage [s].
-    input_sha256: Hashes of what was read.
+    input_sha256: Hashes of what was read; that of the observations alone is added.
     Returns: Headline numbers, the splits, doubts.
     """
     numbers = headline(result)
@@ -336,7 +336,7 @@ def heliostat_summary(
         texts=texts,
         doubts=result.doubts,
         durations_s=dict(durations_s),
-        input_sha256=dict(input_sha256),
+        input_sha256={**input_sha256, "observations": result.observations_sha256},
         not_determined={key: why for key, value in numbers.items() if value is None},
     )
 

@@ -10,7 +10,7 @@ from calibration.heliostat.diagnosis.field_findings import judge_field
 from calibration.heliostat.diagnosis.findings import Diagnosis
 from calibration.heliostat.files.field_folder import FieldFolder
 from calibration.heliostat.files.result import Shared
-from calibration.heliostat.files.sources import HeliostatTask
+from calibration.heliostat.files.sources import HeliostatTask, digest_of_all
 from calibration.heliostat.files.store_diagnosis import VIEW, changed_row, rewrite_diagnosis, view_of
 from calibration.heliostat.files.store_field import (
     failed_row,
@@ -132,6 +132,7 @@ def _fill(
     common = _digest(campaign.shared)
     failures: dict[str, Failure] = {}
     digests: dict[str, str] = {}
+    observations: dict[str, str] = {}
     processes = options.workers.processes(len(campaign.names), worth=WORTH[campaign.shared.thorough])
     for name in campaign.names:
         if name in folder.spoiled:
@@ -142,6 +143,7 @@ def _fill(
             """Yield what is not finished yet; what was finished from the same is taken over."""
             for task in campaign.source.tasks(campaign.names):
                 digest = task.digest(common)
+                observations[task.name] = task.observations_digest()
                 earlier = folder.before.get(task.name)
                 if earlier is not None and earlier.digest == digest:
                     folder.finished[task.name] = earlier
@@ -173,7 +175,7 @@ def _fill(
             rows,
             campaign.shared,
             durations_s=dict(progress.durations_s),
-            input_sha256=hashes,
+            input_sha256={**hashes, "observations": digest_of_all(observations)},
             of_field=(*campaign.source.doubts, *compared.doubts),
         )
         write_field(folder.path, rows)

@@ -1,5 +1,6 @@
 """Observations of heliostats to tracking models one can trust: read, fit each, try it out, write."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar
@@ -7,6 +8,7 @@ from typing import Any, ClassVar
 from calibration.heliostat.diagnosis.field_findings import judge_field
 from calibration.heliostat.diagnosis.findings import Diagnosis
 from calibration.heliostat.files.result import HeliostatResult, Shared
+from calibration.heliostat.files.sources import HeliostatTask, digest_of_all
 from calibration.heliostat.files.store_field import (
     FIELD_KIND,
     failed_row,
@@ -87,6 +89,8 @@ class Result(InstrumentResult):
         Why the others could not.
     of_field : tuple of Doubt
         What concerns the field as a whole.
+    observations_sha256 : str
+        Hash of the observations of all, those that could not be calibrated too.
     name : str
         Name of the measurement.
     doubts : tuple of Doubt
@@ -102,6 +106,7 @@ class Result(InstrumentResult):
     heliostats: tuple[HeliostatResult, ...]
     failures: dict[str, Failure]
     of_field: tuple[Doubt, ...] = ()
+    observations_sha256: str = ""
 
     @property
     def only_one(self) -> HeliostatResult | None:
@@ -119,6 +124,7 @@ class Result(InstrumentResult):
         durations, hashes = self.durations_s, self.input_sha256
         if self.only_one is not None:
             return heliostat_summary(self.only_one, durations_s=durations, input_sha256=hashes)
+        hashes = {**hashes, "observations": self.observations_sha256}
         return field_summary(
             self.name, self.rows, self.shared, durations_s=durations, input_sha256=hashes, of_field=self.of_field
         )
@@ -170,10 +176,16 @@ def run(measurement: HeliostatMeasurement, options: Options | None = None, progr
     with progress.stage("hash inputs"):
         hashes = hash_files(campaign.source.files, measurement.folder)
     processes = options.workers.processes(len(campaign.names), worth=WORTH[campaign.shared.thorough])
-    tasks = campaign.source.tasks(campaign.names)
+    observations: dict[str, str] = {}
+
+    def tasks() -> Iterator[HeliostatTask]:
+        for task in campaign.source.tasks(campaign.names):
+            observations[task.name] = task.observations_digest()
+            yield task
+
     found: dict[str, HeliostatResult | Failure] = {}
     with progress.stage("calibrate heliostats", len(campaign.names)) as stage:
-        for done in run_each(calibrate_one, campaign.shared, tasks, workers=options.workers, processes=processes):
+        for done in run_each(calibrate_one, campaign.shared, tasks(), workers=options.workers, processes=processes):
             found[done.task.name] = done.outcome
             stage.advance()
     heliostats = tuple(one for name in campaign.names if isinstance(one := found[name], HeliostatResult))
@@ -194,6 +206,7 @@ def run(measurement: HeliostatMeasurement, options: Options | None = None, progr
         heliostats,
         failures,
         of_field,
+        digest_of_all(observations),
         name=measurement.model.name,
         doubts=doubts,
         durations_s=durations,

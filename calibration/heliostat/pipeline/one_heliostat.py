@@ -88,6 +88,7 @@ def calibrate_one(shared: Shared, task: HeliostatTask) -> HeliostatResult:
         doubts=tuple(one for one in found if one.severity is not Severity.NOTE),
         notes=tuple(one for one in found if one.severity is Severity.NOTE),
         properties=task.properties,
+        observations_sha256=task.observations_digest(),
         duration_s=perf_counter() - begin,
     )
 

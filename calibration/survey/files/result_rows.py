@@ -97,8 +97,12 @@ def read_result(folder: Path, *, date: str | None = None, subject: str | None = 
 def _measurement(summary: Summary) -> str:
     """Return the hash of what was measured: of photos and tables, whatever their names, not of settings.
 
-    The same photos with a measurement.toml or a camera.json that was corrected are the same measurement.
+    The same photos with a measurement.toml or a camera.json that was corrected are the same measurement. Heliostats
+    come with tables of what is known of them: their results say the hash of the observations alone.
     """
+    observations = summary.input_sha256.get("observations")
+    if observations:
+        return _digest([summary.kind, observations])
     data = {digest for file, digest in summary.input_sha256.items() if not file.endswith((".toml", ".json"))}
     data = data or set(summary.input_sha256.values())
     return _digest([summary.kind, *sorted(data)]) if data else ""

@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -118,7 +119,7 @@ class TestOneHeliostat:
     def test_summary_names_the_kind_and_its_inputs(self, calibrated: tuple[Path, Any]) -> None:
         summary = read_summary(calibrated[0])
         assert summary.kind == "heliostat"
-        assert set(summary.input_sha256) == {"measurement.toml", "heliostats.csv", "observations.csv"}
+        assert set(summary.input_sha256) == {"measurement.toml", "heliostats.csv", "observations.csv", "observations"}
         assert summary.numbers["observations_count"] == 60
         assert summary.numbers["used_count"] == 58
 
@@ -195,6 +196,36 @@ class TestField:
         rows = {row["heliostat"]: row for row in rows_of(folder.parent / "out" / "field.csv")}
         assert (rows["H1"]["status"], rows["H1"]["diagnosis"]) == ("failed", "constant_column")
         assert content_of(folder.parent / "out" / "H2")["diagnosis"]["findings"] == []
+
+    def test_corrected_positions_are_no_new_measurement_to_a_store(self, tmp_path: Path) -> None:
+        """One heliostat, a field from the command and one from Python; other observations are new."""
+        pytest.importorskip("duckdb")
+        from calibration.survey import add
+
+        place, store = tmp_path / "in", tmp_path / "store"
+        write_field(place, heliostats=2, observations=16)
+
+        def results(name: str) -> list[Path]:
+            outs = [tmp_path / f"{name}-{way}" for way in ("field", "python", "one")]
+            run_into(load_heliostat(place), outs[0], QUICK)
+            outs[1].mkdir()
+            run(load_heliostat(place), QUICK).write(outs[1])
+            run_into(load_heliostat(place), outs[2], replace(QUICK, only="H1"))
+            return outs
+
+        assert add(results("first"), store).results == 3
+        table = read_table_csv(place / "heliostats.csv")
+        table["e_m"] = [str(float(one) + 0.05) for one in table["e_m"]]
+        write_table_csv(place / "heliostats.csv", table)
+        added = add(results("corrected"), store)
+        assert (added.results, len(added.again)) == (0, 7)
+        # Rows in another order are the same; a row less of one heliostat is another measurement of it and of the field.
+        table = read_table_csv(place / "observations.csv")
+        write_table_csv(place / "observations.csv", {key: cells[::-1] for key, cells in table.items()})
+        assert add(results("turned"), store).results == 0
+        write_table_csv(place / "observations.csv", {key: cells[1:] for key, cells in table.items()})
+        names = {one.name for one, _ in add(results("shorter"), store).added}
+        assert names == {"shorter-field", "H1"}
 
     def test_only_some(self, folder: Path) -> None:
         run_into(load_heliostat(folder), folder.parent / "out", Options(thorough=False, model="5", only="H1, H[45]"))
