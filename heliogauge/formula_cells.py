@@ -2,9 +2,16 @@
 
 import re
 
-# What a spreadsheet computes when it opens a CSV file, behind apostrophes or not; and numbers, which begin alike.
-_FORMULA = re.compile(r"'*[=+\-@\t\r]")
-_NUMBER = re.compile(r"[+-]?(?:(?:\d+\.?\d*|\.\d+)(?:e[+-]?\d+)?|inf|nan)", re.IGNORECASE)
+# What a spreadsheet computes when it opens a CSV file, behind apostrophes or not; and numbers, which begin alike. The
+# signs of full width are those of Chinese and Japanese keyboards.
+_SIGNS = r"=+\-@\uFF1D\uFF0B\uFF0D\uFF20"
+_FORMULA = re.compile(rf"'*[{_SIGNS}\t\r\n]")
+_PATTERN = r"[+-]?(?:(?:\d+\.?\d*|\.\d+)(?:e[+-]?\d+)?|inf|nan)"
+_NUMBER = re.compile(_PATTERN, re.IGNORECASE)
+# Where another cell begins for a spreadsheet whose separator is no comma, as in most of Europe: quotes do not stop it.
+_BEGIN = r"(?<=[;\t\r\n])"
+_INNER = re.compile(rf"{_BEGIN}(?!{_PATTERN}(?:[;\t\r\n]|\Z))('*[{_SIGNS}])", re.IGNORECASE)
+_GUARDED = re.compile(rf"{_BEGIN}'('*[{_SIGNS}])")
 
 
 def guarded_cell(text: str) -> str:
@@ -15,7 +22,9 @@ def guarded_cell(text: str) -> str:
     >>> guarded_cell("=1+1"), guarded_cell("-12"), guarded_cell("-A7"), guarded_cell("'-A7")
     ("'=1+1", '-12', "'-A7", "''-A7")
     """
-    return f"'{text}" if _FORMULA.match(text) and not _NUMBER.fullmatch(text) else text
+    is_formula = _FORMULA.match(text) and not _NUMBER.fullmatch(text)
+    inner = _INNER.sub(r"'\1", text)
+    return f"'{inner}" if is_formula else inner
 
 
 def plain_cell(cell: str) -> str:
@@ -24,4 +33,6 @@ def plain_cell(cell: str) -> str:
     >>> plain_cell("'=1+1"), plain_cell("-12"), plain_cell("''-A7"), plain_cell("'quoted'")
     ('=1+1', '-12', "'-A7", "'quoted'")
     """
-    return cell[1:] if cell.startswith("'") and _FORMULA.match(cell) else cell
+    if "'" not in cell:
+        return cell
+    return _GUARDED.sub(r"\1", cell[1:] if cell.startswith("'") and _FORMULA.match(cell) else cell)
