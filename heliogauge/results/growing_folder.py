@@ -79,7 +79,7 @@ class GrowingFolder:
             sweep(self.path)
             self._check()
             if (self.path / self.journal_file).exists():
-                with (self.path / self.journal_file).open("a", encoding="utf-8") as journal:
+                with self._open_journal() as journal:
                     _refuse_second_writer(journal, self.path)
             if self._force and self.path.exists() and any(self.path.iterdir()):
                 self._earlier = hidden_beside(self.path, EARLIER)
@@ -94,7 +94,7 @@ class GrowingFolder:
                     self.spoiled[name] = fault
                 else:
                     self.before[name] = one
-            self._journal = (self.path / self.journal_file).open("a", encoding="utf-8")
+            self._journal = self._open_journal()
             _refuse_second_writer(self._journal, self.path)
         except OSError as error:
             raise InputError(
@@ -143,6 +143,16 @@ class GrowingFolder:
         """
         self.finished[name] = self.before[name]._replace(row=dict(row))
         self._add_line(name)
+
+    def _open_journal(self) -> TextIO:
+        """Open the journal; a pipe would wait for a reader, and a link leads to a file that is no journal.
+
+        InputError: It is no regular file.
+        """
+        journal = self.path / self.journal_file
+        if journal.is_symlink() or (journal.exists() and not journal.is_file()):
+            raise InputError(f"{journal}: is no regular file, and no journal; remove it")
+        return journal.open("a", encoding="utf-8")
 
     def _add_line(self, name: str) -> None:
         if self._journal is None:
