@@ -124,14 +124,13 @@ class WholeFolder:
         earlier = hidden_beside(self._target, EARLIER)
         try:
             had_earlier = self._target.exists()
+            # A power cut must find no name with empty files, nor an earlier folder gone and the new one not there.
+            put_on_disk(everything_in(self._working))
             if had_earlier:
-                # It goes at the end: a power cut must not find it gone and the new one not yet on the disk.
-                put_on_disk(everything_in(self._working))
                 self._target.rename(earlier)
             try:
                 self._working.rename(self._target)
-                if had_earlier:
-                    put_on_disk([self._target.parent])
+                put_on_disk([self._target.parent])
             except BaseException:
                 if had_earlier:
                     earlier.rename(self._target)

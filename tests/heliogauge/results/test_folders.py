@@ -1,11 +1,13 @@
 """Whole folders of any kind; what results add is in test_store."""
 
 import errno
+from collections.abc import Iterable
 from pathlib import Path
 
 import pytest
 
 from heliogauge.errors import InputError
+from heliogauge.results import whole_folder
 from heliogauge.results.whole_folder import FolderKind, WholeFolder
 
 PLANS = FolderKind(content="plans", mark="plan.toml", strangers=frozenset({"photo.jpg"}), remedy="take another")
@@ -82,3 +84,21 @@ def test_other_errors_of_the_system_are_not_explained_away(tmp_path: Path, error
     with pytest.raises(type(error)):
         fail(tmp_path / "a", error)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_new_folder_is_on_the_disk_before_its_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """After a power cut a folder with its name and empty files would count as whole."""
+    steps: list[str] = []
+    rename = Path.rename
+
+    def recorded(paths: Iterable[Path]) -> None:
+        steps.append(", ".join(sorted(path.name for path in paths if not path.name.startswith("."))))
+
+    def renamed(path: Path, target: Path) -> Path:
+        steps.append(f"rename to {target.name}")
+        return rename(path, target)
+
+    monkeypatch.setattr(whole_folder, "put_on_disk", recorded)
+    monkeypatch.setattr(Path, "rename", renamed)
+    make(tmp_path / "a", PLANS, "new")
+    assert steps == ["plan.toml", "rename to a", tmp_path.name]
