@@ -184,6 +184,8 @@ def look_at(paths: Sequence[Path], how: Looking, say: Callable[[str], None]) -> 
         say("served to this machine alone; Ctrl-C ends")
         with ExitStack() as stack:
             if how.browser:
+                # One that is packed with a temporary folder of its own (snap, flatpak) does not find the page.
+                say("where the browser shows no page, paste the address above into it")
                 # Some systems start the browser within this call.
                 webbrowser.open(stack.enter_context(_forwarding_page(viewer.address)).as_uri())
             viewer.serve_forever()

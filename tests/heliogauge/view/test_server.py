@@ -345,7 +345,7 @@ def test_the_word_is_not_among_the_arguments_of_the_browser(
             answer = connection.getresponse().read()
             connection.close()
             process.send_signal(number)
-            _, errors = process.communicate(timeout=30)
+            output, errors = process.communicate(timeout=30)
         finally:
             process.kill()
     word = urlsplit(address).path.strip("/")
@@ -353,6 +353,7 @@ def test_the_word_is_not_among_the_arguments_of_the_browser(
     assert word not in " ".join(seen["arguments"])
     assert seen["address"] == address
     assert answer == b"id,x_m\n1,2\n"
+    assert "paste the address" in output
     assert seen["modes"] == [0o600, 0o700]
     assert not Path(seen["page"]).parent.exists()
     assert "Traceback" not in errors
