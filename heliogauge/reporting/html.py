@@ -1,6 +1,7 @@
 """Pieces of HTML that report notebooks show: figures side by side, tables, pieces below each other."""
 
 import html
+import re
 from collections.abc import Callable, Iterable, Sequence
 from typing import TYPE_CHECKING, Protocol
 
@@ -44,6 +45,15 @@ class FirstScreen(Html):
     def __init__(self, whole: Html, picture: Shown | None) -> None:
         super().__init__(whole.text, whole.page_html)
         self.picture = picture
+
+
+def sentence(text: str) -> str:
+    """Return a sentence as HTML: markup in it stays text, what stands between backticks is code.
+
+    >>> sentence("see `beam plan` <here>")
+    'see <code>beam plan</code> &lt;here&gt;'
+    """
+    return re.sub(r"`([^`]+)`", r"<code>\1</code>", html.escape(text))
 
 
 def in_page(piece: Shown, store: "ArrayStore") -> str:
@@ -94,7 +104,7 @@ def table(head: Sequence[str], rows: Iterable[Sequence[str]], *, numbers: Iterab
 
     def line(cells: Sequence[str], tag: str) -> str:
         kinds = [_cell_kind(cell, is_number=index in right) for index, cell in enumerate(cells)]
-        body = "".join(f"<{tag}{kind}>{html.escape(cell)}</{tag}>" for cell, kind in zip(cells, kinds, strict=True))
+        body = "".join(f"<{tag}{kind}>{sentence(cell)}</{tag}>" for cell, kind in zip(cells, kinds, strict=True))
         return f"<tr>{body}</tr>"
 
     top = f"<thead>{line(head, 'th')}</thead>" if any(head) else ""

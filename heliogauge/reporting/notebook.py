@@ -55,7 +55,7 @@ class Notebook:
         store: Takes the numbers of views in the page.
         Exception: What a cell raises.
         """
-        count = 0
+        count, parts = 0, []
         for cell, value in self.values(folder):
             if cell["cell_type"] == "markdown":
                 shown = markdown("".join(cell["source"]))
@@ -64,8 +64,8 @@ class Notebook:
                 cell["execution_count"] = count
                 cell["outputs"] = [] if value is None else [_output(value, count)]
                 shown = "" if value is None else _in_page(value, store)
-            if shown:
-                self.shown.append(ShownCell(shown, PRINT_TAG in _tags(cell)))
+            parts.append(_Part(ShownCell(shown, PRINT_TAG in _tags(cell)), is_text=cell["cell_type"] == "markdown"))
+        self.shown += _with_content(parts)
 
     def values(self, folder: Path) -> Iterator[tuple[dict[str, Any], Any]]:
         """Go through the cells of text and code, each with the value of its last expression, running one at a time.
@@ -83,6 +83,39 @@ class Notebook:
     def text(self) -> str:
         """Return the notebook as its file holds it."""
         return json.dumps(self.content, indent=1, ensure_ascii=False) + "\n"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Part:
+    """A cell as the page would have it, before it is known whether there is something under its heading."""
+
+    shown: ShownCell
+    is_text: bool
+
+    @property
+    def is_heading(self) -> bool:
+        return self.shown.html.startswith("<h2")
+
+
+def _with_content(parts: Sequence[_Part]) -> list[ShownCell]:
+    """Return the cells of a page: without those that show nothing, and without text of which nothing is shown.
+
+    A heading is of all that follows up to the next one, other text of the results that follow it. Text that no result
+    follows is content itself.
+    """
+    kept: dict[int, ShownCell] = {}
+    for number, part in reversed(list(enumerate(parts))):
+        if not part.is_text:
+            if part.shown.html:
+                kept[number] = part.shown
+            continue
+        end = number + 1
+        while end < len(parts) and not parts[end].is_heading and (part.is_heading or not parts[end].is_text):
+            end += 1
+        inside = range(number + 1, end)
+        if all(parts[one].is_text for one in inside) or any(one in kept for one in inside):
+            kept[number] = part.shown
+    return [kept[number] for number in sorted(kept)]
 
 
 def _tags(cell: dict[str, Any]) -> Sequence[str]:

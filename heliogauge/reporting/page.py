@@ -10,7 +10,7 @@ import numpy as np
 from heliogauge.doubts import Doubt, Severity, heaviest_first
 from heliogauge.errors import EstimationError
 from heliogauge.flags import FLAG_TEXTS, REJECTED, SampleFlag, count_flags
-from heliogauge.reporting.html import FirstScreen, Html, Shown, join, table, wrap
+from heliogauge.reporting.html import FirstScreen, Html, Shown, join, sentence, table, wrap
 from heliogauge.reporting.notation import number_text
 from heliogauge.reporting.results import Results, open_results
 from heliogauge.reporting.verdict import State, Verdict, doubt_mark
@@ -141,9 +141,9 @@ def verdict_box(verdict: Verdict) -> Html:
     words = STATE_WORDS[verdict.state]
     if verdict.state is State.INCOMPLETE and verdict.doubtful:
         words = f"{words} and {STATE_WORDS[State.DOUBTFUL].lower()}"
-    lines, serious = [f'<li class="missing">{html.escape(text)}</li>' for text in verdict.missing], 0
+    lines, serious = [f'<li class="missing">{sentence(text)}</li>' for text in verdict.missing], 0
     for remark in verdict.doubtful[:MOST_REMARKS]:
-        line = f'<li class="doubtful {remark.severity}"><a href="#{remark.mark}">{html.escape(remark.text)}</a></li>'
+        line = f'<li class="doubtful {remark.severity}"><a href="#{remark.mark}">{sentence(remark.text)}</a></li>'
         if remark.severity is Severity.SERIOUS:
             lines.insert(serious, line)
             serious += 1
@@ -152,7 +152,7 @@ def verdict_box(verdict: Verdict) -> Html:
     more = len(verdict.doubtful) - MOST_REMARKS
     if more > 0:
         lines.append(f'<li class="doubtful"><a href="#{_ALL_DOUBTS}">and {more} more</a></li>')
-    lines += [f'<li class="passed">{html.escape(text)}</li>' for text in verdict.passed]
+    lines += [f'<li class="passed">{sentence(text)}</li>' for text in verdict.passed]
     if verdict.notes:
         counted = "1 note" if verdict.notes == 1 else f"{verdict.notes} notes"
         lines.append(f'<li class="note"><a href="#{_ALL_DOUBTS}">{counted}</a></li>')
@@ -190,7 +190,7 @@ def _doubt_list(doubts: Sequence[Doubt]) -> Html:
     if not doubts:
         return Html("<p>No check found anything doubtful.</p>")
     items = "".join(
-        f'<li class="{one.severity}" id="{doubt_mark(number)}">{html.escape(one.text)}</li>'
+        f'<li class="{one.severity}" id="{doubt_mark(number)}">{sentence(one.text)}</li>'
         for number, one in heaviest_first(doubts)
     )
     return Html(f'<ul class="doubts" id="{_ALL_DOUBTS}">{items}</ul>')

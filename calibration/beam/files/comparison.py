@@ -72,11 +72,10 @@ class Comparison(InstrumentResult):
         wide_m = float(np.median([np.ptp(one.points_m[:, :2], axis=0).max() for one in self.mirror.facets]))
         away_m = float(np.linalg.norm(self.photos[0].target.center_m - self.stand.position_m))
         sun_m = 2 * SOLAR_DISC_RAD * away_m
-        sigma_mrad = 1e3 * float(np.sqrt(np.mean(after.sigma_canting_rad**2)))
         where = "the only photo" if len(self.photos) == 1 else f"all {len(self.photos)} photos"
         return (
-            f"sigma {sigma_mrad:.1f} mrad, for the sun's picture of {sun_m:.2f} m on the target is as wide as "
-            f"{sun_m / wide_m:.1f} facets, so their pictures overlap in {where}"
+            f"{after.sigma_words()}, for the facets ({wide_m:.2f} m wide, the sun's disc {sun_m:.2f} m on the target) "
+            f"throw their light onto the same place in {where}"
         )
 
     def summarise(self) -> Summary:
@@ -190,7 +189,7 @@ class Comparison(InstrumentResult):
         after = self.after
         if after is not None:
             sigma_mrad = 1e3 * float(after.sigma_canting_rad.max())
-            canting = f"not determined (sigma {sigma_mrad:.2f} mrad)"
+            canting = f"not determined ({after.sigma_words()})"
             if after.is_canting_told:
                 canting = f"up to {1e3 * float(np.hypot(*after.canting_rad.T).max()):.2f} \u00b1 {sigma_mrad:.2f} mrad"
             lines.append(

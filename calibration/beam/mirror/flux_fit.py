@@ -136,8 +136,17 @@ class FluxFit(ShortRepr):
 
         To a fifth of the sun's radius in the beam, RMS over the facets, and with odds of 20 against facets exchanged.
         """
-        sigma = float(np.sqrt(np.mean(self.sigma_canting_rad**2)))
-        return sigma < _TOLD_RAD and not self.may_be_exchanged
+        return self.sigma_canting_rms_rad < _TOLD_RAD and not self.may_be_exchanged
+
+    @property
+    def sigma_canting_rms_rad(self) -> float:
+        """Sigma of a facet's canting, RMS over facets and axes."""
+        return float(np.sqrt(np.mean(self.sigma_canting_rad**2)))
+
+    def sigma_words(self) -> str:
+        """Say how sure the canting is, as everywhere: the RMS of the facets' sigmas, and the largest."""
+        rms_mrad, most_mrad = 1e3 * self.sigma_canting_rms_rad, 1e3 * float(self.sigma_canting_rad.max())
+        return f"sigma of a facet {rms_mrad:.2f} mrad RMS, {most_mrad:.2f} mrad at most"
 
     @property
     def may_be_exchanged(self) -> bool:

@@ -324,7 +324,7 @@ def _doubts(result: Comparison) -> list[Doubt]:
         )
     after = result.after
     if after is not None and not after.is_canting_told:
-        facets, sigma_rad = result.mirror.facets, float(np.sqrt(np.mean(after.sigma_canting_rad**2)))
+        facets, sigma_rad = result.mirror.facets, after.sigma_canting_rms_rad
         doubts.append(
             Doubt(
                 "canting_not_determined",

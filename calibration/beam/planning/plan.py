@@ -218,7 +218,7 @@ def run(
         angles_rad=np.stack(sun_angles(times[kept], place), axis=1),
         wanted_rad=options.wanted_rad,
         left_out=left_out,
-        doubts=gather_doubts(trial.doubts, _suns_left_out(left_out, len(times))),
+        doubts=gather_doubts(_doubts_of_trial(trial), _suns_left_out(left_out, len(times))),
         durations_s=dict(progress.durations_s),
         input_sha256=trial.input_sha256,
     )
@@ -232,6 +232,17 @@ def run(
         Severity.SERIOUS,
     )
     return replace(plan, doubts=gather_doubts(plan.doubts, [doubt]))
+
+
+def _doubts_of_trial(trial: Comparison) -> list[Doubt]:
+    """Return the doubts of the trial; what a plan is the remedy for is said without that remedy."""
+    said = []
+    for one in trial.doubts:
+        if one.code == "canting_not_determined":
+            facets, why = len(trial.mirror.facets), trial.why_canting_is_open()
+            one = replace(one, text=f"the trial alone does not determine the canting of {facets} facets: {why}")
+        said.append(one)
+    return said
 
 
 def promised_rad(plan: BeamPlan, to_sun: FloatArray, frames: int = 1) -> float:

@@ -127,8 +127,7 @@ def event_table(report: SurveyReport) -> Shown:
 
 def further_charts(report: SurveyReport) -> Shown:
     """Return the histories that the first screen does not show."""
-    charts = history_charts(report.tables["history"])[1:]
-    return join(*charts) if charts else Html("<p>No further histories.</p>")
+    return join(*history_charts(report.tables["history"])[1:])
 
 
 def overview_table(report: SurveyReport) -> Html:

@@ -15,6 +15,7 @@ from calibration.beam.planning import plan as plan_module
 from calibration.beam.planning.plan import BeamPlan, BeamPlanOptions, promised_rad, run
 from calibration.beam.planning.sun_choice import Trial, choose_suns
 from data_synth.heliostats import BenchOptions, write_beam_dataset
+from heliogauge.doubts import Doubt
 from heliogauge.errors import InputError
 
 
@@ -71,7 +72,8 @@ def test_a_sun_that_cannot_be_used_is_written_with_the_reason(tmp_path: Path, mo
         mirror=SimpleNamespace(facets=("left", "right")),
         stand=None,
         name="one",
-        doubts=(),
+        doubts=(Doubt("canting_not_determined", "overlap; more suns far apart (`beam plan` says which)"),),
+        why_canting_is_open=lambda: "overlap",
         input_sha256={},
     )
 
@@ -92,7 +94,10 @@ def test_a_sun_that_cannot_be_used_is_written_with_the_reason(tmp_path: Path, mo
     assert plan.left_out["2026-12-21"] == "the sun stays below 10 degrees"
     assert len(plan.suns) + len(plan.left_out) == 10
     assert set(plan.left_out.values()) == {"the sun stays below 10 degrees", "the sun stands behind the mirror"}
-    assert "suns_left_out" in {one.code for one in plan.doubts}
+    words = {one.code: one.text for one in plan.doubts}
+    assert words.keys() >= {"canting_not_determined", "suns_left_out"}
+    # A plan does not send its reader to itself.
+    assert words["canting_not_determined"] == "the trial alone does not determine the canting of 2 facets: overlap"
     (tmp_path / "plan").mkdir()
     plan.write(tmp_path / "plan")
     assert "behind the mirror" in (tmp_path / "plan" / "left_out.csv").read_text()

@@ -95,3 +95,17 @@ def test_the_photo_that_fits_worst_is_named() -> None:
     result = Comparison(MIRROR, STAND, "", tuple(seen), rows, first, after, name="beams")
     (doubt,) = [one for one in compare._doubts(result) if one.code == "flux_does_not_match"]
     assert "0.800 in 180:" in doubt.text
+
+
+def test_a_canting_that_is_open_has_the_same_sigmas_in_headline_and_doubt() -> None:
+    seen = photos(TRUE_RAD)[:1]
+    before = compare_as_it_is(seen, MIRROR, STAND, 1e-3)
+    sigma = np.array([[2e-3, 1e-4], [1e-4, 1e-4]])
+    after = replace(before, sigma_canting_rad=sigma, sigma_curvature_1pm=1e-5, sigma_scatter_rad=1e-4)
+    rows = (compare._row(seen[0], 0, before, after),)
+    result = Comparison(MIRROR, STAND, "", tuple(seen), rows, before, after, name="beams")
+    (doubt,) = [one for one in compare._doubts(result) if one.code == "canting_not_determined"]
+    said = "sigma of a facet 1.00 mrad RMS, 2.00 mrad at most"
+    assert f"canting not determined ({said})" in result.headline()
+    assert f"{said}, for the facets" in doubt.text
+    assert "onto the same place in the only photo; more suns" in doubt.text

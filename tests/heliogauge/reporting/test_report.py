@@ -17,6 +17,7 @@ from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.instruments import instruments, read_resource
 from heliogauge.reporting import page
 from heliogauge.reporting.build import build_report
+from heliogauge.reporting.notebook import read_notebook
 from heliogauge.reporting.uncertainty import uncertainty_shares
 from heliogauge.reporting.verdict import verdict_of
 from heliogauge.results.folder import (
@@ -30,6 +31,7 @@ from heliogauge.results.folder import (
 )
 from heliogauge.slopes.map import CommonModes, SlopeMap, no_common_modes
 from heliogauge.slopes.statistics import statistics
+from heliogauge.view.arrays import PAGE
 from heliogauge.view.tables import TableColumn, TableView
 from tests.kernel import read, run_in_jupyter
 
@@ -232,6 +234,38 @@ def test_every_report_has_the_doubts_that_its_verdict_leads_to(file: str) -> Non
     cells = nbformat.reads(read_resource(file), as_version=4).cells
     (title,) = [number for number, cell in enumerate(cells) if cell.source.startswith("## Doubts")]
     assert re.fullmatch(r"(page|report)\.doubts(_box|_of)?\((\w+)\)", cells[title + 1].source)
+
+
+def test_sections_without_content_are_left_out(tmp_path: Path) -> None:
+    cells = [
+        nbformat.v4.new_markdown_cell("## Kept"),
+        nbformat.v4.new_code_cell("from heliogauge.reporting.html import Html as Shown; NOTHING = Shown(''); NOTHING"),
+        nbformat.v4.new_markdown_cell("Of a table that is not there."),
+        nbformat.v4.new_code_cell("NOTHING"),
+        nbformat.v4.new_markdown_cell("Of a table that is there."),
+        nbformat.v4.new_code_cell("Shown('<p>table</p>')"),
+        nbformat.v4.new_markdown_cell("## Empty\n\nSaid of nothing."),
+        nbformat.v4.new_code_cell("NOTHING"),
+        nbformat.v4.new_code_cell("Shown('<h2>Own heading</h2><p>part</p>')"),
+        nbformat.v4.new_markdown_cell("## Empty too"),
+        nbformat.v4.new_code_cell("NOTHING"),
+        nbformat.v4.new_markdown_cell("## Words\n\nA glossary."),
+    ]
+    notebook = read_notebook(nbformat.writes(nbformat.v4.new_notebook(cells=cells)))
+    notebook.run(tmp_path, PAGE)
+    shown = " ".join(re.sub(r"<[^>]*>", " ", one.html).strip() for one in notebook.shown)
+    words = "Kept Of a table that is there. table Own heading part Words A glossary."
+    assert " ".join(shown.split()) == words
+
+
+def test_words_between_backticks_are_code(tmp_path: Path) -> None:
+    doubt = Doubt("canting", "open; `beam plan <x>` says which")
+    summary = replace(make_summary(make_map()), doubts=(doubt,))
+    write_summary(tmp_path / "summary.json", summary)
+    assert "<code>beam plan &lt;x&gt;</code> says" in page.doubts_of(tmp_path).text
+    short = replace(summary, doubts=(Doubt("canting", "see `beam plan`"),))
+    assert "see <code>beam plan</code></a>" in page.verdict_box(verdict_of(short)).text
+    assert "<td>see <code>beam plan</code></td>" in page.table(("",), [["see `beam plan`"]]).text
 
 
 def test_every_link_of_a_verdict_leads_to_a_place_among_the_doubts(tmp_path: Path) -> None:

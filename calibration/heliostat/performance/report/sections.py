@@ -158,7 +158,7 @@ def further_charts(report: TestsReport) -> Shown:
                 ),
             )
         )
-    return wrap("<div>", pieces, "</div>") if pieces else Html("<p>No further series of beams.</p>")
+    return wrap("<div>", pieces, "</div>") if pieces else Html("")
 
 
 def making(report: TestsReport) -> Html:
