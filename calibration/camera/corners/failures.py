@@ -76,7 +76,7 @@ def markers_seen(image: ByteImage, board: CharucoBoard) -> str:
             )
             return (
                 f"{stated} is not what it shows: its markers have sides of {share:.2f} of a square, about "
-                f"{share * side_mm:.2g} mm with {square}; measure the print and correct it"
+                f"{share * side_mm:.3g} mm with {square}; measure the print and correct it"
             )
         return (
             f"{own.size} markers of {board.dictionary} numbered {own.min()} to {own.max()} were seen, a board of "

@@ -69,9 +69,14 @@ def test_markers_of_another_size_than_stated_are_named(stated_mm: float) -> None
     assert find_charuco("a.png", photo, CharucoBoard(7, 5, "DICT_4X4_50", 0.73, 0.03)).n == 24
     with pytest.raises(EstimationError, match=rf"a\.png: .*marker_mm = {stated_mm:g} is not what it shows") as caught:
         find_charuco("a.png", photo, CharucoBoard(7, 5, "DICT_4X4_50", stated_mm / 30, 0.03))
-    measured = re.search(r"about (\d+) mm with square_mm = 30", str(caught.value))
+    measured = re.search(r"about ([\d.]+) mm with square_mm = 30", str(caught.value))
     assert measured
     assert float(measured[1]) == pytest.approx(21.9, rel=0.07)
+
+
+def test_large_markers_are_named_in_plain_numbers() -> None:
+    with pytest.raises(EstimationError, match=r"about 14\d mm with square_mm = 200; measure"):
+        find_charuco("a.png", charuco_photo(0.73), CharucoBoard(7, 5, "DICT_4X4_50", 0.35, 0.2))
 
 
 def test_another_board_is_not_called_one_of_other_markers() -> None:
