@@ -1,6 +1,7 @@
 """The network is adjusted, and every photo tried against the others; photos that were held out against all."""
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -34,10 +35,12 @@ _MIRROR_GAIN = 3.0
 class Solved:
     """An adjusted network, how its photos were counted, and how others predict each photo.
 
+    measured: The network with image points as they were measured; circles' centres are corrected in ``network``.
     apart_px, apart_expected_px (p,): RMS of a photo's residuals when the others predict it, and what their covariance
         lets expect: infinite where the others alone determine no camera. NaN where that was not asked [px].
     """
 
+    measured: BoardNetwork
     network: BoardNetwork
     adjusted: Adjusted
     orientations: Orientations | None
@@ -76,7 +79,7 @@ def solve_network(
         "wrong way round"
     )
     return solve_network(
-        solved.network.without(worst), contradicting, progress, refine_board=refine_board, leave_one_out=leave_one_out
+        solved.measured.without(worst), contradicting, progress, refine_board=refine_board, leave_one_out=leave_one_out
     )
 
 
@@ -84,42 +87,44 @@ def _adjusted(network: BoardNetwork, contradicting: dict[str, str], *, refine_bo
     """Adjust; photos that were put aside when the board's shape was not known come back if they fit as predicted."""
     aside: tuple[BoardPoints, ...] = ()
     drawn_rms, orientations = float("nan"), None
+    measured = network
     if network.places_known:
         order = [one.photo for one in network.points]
-        network, drawn_rms, aside = adjust_as_drawn(network)
-        network, orientations = counted_alike(network)
-    network, adjusted = _with_shape(network, drawn_rms, refine_board=refine_board)
+        measured, drawn_rms, aside = adjust_as_drawn(network)
+        measured, orientations = counted_alike(measured)
+    network, adjusted = _with_shape(measured, drawn_rms, refine_board=refine_board)
     back = []
     for raw in aside:
         try:
-            fit = _fit_outside(network, adjusted, raw)
+            outside = _fit_outside(network, adjusted, raw)
         except EstimationError as error:
             contradicting[raw.photo] = str(error)
             continue
+        fit = outside.fit
         expected_px = predict_photo(adjusted.mixed, fit.points, fit.cam_from_board).expected_rms_px
         if fit.rms_px <= CONTRADICTS * expected_px:
-            back.append(fit)
+            back.append((outside.measured, fit.cam_from_board))
         else:
             contradicting[raw.photo] = (
                 f"{raw.photo}: its points miss the board by {fit.rms_px:.1f} px, where {expected_px:.2g} px are "
                 "expected from the other photos: it shows another board, or its points are mixed up"
             )
     if back:
-        photos = [*zip(network.points, network.poses, strict=True), *((one.points, one.cam_from_board) for one in back)]
+        photos = [*zip(measured.points, measured.poses, strict=True), *back]
         photos.sort(key=lambda one: order.index(one[0].photo))
         points, poses = zip(*photos, strict=True)
-        network, adjusted = _with_shape(
-            replace(network, points=points, poses=poses), drawn_rms, refine_board=refine_board
-        )
+        measured = replace(measured, points=points, poses=poses)
+        network, adjusted = _with_shape(measured, drawn_rms, refine_board=refine_board)
     unknown = np.full((2, len(network.points)), np.nan)
-    return Solved(network, adjusted, orientations, *unknown)
+    return Solved(measured, network, adjusted, orientations, *unknown)
 
 
-def _with_shape(network: BoardNetwork, drawn_rms: float, *, refine_board: bool) -> tuple[BoardNetwork, Adjusted]:
-    raw, state = network.points, network.start()
+def _with_shape(measured: BoardNetwork, drawn_rms: float, *, refine_board: bool) -> tuple[BoardNetwork, Adjusted]:
+    """Adjust with the board's shape; return the network with the corrected centres of circles, too."""
+    network, state = measured, measured.start()
     # The first correction of centres takes the poses on a board as drawn, the second those on the board as it is.
     for _ in range(2 if isinstance(network.board, CircleGrid | TargetField) else 1):
-        network = with_true_centers(network, raw, state)
+        network = with_true_centers(network, measured.points, state)
         adjusted = adjust_with_shape(network, drawn_rms, refine_board=refine_board)
         state = adjusted.state
     return network, adjusted
@@ -154,7 +159,14 @@ def _kept_apart(solved: Solved, stage: Stage) -> tuple[Solved, dict[int, float]]
     return replace(solved, apart_px=apart, apart_expected_px=expected), mirrored
 
 
-def _fit_outside(network: BoardNetwork, adjusted: Adjusted, raw: BoardPoints) -> PhotoFit:
+class _Outside(NamedTuple):
+    """A photo outside the network: its points as they were measured, counted as the network's, and the fit."""
+
+    measured: BoardPoints
+    fit: PhotoFit
+
+
+def _fit_outside(network: BoardNetwork, adjusted: Adjusted, raw: BoardPoints) -> _Outside:
     """Fit the pose of a photo outside the network, counted from whichever corner fits best.
 
     EstimationError: No pose explains the photo.
@@ -166,7 +178,7 @@ def _fit_outside(network: BoardNetwork, adjusted: Adjusted, raw: BoardPoints) ->
     pose = found.cam_from_board
     state = replace(adjusted.state, rotations=pose.rotation[None], translations_m=pose.translation_m[None])
     points = with_true_centers(alone, (found.points,), state).points[0]
-    return fit_pose(known, points, pose)
+    return _Outside(found.points, fit_pose(known, points, pose))
 
 
 def check_held_out(solved: Solved, held: tuple[BoardPoints, ...], left_out: dict[str, str]) -> tuple[HeldOutPhoto, ...]:
@@ -174,7 +186,7 @@ def check_held_out(solved: Solved, held: tuple[BoardPoints, ...], left_out: dict
     checks = []
     for raw in held:
         try:
-            found = _fit_outside(solved.network, solved.adjusted, raw)
+            found = _fit_outside(solved.network, solved.adjusted, raw).fit
         except EstimationError as error:
             left_out[raw.photo] = f"{raw.photo}: held out, and {error}"
             continue
