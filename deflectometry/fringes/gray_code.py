@@ -186,7 +186,9 @@ class GrayCodeObservation(ShortRepr):
 
         good = inside == 0
         u, v, sigma_u, sigma_v = (image(one[axis], good) for one in (places, sigmas) for axis in Axis)
-        return ScreenMap(u, v, sigma_u, sigma_v, image(contrast), freeze(flags), noise)
+        # Most pixels are sure of every bit that is used: their sigma is that of a whole cell.
+        cells = np.array([math.sqrt(12.0) * float(np.median(sigmas[axis])) for axis in Axis])
+        return ScreenMap(u, v, sigma_u, sigma_v, image(contrast), freeze(flags), noise, cells=freeze(cells))
 
     def display_edge(self, screen_map: ScreenMap, region: BoolArray, margin_px: float) -> DisplayEdge:
         """Flag pixels that see the edge of the display."""

@@ -11,6 +11,7 @@ from deflectometry.pipeline.source_slopes import MirrorPixels, poses_of_facets, 
 from deflectometry.pose.find_pose import LocatedMirror, MirrorInput, find_pose
 from deflectometry.pose.mirrors_in_image import find_mirrors
 from deflectometry.setup.camera_and_screen import Setup
+from deflectometry.shape.cell_modes import with_cells
 from deflectometry.shape.common_modes import common_modes, moved_facets, moved_inputs
 from deflectometry.shape.facet_pixels import UsableFacets, thinned
 from deflectometry.shape.fine_structure import fine_responses, fine_share, place_covariance, with_waviness_out_of_place
@@ -161,6 +162,11 @@ def map_slopes(reflection: Reflection, setup: Setup, progress: Progress) -> Eval
     with progress.stage("uncertainty"):
         few = [thinned(sample, max(MODE_PIXELS // len(samples), 60)) for sample in samples]
         modes = common_modes(setup, few, solution, located.pose, align=align, places=located.places)
+        if screen_map.cells.any():
+            modes = [
+                with_cells(one, setup, screen_map, facet_index == number, poses[name], surfaces[name], images[name])
+                for one, number, name in zip(modes, usable.numbers, images, strict=True)
+            ]
         # Pose and set-up are those of all facets: what follows them is found once.
         inputs = tuple(moved_inputs(setup, solution.cam_from_mirror, located.pose))
         responses = {

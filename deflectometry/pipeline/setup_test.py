@@ -130,8 +130,11 @@ def contradiction_of_setup(evaluation: Evaluation, inputs: Sequence[StatedInput]
     The curl of a surface's slopes is zero whatever its shape; slopes computed with a screen that stands elsewhere have
     a smooth one. Its means over the mirror (`heliogauge.slopes.curl_moments`) are hundreds of times more certain than
     the curl at single nodes. Which error explains them is found by moving each input; those that one pose cannot tell
-    apart are named together. Where none does alone, all inputs are adjusted to the curl together.
+    apart are named together. Where none does alone, all inputs are adjusted to the curl together. Cells of a code make
+    a smooth curl of their own, where they beat with the pixels: then nothing is said.
     """
+    if evaluation.screen_map.cells.any():
+        return None
     found = {name: curl_moments(one) for name, one in evaluation.fine_maps.items()}
     tested = {name: one for name, one in found.items() if one is not None}
     if not tested:

@@ -108,7 +108,8 @@ def stated_inputs(setup: Setup, evaluation: Evaluation) -> tuple[StatedInput, ..
 
     Every input is moved by one unit and the whole solution follows, as in `deflectometry.shape.common_modes`. What
     the images know comes from the two tests that hold inputs against each other: the measured distance against the
-    one in the image, and the smooth curl of the slopes (of the largest facet, where there are several).
+    one in the image, and the smooth curl of the slopes (of the largest facet, where there are several). The curl of
+    slopes by a code is that of its cells, too, and tells nothing.
     """
     located, few = evaluation.located, samples_of_modes(evaluation)
     names = [one.facet.name for one in few]
@@ -122,7 +123,8 @@ def stated_inputs(setup: Setup, evaluation: Evaluation) -> tuple[StatedInput, ..
     modes = modes_of_inputs(setup, few, evaluation.solution, inputs, align=evaluation.choices.align is Align.NORMAL)
     largest = max(names, key=lambda name: np.count_nonzero(evaluation.fine_maps[name].valid))
     slope_map = evaluation.fine_maps[largest]
-    tests, nodes = _Tests(curl_moments(slope_map), located.evidence), _Nodes.of(slope_map)
+    moments = None if evaluation.screen_map.cells.any() else curl_moments(slope_map)
+    tests, nodes = _Tests(moments, located.evidence), _Nodes.of(slope_map)
     found = []
     for number, one in enumerate(units):
         single = {

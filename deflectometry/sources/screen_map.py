@@ -21,6 +21,7 @@ class ScreenMap:
     systematic_phase_rad (2,): Phase error beyond noise of every x set and every y set, from how well the periods
         agree; mostly 0 [rad].
     grid: Where the samples lie in the image.
+    cells (2,): Width of the cells of a code along u and v, within which it leaves a point open; 0 without one.
     """
 
     u: Float32Array
@@ -32,6 +33,7 @@ class ScreenMap:
     noise: NoiseModel
     systematic_phase_rad: FloatArray = field(default_factory=lambda: np.zeros(2))
     grid: SampleGrid = field(default_factory=PixelGrid)
+    cells: FloatArray = field(default_factory=lambda: np.zeros(2))
 
     def points_seen(self) -> tuple[Float32Array, Float32Array]:
         """Return u and v of the pixels without a flag, each of shape (n,)."""

@@ -22,6 +22,10 @@ VALUE_FIELDS = (
 NODE_FIELDS = (*VALUE_FIELDS, "flags", "aperture")
 
 
+#: Source of the modes of the cells of a code: the random errors beside them are shared by neighbours, too.
+CELLS = "cells of the code"
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class CommonModes:
     """Slope errors that the whole map shares: one smooth mode for one sigma of each independent source.

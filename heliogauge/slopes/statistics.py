@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from heliogauge.slopes.map import SlopeMap
+from heliogauge.slopes.map import CELLS, SlopeMap
 from heliogauge.slopes.normal_angles import (
     across_normal,
     angles_of_errors,
@@ -188,7 +188,8 @@ def statistics(slope_map: SlopeMap, *, removed: Removal = Removal.NOTHING) -> Sl
     a quadratic leaves without its noise, and f the map's `fine_share`. Because e contains the noise, the random part
     overcounts by half the squared covariance of each node's angles, which is taken off; it
     matters only where SD is near the noise. The expected value of SD^2 contains ``noise_rms^2``; it is reported, not
-    subtracted.
+    subtracted. Errors of the cells of a code (`heliogauge.slopes.map.CELLS`) are no noise that averages: there sigma
+    contains what they add, ``SD - sqrt(SD^2 - noise_rms^2)``.
 
     Tilt is the mean slope error. On steep designs (slope p) a rigid rotation leaves about p^2 of itself.
     """
@@ -388,7 +389,12 @@ class _AngleSums:
         # One blur and one scale for both directions.
         scale = float(by_waves[chosen].sum()) ** 2
         variance = nodes.noise_correlation * max(random - overcount, 0.0) + common + scale
-        return float(np.sqrt(variance / (nodes.count * squares)))
+        sigma = float(np.sqrt(variance / (nodes.count * squares)))
+        if CELLS not in nodes.common.sources:
+            return sigma
+        contained = float(every.noise[chosen].sum())
+        excess = (squares**0.5 - max(squares - contained, 0.0) ** 0.5) / nodes.count**0.5
+        return float(np.hypot(sigma, excess))
 
 
 def common_rms(slope_map: SlopeMap, nodes: MeasuredNodes | None = None) -> dict[str, tuple[float, float]]:
