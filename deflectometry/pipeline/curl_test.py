@@ -88,17 +88,18 @@ class CurlRemedies(NamedTuple):
         )
 
 
-def curl_doubt(facets: Mapping[str, Numbers], remedies: CurlRemedies) -> Iterator[Doubt]:
+def curl_doubt(facets: Mapping[str, Numbers], remedies: CurlRemedies, *, allowance: float = 1.0) -> Iterator[Doubt]:
     """Yield what is wrong with slopes that no surface can have: the curl of a surface's slopes is zero.
 
     facets: Numbers of each facet.
     remedies: What follows from it, by the source of the slopes.
+    allowance: How many times the ratio of a map is allowed, where the curl is not that of a map.
     """
     doubtful, noisy = [], []
     for name, numbers in facets.items():
         curl, expected = _number(numbers, "curl_rms_per_m"), _number(numbers, "curl_expected_rms_per_m")
         excess = np.sqrt(max(curl**2 - expected**2, 0.0))
-        if curl > _CURL_RATIO * expected and excess > _CURL_EXCESS_PER_M:
+        if curl > allowance * _CURL_RATIO * expected and excess > _CURL_EXCESS_PER_M:
             doubtful.append((name, curl, expected))
         elif curl > _CURL_ABOVE_NOISE * expected:
             noisy.append((name, curl / expected))

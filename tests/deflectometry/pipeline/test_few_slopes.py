@@ -11,6 +11,7 @@ from data_synth.fringes.presets import preset_scene
 from deflectometry import load_deflectometry
 from deflectometry.pipeline import contradictions
 from deflectometry.pipeline.choices import Choices
+from deflectometry.pipeline.curl_test import CurlRemedies, curl_doubt
 from deflectometry.pipeline.evaluate import map_slopes, solve_reflection
 from deflectometry.pipeline.few_slopes import contradicted_by_few, pixel_curl
 from deflectometry.pipeline.headline import curl_numbers
@@ -58,7 +59,8 @@ def test_nothing_beside_each_other_says_nothing(places) -> None:
     assert np.isnan(pixel_curl(slope_image(apart, apart, x, y))).all()
 
 
-def reflection_of(tmp_path, change):
+def said_by_few_and_by_the_map(tmp_path, change):
+    """Codes that some pixels yield, and those that the curl of the map yields."""
     write_dataset(tmp_path / "m", preset_scene("small"), DatasetOptions(0, Knowledge()))
     measurement = load_deflectometry(tmp_path / "m")
     setup, pattern = build_setup(measurement), build_pattern(measurement)
@@ -68,7 +70,10 @@ def reflection_of(tmp_path, change):
     curls = {name: curl_numbers(one) for name, one in map_slopes(sound, setup, SilentProgress()).fine_maps.items()}
     seen = replace(sound.screen_map, **change(sound.screen_map))
     looked = solve_reflection(replace(source, seen=seen), setup, mirror, Choices(), SilentProgress())
-    return {one.code for one in contradicted_by_few(looked, setup, source.remedies, curls)}
+    own = {name: curl_numbers(one) for name, one in map_slopes(looked, setup, SilentProgress()).fine_maps.items()}
+    by_map = curl_doubt(own, CurlRemedies.of_source(source.remedies))
+    few = contradicted_by_few(looked, setup, source.remedies, curls)
+    return {one.code for one in few}, {one.code for one in by_map}
 
 
 @pytest.mark.parametrize(
@@ -81,6 +86,24 @@ def reflection_of(tmp_path, change):
     ids=["as it is", "axes exchanged", "turned"],
 )
 def test_few_pixels_of_a_drawn_facet(tmp_path, change, codes) -> None:
-    found = reflection_of(tmp_path, change)
+    found, _ = said_by_few_and_by_the_map(tmp_path, change)
     assert codes <= found
     assert bool(codes) == bool(found.intersection(contradictions._CONTRADICTIONS))
+
+
+@pytest.mark.parametrize(
+    ("count", "off", "of_few", "of_map"),
+    [(7, 0.0019, False, False), (60, 0.0025, True, True)],
+    ids=["3.1 times the noise, on the map 2.9", "12 times the noise"],
+)
+def test_some_pixels_do_not_refuse_what_the_map_accepts(tmp_path, count, off, of_few, of_map) -> None:
+    """Bad pixels on their own count for more among their neighbours than on the grid of the map."""
+
+    def spoilt(seen):
+        u = seen.u.copy()
+        u.flat[np.random.default_rng(4).choice(np.flatnonzero(seen.flags == 0), count, replace=False)] += off
+        return {"u": u}
+
+    few, by_map = said_by_few_and_by_the_map(tmp_path, spoilt)
+    assert ("slopes_of_no_surface" in few) == of_few
+    assert ("slopes_of_no_surface" in by_map) == of_map
