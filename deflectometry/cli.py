@@ -298,10 +298,26 @@ def import_surface_command(
 
 
 def _design_keys(design: str | None, focal_length_m: float | None, radius_m: float | None) -> dict[str, Any]:
-    """Return the keys of [mirror] that were given."""
-    given = {"design": design, "focal_length_m": focal_length_m, "radius_m": radius_m}
-    keys = {name: value for name, value in given.items() if value is not None}
-    return {"design": "plane"} | keys if keys else {}
+    """Return the keys of [mirror] that were given; what does not belong together is refused in words of the options."""
+    from heliogauge.errors import InputError
+    from heliogauge.measurement.models import DESIGN_KEYS
+
+    lengths = {"focal_length_m": focal_length_m, "radius_m": radius_m}
+    given = {name: value for name, value in lengths.items() if value is not None}
+    if design is None and not given:
+        return {}
+    needed = DESIGN_KEYS.get(design or "plane", ())
+    for name in (name for name in given if name not in needed):
+        shapes = " or ".join(shape for shape, keys in DESIGN_KEYS.items() if name in keys)
+        raise InputError(f"{_option(name)} belongs to a {shapes}; add --design {shapes}, or leave it out")
+    for name in (name for name in needed if name not in given):
+        raise InputError(f"--design {design} needs {_option(name)}")
+    return {"design": design or "plane", **given}
+
+
+def _option(key: str) -> str:
+    """Return the option that gives a key of [mirror]."""
+    return f"--{key.replace('_', '-')}"
 
 
 def _say_imported(said: str, out: Path, *, quiet: bool) -> None:

@@ -8,10 +8,10 @@ from typing import ClassVar, Literal, Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from deflectometry.exchange.nearest_design import are_of_surface, curvatures, nearest_design
+from deflectometry.exchange.nearest_design import are_of_surface, curvatures, nearest_design, rms_off
 from deflectometry.exchange.slope_files import MAP_SUFFIXES, read_slopes
 from deflectometry.exchange.slope_points import SlopePoints
-from deflectometry.pipeline.design_check import other_design
+from deflectometry.pipeline.design_check import is_other_shape, other_design
 from deflectometry.pipeline.headline import Numbers, facet_numbers, headline_text, reasons
 from heliogauge.doubts import Doubt
 from heliogauge.errors import EstimationError, InputError
@@ -160,7 +160,7 @@ def run(
         numbers = facet_numbers(slope_map, as_measured)
     doubts = [*_doubts_of_map(measurement.folder / model.slopes.file, as_measured.design), *doubts_of_sigma]
     if not any(one.code == "design_is_not_that_of_the_map" for one in doubts):
-        doubts = [*_doubts_of_design(points, numbers, as_measured), *doubts]
+        doubts = [*_doubts_of_design(points, numbers, as_measured, build_design(model.mirror)), *doubts]
     return SlopesResult(
         name=model.name,
         slope_map=slope_map,
@@ -191,13 +191,16 @@ def _doubts_of_map(file: Path, design: str) -> Iterator[Doubt]:
         )
 
 
-def _doubts_of_design(points: SlopePoints, numbers: Numbers, as_measured: SlopeMap) -> Iterator[Doubt]:
-    """Yield that slopes are of another shape than the design, with the nearest one."""
+def _doubts_of_design(points: SlopePoints, numbers: Numbers, as_measured: SlopeMap, design: Quadric) -> Iterator[Doubt]:
+    """Yield that slopes are of another shape than the design, with the nearest one where that is nearer."""
     to_check = "the unit of the slopes and that x is across"
     if are_of_surface(points):
         nearest = nearest_design(points, curvatures(points))
-        off_mrad = 1e3 * nearest.rms_rad
-        to_check += f"; nearest is {nearest.describe()}, {off_mrad:.3g} mrad off: {nearest.options}"
+        if is_other_shape(rms_off(points, design), nearest.rms_rad):
+            off_mrad = 1e3 * nearest.rms_rad
+            to_check += f"; nearest is {nearest.describe()}, {off_mrad:.3g} mrad off: {nearest.options}"
+        else:
+            to_check += "; no simple surface has these slopes: are slope_x and slope_y exchanged?"
     yield from other_design(numbers, as_measured, to_check)
 
 

@@ -77,8 +77,14 @@ def read_soltrace(file: Path) -> VshotFile:
     InputError: The file cannot be read, or is no such file.
     """
     lines = read_text(file, "a VSHOT file of SolTrace").splitlines()
+    counts = lines[2].split()[:3] if len(lines) > 2 else []
+    if len(counts) < 3 or not all(cell.isdecimal() for cell in counts[1:]):
+        raise InputError(
+            f"{file}: not a VSHOT file of SolTrace (.sht): its third line must hold three numbers, the last two "
+            f"the order of a surface and how many points follow, not {' '.join(counts)[:40]!r}"
+        )
     try:
-        _, order, count = (int(cell) for cell in lines[2].split()[:3])
+        order, count = (int(cell) for cell in counts[1:])
         first = 4 + (order + 1) * (order + 2) // 2
         coefficients = np.array([float(line.split()[0]) for line in lines[4:first]])
         rows = [[float(cell) for cell in line.split()[:4]] for line in lines[first : first + count]]

@@ -232,6 +232,43 @@ def test_a_design_that_is_not_the_mirrors_is_said_with_the_nearest(
     assert all("focal" in one.text for one in doubts)
 
 
+def test_slopes_of_no_simple_surface_are_not_told_to_take_the_design_they_have(tmp_path: Path) -> None:
+    """Exchanged columns of a trough: a plane is nearest, and is the design already."""
+    grid = on_a_grid()
+    swapped = write(replace(grid, slope_x=0 * grid.x_m, slope_y=grid.x_m / 3), tmp_path / "mirror.csv")
+    import_slopes(swapped, tmp_path / "m", "slopes", {"design": "plane"})
+    said = [one.text for one in run(load_slopes(tmp_path / "m")).doubts if one.code == "slopes_too_far_off_design"]
+    assert len(said) == 1
+    assert "nearest is" not in said[0]
+    assert said[0].endswith("no simple surface has these slopes: are slope_x and slope_y exchanged?")
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (
+            ["--focal-length-m", "1.49"],
+            "--focal-length-m belongs to a paraboloid or trough; add --design paraboloid or ",
+        ),
+        (["--radius-m", "3"], "--radius-m belongs to a sphere; add --design sphere"),
+        (
+            ["--design", "sphere", "--radius-m", "3", "--focal-length-m", "2"],
+            "--focal-length-m belongs to a paraboloid",
+        ),
+        (["--design", "trough"], "--design trough needs --focal-length-m"),
+    ],
+)
+def test_a_length_and_its_design_are_named_as_options(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], options: list[str], message: str
+) -> None:
+    file = write(on_a_grid(), tmp_path / "mirror.csv")
+    command = ["deflectometry", "import", "slopes", str(file), "-o", str(tmp_path / "m"), *options]
+    with pytest.raises(SystemExit, match="2"):
+        cli.main(command)
+    assert message in " ".join(capsys.readouterr().err.split())
+    assert not (tmp_path / "m").exists()
+
+
 def test_the_surface_of_the_file_is_proposed(tmp_path: Path) -> None:
     """The header of a VSHOT file has one, and a map of ours has its own design; neither is taken without a word."""
     x, y = (one.ravel() for one in np.meshgrid(np.linspace(-1.6, 0.0, 17), np.linspace(-0.8, 0.8, 17)))
@@ -335,6 +372,10 @@ def test_a_header_that_is_not_the_surface_of_its_points_is_said(
     ("text", "message"),
     [
         ("", "not a VSHOT file"),
+        (
+            "0.0\t1.0\n0.4\t0.9991\n0.8\t0.9953\n",
+            r"not a VSHOT file of SolTrace \(\.sht\): its third line .*'0.8 0.9953'",
+        ),
         ("a\n0 0 0\n0 0 2\n0 0\n0\n0 0 0 0 0\n", "1 points .* line 3 says 2"),
         ("a\n0 0 0\n0 0 1\n0 0\n0\n0 0 2 0 0\n", "angles of slopes are in radians"),
         ("a\n0 0 0\n0 0 1\n0 0\n0\n0 0 nan 0 0\n", "line 3 says 1"),
