@@ -87,8 +87,8 @@ def judge_contradictions(
 
     Images mirrored by a program and a mirrored or exchanged pattern leave frames and outline as good as ever. Each is
     tried, with everything that follows from it: first what the outline says, then some pixels, then all. The other
-    direction of the lens moves the image by pixels only, as
-    facets that are off their stated places do: it is believed where the sides in the image are bent as by another lens.
+    direction of the lens moves the image by pixels only, as facets that are off their stated places do: it is believed
+    where the sides in the image are bent as by another lens.
     """
     by_code = {doubt.code: doubt for doubt in doubts}
     seen = [by_code[code] for code in _CONTRADICTIONS if code in by_code]
