@@ -63,6 +63,12 @@ def add_command(
         f"once; {advice}"
         for folder, name in added.again
     ]
+    advice = advice if force else "--force puts it under the new subject and date"
+    warnings += [
+        f"{folder}: the same measurement is in the store as {name[:_SHOWN_DIGITS]} with the same numbers, under "
+        f"{words}, and counts once; {advice}"
+        for folder, name, words in added.elsewhere
+    ]
     _say("warning", warnings, verbose=verbose)
     if as_json:
         _print_json(
@@ -74,6 +80,9 @@ def add_command(
                 "replaced": [{"folder": str(folder), "result": name} for folder, name in added.replaced],
                 "known": [str(folder) for folder in added.known],
                 "same_measurement": [{"folder": str(folder), "result": name} for folder, name in added.again],
+                "other_subject_or_date": [
+                    {"folder": str(folder), "result": name, "there": words} for folder, name, words in added.elsewhere
+                ],
                 "left_out": [{"folder": str(folder), "reason": reason} for folder, reason in added.left_out],
             }
         )
@@ -87,11 +96,12 @@ def add_command(
     others = {
         "replaced": len(added.replaced),
         "known already": len(added.known),
-        "the same measurements with other numbers": len(added.again),
+        "in the store with other numbers": len(added.again),
+        "in the store under another subject or date": len(added.elsewhere),
         "left out": len(added.left_out),
     }
     more = "".join(f"; {count} {words}" for words, count in others.items() if count)
-    typer.echo(f"{added.results} results, {added.rows} rows added to {out}{more}")
+    typer.echo(f"{_counted(added.results, 'result')}, {_counted(added.rows, 'row')} added to {out}{more}")
 
 
 @app.command("event")
@@ -104,11 +114,30 @@ def event_command(
     quiet: Quiet = False,
 ) -> None:
     """Note that something was done: reports compare before and after."""
-    from calibration.survey.pipeline.keep_store import add_event
+    from calibration.survey.pipeline.keep_store import add_event, subjects_meant
+    from heliogauge.errors import InputError
+    from heliogauge.instruments import near_match
 
     is_new = add_event(store, subject, date, what)
+    meant: list[str] | None = None
+    try:
+        known, meant = subjects_meant(store, subject)
+    except InputError as error:
+        typer.echo(f"warning: noted, but whether a result is of {subject!r} cannot be told: {error}", err=True)
+    if meant == []:
+        near = f"; {near_match(subject, known)}" if known else ""
+        typer.echo(f"warning: no subject of {store} is called {subject!r}: the event says nothing yet{near}", err=True)
     if as_json:
-        _print_json({"store": str(store), "subject": subject, "date": date, "what": what, "is_new": is_new})
+        _print_json(
+            {
+                "store": str(store),
+                "subject": subject,
+                "date": date,
+                "what": what,
+                "is_new": is_new,
+                "subjects_count": None if meant is None else len(meant),
+            }
+        )
     elif not quiet:
         typer.echo(f"{'noted' if is_new else 'noted already'} in {store}: {subject}, {date}, {what}")
 
@@ -170,8 +199,9 @@ def check_command(
         for _, one in found.entries if verbose else ():
             typer.echo(_line(one))
         typer.echo(
-            f"{store}: {len(found.entries)} results, {found.rows} rows, {found.files} files, {found.events} events; "
-            + ("as they were written" if not found.faults else f"{len(found.faults)} faults")
+            f"{store}: {_counted(len(found.entries), 'result')}, {_counted(found.rows, 'row')}, "
+            f"{_counted(found.files, 'file')}, {_counted(found.events, 'event')}; "
+            + ("as they were written" if not found.faults else _counted(len(found.faults), "fault"))
         )
     _say("fault", found.faults, verbose=True)
     if not quiet:
@@ -207,11 +237,16 @@ def remove_command(
     elif not quiet:
         for one in gone if verbose else ():
             typer.echo(_line(one))
-        typer.echo(f"{len(gone)} results, {rows} rows removed from {store}")
+        typer.echo(f"{_counted(len(gone), 'result')}, {_counted(rows, 'row')} removed from {store}")
 
 
 def _line(one: "Entry") -> str:
-    return f"{one.result[:_SHOWN_DIGITS]}  {one.subject}  {one.kind}  {one.source}  {one.rows} rows"
+    return f"{one.result[:_SHOWN_DIGITS]}  {one.subject}  {one.kind}  {one.source}  {_counted(one.rows, 'row')}"
+
+
+def _counted(count: int, word: str) -> str:
+    """Return a number with its noun: 1 row, 2 rows."""
+    return f"{count} {word}" if count == 1 else f"{count} {word}s"
 
 
 def _say(word: str, lines: Iterable[str], *, verbose: bool) -> None:

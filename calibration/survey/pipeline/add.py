@@ -6,10 +6,19 @@ from pathlib import Path
 
 from calibration.survey.files.events import event_files, read_event, write_event
 from calibration.survey.files.old_store import old_results
-from calibration.survey.files.parquet_store import OLD_SCHEMA, ROWS_AT_ONCE, explain_disk, put, schema_of, writing
+from calibration.survey.files.parquet_store import (
+    OLD_SCHEMA,
+    ROWS_AT_ONCE,
+    SCHEMA,
+    explain_disk,
+    put,
+    schema_of,
+    writing,
+)
 from calibration.survey.files.result_rows import StoredResult, read_result
+from calibration.survey.files.stored_rows import rows_of, said_of, said_with, same_numbers
 from heliogauge.errors import InputError
-from heliogauge.results.folder import SUMMARY_FILE
+from heliogauge.results.folder import SUMMARY_FILE, hash_files
 from heliogauge.running.progress import Progress, SilentProgress
 
 
@@ -41,6 +50,8 @@ class Added:
     replaced: Those of them that took the place of an earlier evaluation, with its name.
     known: Folders of results that were in the store already.
     again: Folders of measurements that are in the store with other numbers, with the name of the result there.
+    elsewhere: Folders of results that are in the store with the same numbers under another subject or date, with the
+        name of the result there and what it is of.
     left_out: Folders that could not be taken, with the reason.
     """
 
@@ -50,6 +61,7 @@ class Added:
     replaced: tuple[tuple[Path, str], ...]
     known: tuple[Path, ...]
     again: tuple[tuple[Path, str], ...]
+    elsewhere: tuple[tuple[Path, str, str], ...]
     left_out: tuple[tuple[Path, str], ...]
 
 
@@ -91,17 +103,23 @@ def add(
     replaced: list[tuple[Path, str]] = []
     known: list[Path] = []
     again: list[tuple[Path, str]] = []
+    elsewhere: list[tuple[Path, str, str]] = []
     left_out: list[tuple[Path, str]] = []
-    for some in _together(_results(folders, options, left_out)):
+    for some in _together(_results(folders, store, options, left_out)):
         with explain_disk(store), writing(store, progress.say, create=True) as manifest:
             done = put(store, manifest, some, force=options.force)
+            for one, name in done.again:
+                there = rows_of(store, manifest, name)
+                if same_numbers(one.rows, there):
+                    elsewhere.append((one.folder, name, said_of(there)))
+                else:
+                    again.append((one.folder, name))
         # Folders alone are kept: rows of a plant's year take 300 MB.
         added += [(one.folder, name) for one, name in done.added]
         rows += sum(len(one.rows) for one, _ in done.added)
         replaced += [(one.folder, name) for one, name in done.replaced]
         known += [one.folder for one, _ in done.known]
-        again += [(one.folder, name) for one, name in done.again]
-    if left_out and not added and not known and not again:
+    if left_out and not (added or known or again or elsewhere):
         more = f" ({len(left_out) - 1} more could not be taken)" if len(left_out) > 1 else ""
         raise InputError(f"{left_out[0][1]}{more}")
     for folder in folders:
@@ -113,6 +131,7 @@ def add(
         tuple(replaced),
         tuple(known),
         tuple(again),
+        tuple(elsewhere),
         tuple(left_out),
     )
 
@@ -131,9 +150,12 @@ def _together(results: Iterator[StoredResult]) -> Iterator[list[StoredResult]]:
         yield waiting
 
 
-def _results(folders: Sequence[Path], options: AddOptions, left_out: list[tuple[Path, str]]) -> Iterator[StoredResult]:
+def _results(
+    folders: Sequence[Path], store: Path, options: AddOptions, left_out: list[tuple[Path, str]]
+) -> Iterator[StoredResult]:
     """Yield the results of folders; those that cannot be taken go into `left_out`."""
     chosen = []
+    earlier: dict[str, tuple[str, str]] | None = None
     for folder in folders:
         with explain_disk(folder):
             chosen += _results_in(folder)
@@ -149,7 +171,18 @@ def _results(folders: Sequence[Path], options: AddOptions, left_out: list[tuple[
             continue
         try:
             with explain_disk(folder):
-                result = read_result(folder, date=options.date, subject=options.subject)
+                try:
+                    result = read_result(folder, date=options.date, subject=options.subject)
+                except InputError:
+                    # Without a date it may be in the store, which knows the date and the subject given with it.
+                    if options.date is not None or schema_of(store) != SCHEMA:
+                        raise
+                    earlier = said_with(store) if earlier is None else earlier
+                    (digest,) = hash_files([folder / SUMMARY_FILE]).values()
+                    if digest not in earlier:
+                        raise
+                    subject, date = earlier[digest]
+                    result = read_result(folder, date=date, subject=options.subject or subject)
         except InputError as error:
             left_out.append((folder, str(error)))
         else:

@@ -8,6 +8,7 @@ from calibration.survey.files.events import write_event
 from calibration.survey.files.manifest import Entry
 from calibration.survey.files.parquet_store import explain_disk, open_store, writing
 from calibration.survey.files.store_check import StoreCheck
+from calibration.survey.files.stored_rows import subjects_of
 from heliogauge.running.progress import Progress, SilentProgress
 
 
@@ -71,3 +72,13 @@ def add_event(store: Path, subject: str, date: str, what: str) -> bool:
     with explain_disk(store):
         open_store(store)
         return write_event(store, subject, date, what)
+
+
+def subjects_meant(store: Path, subject: str) -> tuple[list[str], list[str]]:
+    """Return the subjects of a store, and those of them that an event is about.
+
+    subject: Whom; a text with * stands for all whose names match.
+    InputError: No store, or one that cannot be read.
+    """
+    with explain_disk(store):
+        return subjects_of(store, subject)

@@ -174,7 +174,7 @@ def test_commands(drawn, tmp_path):
     runner, store = CliRunner(), tmp_path / "store"
     done = runner.invoke(app, ["add", str(drawn / "H01_01"), "--to", str(store)])
     assert done.exit_code == 0, done.output
-    assert "1 results" in done.output
+    assert done.stdout.startswith("1 result, ")
     done = runner.invoke(app, ["report", str(store), "-o", str(tmp_path / "out"), "--no-report"])
     assert done.exit_code == 0, done.output
     assert (tmp_path / "out" / "trends.csv").is_file()
@@ -204,3 +204,58 @@ def test_beams_of_one_day_are_one_result(tmp_path):
     assert np.mean(likely < 0.05) < 0.05 + 3 * np.sqrt(0.05 * 0.95 / 60)
     scores = np.array(found.events["change"]) / np.array(found.events["sigma_change"])
     assert 0.4 < np.mean(scores**2) < 2.0
+
+
+def test_the_same_result_under_another_date_or_subject(tmp_path):
+    """Its numbers are the same: nothing else is said of them; without a date it is known by its summary."""
+    folder, store, runner = tmp_path / "facet", str(tmp_path / "store"), CliRunner()
+    folder.mkdir()
+    numbers = {"sd_rad": 1e-3, "sigma_sd_rad": 1e-5, "photos_count": 12}
+    write_summary(folder / "summary.json", Summary("deflectometry", "A", numbers, input_sha256={"a.png": "1" * 64}))
+
+    def said(*more):
+        done = runner.invoke(app, ["add", str(folder), "-o", store, *more])
+        assert done.exit_code == 0, done.output
+        return done
+
+    assert said("--date", "2026-05-01", "--subject", "C").stdout.startswith("1 result, 2 rows added")
+    assert "1 known already" in said().stdout
+    for more in (("--date", "2026-06-01"), ("--subject", "B")):
+        done = said(*more)
+        assert "with the same numbers, under C, 2026-05-01" in done.stderr
+        assert "1 in the store under another subject or date" in done.stdout
+        assert "other numbers" not in done.output
+    # Evaluated again, with other numbers.
+    numbers["sd_rad"] = 2e-3
+    write_summary(folder / "summary.json", Summary("deflectometry", "A", numbers, input_sha256={"a.png": "1" * 64}))
+    assert "1 in the store with other numbers" in said("--date", "2026-05-01", "--subject", "C").stdout
+    refused = runner.invoke(app, ["add", str(folder), "-o", store])
+    assert isinstance(refused.exception, InputError)
+    assert "says no date" in str(refused.exception)
+    assert said("--date", "2026-06-01", "--subject", "C", "--force").stdout.startswith("1 result, 2 rows added")
+    done = runner.invoke(app, ["check", store])
+    assert "1 result, 2 rows, 1 file, 0 events" in done.stdout
+
+
+def test_an_event_of_nobody_is_said(store):
+    runner = CliRunner()
+    noted = ["--date", "2026-08-01", "--what", "looked at"]
+    done = runner.invoke(app, ["event", str(store), "--subject", "zzz*", *noted])
+    assert done.exit_code == 0
+    assert "no subject of" in done.stderr
+    assert "'zzz*'" in done.stderr
+    assert "H00" in done.stderr
+    done = runner.invoke(app, ["event", str(store), "--subject", "H0*", *noted, "--json"])
+    assert done.stderr == ""
+    assert '"subjects_count": 10' in done.stdout
+
+
+def test_an_event_is_noted_in_a_store_that_is_damaged(tmp_path):
+    add([write_result(tmp_path / "A", "A", "2026-05-01", {"sd_rad": 1e-3})], tmp_path / "store")
+    (file,) = (tmp_path / "store" / "rows").iterdir()
+    file.write_bytes(b"")
+    noted = ["--date", "2026-08-01", "--what", "looked at", "--subject", "A", "--json"]
+    done = CliRunner().invoke(app, ["event", str(tmp_path / "store"), *noted])
+    assert done.exit_code == 0, done.output
+    assert "warning: noted, but whether a result is of 'A' cannot be told" in done.stderr
+    assert '"subjects_count": null' in done.stdout
