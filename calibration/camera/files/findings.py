@@ -29,7 +29,7 @@ class PhotoResult:
     covariance_px2 (n, 2, 2): Of the measured places, as their fits give it [px^2].
     noise_ratio: Noise of its points over these.
     kept_apart_px: RMS of the residuals of all its points when camera and board come from the other photos and only
-        its pose is fitted; NaN where that was not asked [px].
+        its pose is fitted; NaN where that was not asked, infinite where no pose explains it [px].
     kept_apart_expected_px: What the covariance of camera and board from the others, the photo's own errors and noise
         let expect of it [px].
     """

@@ -198,12 +198,15 @@ def check_predictions(names: Sequence[str], apart_px: FloatArray, expected_px: F
 
     Shapes: apart_px (p,), expected_px (p,).
     apart_px, expected_px: RMS of a photo's residuals when the others predict it, and the same from their covariance:
-        infinite where the others alone determine no camera.
+        the second infinite where the others alone determine no camera, the first where no pose explains the photo.
     """
-    far = np.nonzero(apart_px > CONTRADICTS * expected_px)[0]
+    far = np.nonzero((apart_px > CONTRADICTS * expected_px) | np.isinf(apart_px))[0]
     if far.size:
         listed = ", ".join(
-            f"{names[i]} ({apart_px[i]:.3f} px where {expected_px[i]:.3f} are expected)" for i in far[:5]
+            f"{names[i]} (no pose explains it)"
+            if np.isinf(apart_px[i])
+            else f"{names[i]} ({apart_px[i]:.3f} px where {expected_px[i]:.3f} are expected)"
+            for i in far[:5]
         )
         yield Doubt(
             "photos_contradict",
@@ -211,7 +214,8 @@ def check_predictions(names: Sequence[str], apart_px: FloatArray, expected_px: F
             "blurred or its file a mirror image: look why, or leave them out",
             {"photos_count": int(far.size), "largest_ratio": float((apart_px / expected_px)[far].max())},
         )
-    usual = float(np.nanmedian(apart_px)) if np.isfinite(apart_px).any() else float("nan")
+    measured = apart_px[np.isfinite(apart_px)]
+    usual = float(np.median(measured)) if measured.size else float("nan")
     unknown = np.isinf(expected_px)
     alone = [i for i in np.nonzero((apart_px > _ALONE * usual) | unknown)[0].tolist() if i not in far]
     if alone:

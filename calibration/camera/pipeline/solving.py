@@ -1,5 +1,6 @@
 """The network is adjusted, and every photo tried against the others; photos that were held out against all."""
 
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -7,6 +8,7 @@ import numpy as np
 
 from calibration.camera.adjustment.another_photo import predict_photo
 from calibration.camera.adjustment.board_adjustment import Adjusted, adjust_as_drawn, adjust_with_shape, counted_alike
+from calibration.camera.adjustment.mixed_adjustment import MixedAdjustment
 from calibration.camera.adjustment.other_photos import (
     PhotoFit,
     adjust_others,
@@ -17,13 +19,14 @@ from calibration.camera.adjustment.other_photos import (
     known_from_others,
 )
 from calibration.camera.adjustment.true_centers import with_true_centers
-from calibration.camera.boards import CircleGrid, TargetField
+from calibration.camera.boards import Board, CircleGrid, TargetField
 from calibration.camera.corners.detection import BoardPoints
 from calibration.camera.files.findings import HeldOutPhoto
 from calibration.camera.judgement.network import CONTRADICTS, alike_text
 from calibration.camera.start_values.board_network import LEAST_PHOTOS, BoardNetwork
 from calibration.camera.start_values.orientation import Orientations
 from heliogauge.errors import EstimationError
+from heliogauge.geometry.rigid import RigidTransform
 from heliogauge.running.progress import Progress, Stage
 from heliogauge.validate import FloatArray
 
@@ -37,7 +40,8 @@ class Solved:
 
     measured: The network with image points as they were measured; circles' centres are corrected in ``network``.
     apart_px, apart_expected_px (p,): RMS of a photo's residuals when the others predict it, and what their covariance
-        lets expect: infinite where the others alone determine no camera. NaN where that was not asked [px].
+        lets expect. The second is infinite where the others alone determine no camera, the first where no pose explains
+        the photo by what they gave. NaN where that was not asked [px].
     """
 
     measured: BoardNetwork
@@ -130,32 +134,47 @@ def _with_shape(measured: BoardNetwork, drawn_rms: float, *, refine_board: bool)
     return network, adjusted
 
 
+class _Apart(NamedTuple):
+    """A photo as the others predict it: what they gave, its fit, and that of its mirror image."""
+
+    others: MixedAdjustment
+    fit: PhotoFit
+    mirrored: PhotoFit | None
+
+
+def _fit_apart(board: Board, others: MixedAdjustment, points: BoardPoints, pose: RigidTransform) -> _Apart:
+    known = known_from_others(others)
+    return _Apart(others, fit_pose(known, points, pose), fit_mirrored(known, board, points))
+
+
 def _kept_apart(solved: Solved, stage: Stage) -> tuple[Solved, dict[int, float]]:
     """Predict each photo from the others; return also those that fit as mirror images, with their residuals [px]."""
     network, adjusted = solved.network, solved.adjusted
     apart, expected = np.full((2, len(network.points)), np.nan)
     mirrored: dict[int, float] = {}
     for photo, points in enumerate(network.points):
-        pose = adjusted.state.cam_from_world(photo)
+        stage.advance()
         try:
             others = adjust_others(network, adjusted, photo)
-            known = known_from_others(others)
-            fit = fit_pose(known, points, pose)
-            reversed_fit = fit_mirrored(known, network.board, points)
-            if reversed_fit is not None and _MIRROR_GAIN * reversed_fit.rms_px < fit.rms_px:
-                others = adjust_others(network, adjusted, photo, own_sizes=True)
-                known = known_from_others(others)
-                fit = fit_pose(known, points, fit.cam_from_board)
-                reversed_fit = fit_mirrored(known, network.board, points)
-            apart[photo] = fit.rms_px
-            expected[photo] = predict_photo(others, points, fit.cam_from_board).expected_rms_px
-            if reversed_fit is not None and fit.rms_px > CONTRADICTS * expected[photo]:
-                as_mirrored = predict_photo(others, reversed_fit.points, reversed_fit.cam_from_board)
-                if reversed_fit.rms_px <= CONTRADICTS * as_mirrored.expected_rms_px:
-                    mirrored[photo] = reversed_fit.rms_px
         except EstimationError:
             expected[photo] = np.inf
-        stage.advance()
+            continue
+        try:
+            found = _fit_apart(network.board, others, points, adjusted.state.cam_from_world(photo))
+        except EstimationError:
+            apart[photo] = np.inf
+            continue
+        if found.mirrored is not None and _MIRROR_GAIN * found.mirrored.rms_px < found.fit.rms_px:
+            # Where the others do not give the sizes of the effects, those of all photos stay.
+            with suppress(EstimationError):
+                others = adjust_others(network, adjusted, photo, own_sizes=True)
+                found = _fit_apart(network.board, others, points, found.fit.cam_from_board)
+        apart[photo] = found.fit.rms_px
+        expected[photo] = predict_photo(found.others, points, found.fit.cam_from_board).expected_rms_px
+        if found.mirrored is not None and found.fit.rms_px > CONTRADICTS * expected[photo]:
+            as_mirrored = predict_photo(found.others, found.mirrored.points, found.mirrored.cam_from_board)
+            if found.mirrored.rms_px <= CONTRADICTS * as_mirrored.expected_rms_px:
+                mirrored[photo] = found.mirrored.rms_px
     return replace(solved, apart_px=apart, apart_expected_px=expected), mirrored
 
 

@@ -5,7 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calibration.camera.adjustment.board_adjustment import AsDrawn
+from calibration.camera.adjustment.board_adjustment import Adjusted, AsDrawn
+from calibration.camera.adjustment.mixed_adjustment import MixedAdjustment
+from calibration.camera.adjustment.other_photos import Known, PhotoFit
 from calibration.camera.boards import Chessboard, CircleGrid
 from calibration.camera.corners.detection import BoardPoints, FoundBoards
 from calibration.camera.judgement.network import alike_text, check_predictions
@@ -194,6 +196,37 @@ def test_without_the_photo_on_which_all_rests_there_is_no_camera(monkeypatch: py
     (doubt,) = check_predictions(names, found.apart_px, found.apart_expected_px)
     assert doubt.code == "photos_stand_alone"
     assert "other.png (without it the others determine no camera)" in doubt.text
+
+
+def test_others_without_sizes_of_their_own_still_predict_the_photo(monkeypatch: pytest.MonkeyPatch) -> None:
+    true = solving.adjust_others
+
+    def none_of_their_own(network: BoardNetwork, adjusted: Adjusted, photo: int, **more: bool) -> MixedAdjustment:
+        if more:
+            raise EstimationError("calibration: camera and board do not settle")
+        return true(network, adjusted, photo)
+
+    monkeypatch.setattr(solving, "adjust_others", none_of_their_own)
+    found, _ = solved(all_round(1, 4, mirrored=3))
+    assert np.isfinite(found.apart_px).all()
+    assert np.isfinite(found.apart_expected_px).all()
+
+
+def test_a_photo_that_no_pose_explains_contradicts_the_others(monkeypatch: pytest.MonkeyPatch) -> None:
+    true = solving.fit_pose
+
+    def none_for_one(known: Known, points: BoardPoints, pose: RigidTransform) -> PhotoFit:
+        if points.photo == "1.png":
+            raise EstimationError("bundle: targets behind their camera")
+        return true(known, points, pose)
+
+    monkeypatch.setattr(solving, "fit_pose", none_for_one)
+    found, _ = solved(all_round(1, 4))
+    names = [one.photo for one in found.network.points]
+    (doubt,) = check_predictions(names, found.apart_px, found.apart_expected_px)
+    assert doubt.code == "photos_contradict"
+    assert "1.png (no pose explains it)" in doubt.text
+    assert "determine no camera" not in doubt.text
 
 
 @pytest.mark.parametrize("seed", range(2))
