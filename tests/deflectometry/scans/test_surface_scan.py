@@ -262,6 +262,7 @@ def test_true_slopes_stand_beside_the_scan(tmp_path: Path) -> None:
     assert np.abs(one.slope_x[one.valid] - true["slope_x"][near]).max() < 0.5 * 0.027 / 3.42 + 0.006
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("focal_length_m", [0.02, 0.1])
 def test_a_design_of_another_mirror_is_refused(tmp_path: Path, focal_length_m: float) -> None:
     """No point is near it: nothing is left to place the mirror by."""

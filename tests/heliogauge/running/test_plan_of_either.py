@@ -22,7 +22,6 @@ PLANNED = {
     "observer": ((), ()),
     "photogrammetry": ((), ()),
 }
-QUICK = ("beam", "deflectometry")
 #: Those whose plan needs the measurement; the others have what they need in the results.
 OF_MEASUREMENT = ("beam", "deflectometry", "observer")
 
@@ -38,9 +37,8 @@ def test_all_instruments_that_plan_are_here() -> None:
     assert found == PLANNED.keys()
 
 
-@pytest.mark.parametrize(
-    "name", [name if name in QUICK else pytest.param(name, marks=pytest.mark.slow) for name in PLANNED]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("name", PLANNED)
 def test_a_plan_takes_a_measurement_and_its_results(
     name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -128,7 +128,10 @@ def test_the_only_photo_tilted_the_other_way_is_used(seed: int) -> None:
     assert "photos_contradict" not in codes
 
 
-@pytest.mark.parametrize(("count", "board"), [(5, BOARD), pytest.param(8, BOARD, marks=pytest.mark.slow), (6, CIRCLES)])
+@pytest.mark.parametrize(
+    ("count", "board"),
+    [(5, BOARD), pytest.param(8, BOARD, marks=pytest.mark.slow), pytest.param(6, CIRCLES, marks=pytest.mark.slow)],
+)
 def test_a_mirrored_photo_is_left_out_with_a_warning(count: int, board: Chessboard | CircleGrid) -> None:
     photos = all_round(1, count, mirrored=3, board=board)
     found, contradicting = solved(photos, board)
@@ -154,6 +157,7 @@ def test_three_photos_do_not_convict_a_fourth() -> None:
     assert "mirror image" in doubt.text
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("board", [BOARD, SHIFTED_CIRCLES])
 def test_photos_of_another_board_are_left_out_and_true_ones_come_back(
     board: Chessboard | CircleGrid, monkeypatch: pytest.MonkeyPatch
